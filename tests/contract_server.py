@@ -88,7 +88,8 @@ class ContractServer:
         logprobs: whether it gives probabilities; else it ignores that they are asked for.
         knows: optional fields that it does not refuse; None for all.
         faults: what goes wrong with the next requests, one each: a key of `FAULTS`, "drop", "slow", "html" or "cut".
-        lasting: a fault of every request after that.
+        lasting: a fault of every request after that; `headers` of these answers.
+        refuses: fields that it refuses, and how it says so.
         gate: a barrier that requests wait at before they are answered.
         requests: what was asked so far; `most_at_once` how many of them at the same time.
     """
@@ -100,6 +101,8 @@ class ContractServer:
         self.knows: set[str] | None = None
         self.faults: list[str] = []
         self.lasting = ""
+        self.headers: dict[str, str] = {}
+        self.refuses: dict[str, str] = {}
         self.gate: threading.Barrier | None = None
         self.slow = 2.0
         self.requests: list[Request] = []
@@ -192,6 +195,8 @@ class ContractServer:
         if unknown:
             name = sorted(unknown)[0]
             return self._send(handler, 400, {"error": {"message": f"{name} is not supported by this server"}})
+        for name in self.refuses.keys() & body.keys():
+            return self._send(handler, 400, {"error": {"message": self.refuses[name], "type": "invalid_request_error"}})
         request = _read(body, {key.lower(): value for key, value in handler.headers.items()})
         with self._lock:
             self.requests.append(request)
@@ -235,6 +240,8 @@ class ContractServer:
         handler.send_response(status)
         handler.send_header("content-type", kind)
         handler.send_header("content-length", str(len(raw)))
+        for name, value in self.headers.items() if status >= 400 else ():
+            handler.send_header(name, value)
         handler.end_headers()
         handler.wfile.write(raw)
 
@@ -274,6 +281,8 @@ def reddish(request: Request, then: Callable[[str], str] = str) -> Reply:
     for x0, y0, x1, y1 in boxes:
         if "0 to 1000" in request.text:
             x0, y0, x1, y1 = (round(1000 * v / s) for v, s in zip((x0, y0, x1, y1), (width, height) * 2, strict=True))
+        elif "from 0 to 100 " in request.text:
+            x0, y0, x1, y1 = (100 * v / s for v, s in zip((x0, y0, x1, y1), (width, height) * 2, strict=True))
         elif "from 0 to 1 " in request.text:
             x0, y0, x1, y1 = (round(v / s, 4) for v, s in zip((x0, y0, x1, y1), (width, height) * 2, strict=True))
         box = [x0, y0, x1, y1] if "bbox_2d" in request.text else [y0, x0, y1, x1]

@@ -21,6 +21,19 @@ def ultralytics(**more):
     return SimpleNamespace(boxes=boxes, names=NAMES, masks=None, **more)
 
 
+def oriented(**corners):
+    """Of an OBB model: rotated corners, or what holds them."""
+    boxes = SimpleNamespace(conf=torch.tensor(SCORES), cls=torch.tensor([56.0, 0.0]), **corners)
+    return SimpleNamespace(boxes=None, obb=boxes, names=NAMES)
+
+
+def rhombi():
+    (x0, y0, x1, y1), points = BOXES.T, np.zeros((2, 4, 2))
+    points[..., 0] = np.stack([x0, (x0 + x1) / 2, x1, (x0 + x1) / 2], axis=1)
+    points[..., 1] = np.stack([(y0 + y1) / 2, y0, (y0 + y1) / 2, y1], axis=1)
+    return torch.tensor(points)
+
+
 def mediapipe():
     found = []
     for box, score, name in zip(BOXES, SCORES, ["chair", "person"], strict=True):
@@ -66,6 +79,8 @@ FOUND = {
     ),
     "ultralytics": ultralytics(),
     "ultralytics, as it returns them": [ultralytics()],
+    "ultralytics, oriented": [oriented(xyxy=torch.tensor(BOXES))],
+    "ultralytics, rotated corners": oriented(xyxyxyxy=rhombi()),
     "torchvision": TENSORS | {"labels": torch.tensor([56, 0]), "masks": None},
     "torchvision, as it returns them": [TENSORS | {"labels": torch.tensor([56, 0])}],
     "hugging face": TENSORS | {"labels": torch.tensor([0, 0]), "text_labels": ["chair", "person"]},
@@ -159,6 +174,8 @@ def test_the_older_solutions_of_mediapipe_want_the_shape():
         ((BOXES, SCORES, [0, -1]), "the label -1 came, and names has"),
         ((BOXES, SCORES, [0.5, 1]), r"the label 0\.5 came; wanted a text"),
         (supervision.Detections(xyxy=BOXES), "without confidence; wanted scores"),
+        (SimpleNamespace(boxes=None, obb=None, probs=SCORES), r"neither boxes nor oriented boxes \(obb\)"),
+        (oriented(xywhr=BOXES), "has no attribute 'xyxyxyxy'; wanted"),
         (records(label=["chair", None]), "some dictionaries came with a label, some without"),
         ([{"bbox": [1, 2, 3, 4]}], "a list of 1 .* without"),
         ([{"box": {"left": 3}, "score": 0.5}], "without 'xmin'; wanted"),

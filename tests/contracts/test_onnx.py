@@ -60,9 +60,10 @@ def yolov8_transposed():
     return {"output0": yolov8()["output0"].transpose(0, 2, 1).copy()}
 
 
-def end_to_end():
-    table = rows(300, 6)
-    table[:2] = np.column_stack([BOXES, SCORES, [0, 1]])
+def end_to_end(columns=6, n=300):
+    table = rows(n, columns, 0.3)
+    table[2:, 4] = 0
+    table[:2, :6] = np.column_stack([BOXES, SCORES, [0, 1]])
     return {"output0": table[None]}
 
 
@@ -146,6 +147,11 @@ CASES = {
         yolov8() | {"output1": np.zeros((1, 32, 16, 16), np.float32)}, {"notes": {"task": "segment"}}
     ),
     "end-to-end": (end_to_end(), {}),
+    "end-to-end with masks": (
+        end_to_end(38) | {"protos": np.zeros((1, 32, 16, 16), np.float32)}, {"notes": {"task": "segment"}}
+    ),
+    "end-to-end with key points, named so": (end_to_end(57, 2000), {"notes": {"task": "pose", "end2end": "True"}}),
+    "end-to-end by nms=True": (end_to_end(38, 84), {"notes": {"args": "{'batch': 1, 'nms': True}"}}),
     "yolov7-end-to-end": (yolov7_end_to_end(), {}),
     "yolox": (yolox(), {}),
     "ssd": (ssd(), {"kind": "uint8", "shape": (1, SIDE, SIDE, 3)}),
@@ -438,16 +444,40 @@ def test_outputs_that_cannot_be_told_are_listed_with_the_layouts(outputs, tmp_pa
 
 
 def test_a_layout_that_is_named_has_to_fit(tmp_path):
-    path = onnx_file(tmp_path / "d.onnx", {"one": yolov8()["output0"][..., :50].copy()})
+    path = onnx_file(tmp_path / "d.onnx", {"one": yolov8()["output0"][..., :20].copy()})
     assert OnnxDetector(path, THREE, layout="yolov8")(SQUARE, "")[2] == LABELS
-    with pytest.raises(EagorError, match=r"do not fit layout 'ssd', which wants detection_boxes .*one \(1, 7, 50\)"):
+    with pytest.raises(EagorError, match=r"do not fit layout 'ssd', which wants detection_boxes .*one \(1, 7, 20\)"):
         OnnxDetector(path, THREE, layout="ssd")
     with pytest.raises(EagorError, match="layout = 'yolo'; wanted auto, yolov5"):
         OnnxDetector(path, THREE, layout="yolo")
 
 
+@pytest.mark.parametrize(
+    ("outputs", "notes", "layouts"),
+    [
+        (end_to_end(38), {"task": "segment"}, "yolov5 yolov8 yolox rtdetr"),
+        (end_to_end(38, CELLS), {"task": "segment", "end2end": "True"}, "yolov5 yolov8 yolox rtdetr"),
+        (end_to_end(7), {}, "yolov5 yolov8 yolox end-to-end"),  # with angles
+        (yolov5(), {}, "yolov8 yolox rtdetr end-to-end"),
+        (yolov8(), {}, "yolov5 yolox rtdetr end-to-end"),
+        (rtdetr_in_one(), {}, "yolov5 yolov8 yolox"),
+    ],
+)
+def test_a_layout_of_another_table_is_refused(outputs, notes, layouts, tmp_path):
+    path = onnx_file(tmp_path / "d.onnx", outputs, notes=notes)
+    for layout in layouts.split():
+        with pytest.raises(EagorError, match=f"do not fit layout {layout!r}"):
+            OnnxDetector(path, THREE, layout=layout)
+
+
+def test_boxes_far_outside_are_those_of_another_layout(tmp_path):
+    outputs = {"output0": rtdetr_in_one()["output0"] * np.array([SIDE] * 4 + [1] * 3, np.float32)}
+    with pytest.raises(ResponseError, match="far outside of the picture; name the right layout"):
+        OnnxDetector(onnx_file(tmp_path / "d.onnx", outputs), THREE, layout="rtdetr")(SQUARE, "")
+
+
 def test_the_metadata_may_name_the_layout(tmp_path):
-    outputs = {"one": yolov8()["output0"][..., :50].copy()}
+    outputs = {"one": yolov8()["output0"][..., :20].copy()}
     assert OnnxDetector(onnx_file(tmp_path / "d.onnx", outputs, notes={"layout": "yolov8"}), THREE).layout == "yolov8"
     with pytest.raises(EagorError, match="layout = 'mine'; wanted auto"):
         OnnxDetector(onnx_file(tmp_path / "d.onnx", outputs, notes={"layout": "mine"}), THREE)
@@ -466,8 +496,6 @@ def test_numbers_that_are_none(tmp_path):
     outputs["output0"][0, 0, 5] = 0.4
     with pytest.raises(ResponseError, match="wanted whole numbers"):
         OnnxDetector(onnx_file(tmp_path / "d.onnx", outputs), THREE)(SQUARE, "")
-    with pytest.raises(ResponseError, match="YOLOX has one per cell, 84"):
-        OnnxDetector(onnx_file(tmp_path / "d.onnx", yolov5()), THREE, layout="yolox")(SQUARE, "")
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,17 @@ def test_labels_that_the_query_does_not_mean_are_left_out():
         Views(labelled, size=96)(panorama, "zebra")
 
 
+@pytest.mark.parametrize(("classes", "says"), [(None, "none fits 'green lamp'"), (["lamp"], "is called so")])
+def test_labels_that_fit_nothing_are_named_once(classes, says):
+    panorama = painted((direction(0.4, 0.2), math.radians(8)))
+    views = Views(lambda picture, query: (*red(picture, query), ["Zebra"] * len(red(picture, query)[0])), size=96)
+    views.classes = classes
+    with pytest.warns(UserWarning, match=rf"the detector says 'Zebra'; .*{says}.*classes=\[\.\.\.\]"):
+        assert len(views(panorama, "green lamp").detections) == 0
+    assert len(views(panorama, "green lamp").detections) == 0
+    assert len(views(painted(), "lamp").detections) == 0
+
+
 def test_one_pass_answers_for_every_class_as_a_look_for_each_does():
     panorama, pose = painted((direction(1.0, 0.2), 0.1), (direction(-2.0, -0.3), 0.3)), world_R_body(0.4, 0.2)
     asked = []

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,12 +16,13 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.media.panorama import cut, resized, tangent_views
-from eagor.perception.vlm import GENERAL, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
-from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence, values
+from eagor.perception.vlm import GENERAL, SERVED, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
+from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence
+from eagor.perception.vlm.lenient import values
 from eagor.perception.vlm.projection import drawn, filled, framed, lift
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 
-SIDES = {"pixels": (896, 448), "thousand": (1000, 1000), "unit": (1, 1)}  # across, down
+SIDES = {"pixels": (896, 448), "thousand": (1000, 1000), "percent": (100, 100), "unit": (1, 1)}  # across, down
 SIZE = (448, 896)
 TAU = 2 * math.pi
 
@@ -100,11 +102,44 @@ def test_what_was_printed_is_read(entries, frame, order, wrapping):
         "[0.1, 0.2, 0.3, 0.4]",  # fractions, though thousandths were wanted
         "The model thinks</think>[100, 200, 300, 400]",
         "[1e2, +200, 300.0, 4.0E2]",
+        "<object><name>chair</name><bndbox><xmin>100</xmin><ymin>200</ymin><xmax>300</xmax><ymax>400</ymax></bndbox>",
+        '<box x1="100" y1="200" x2="300" y2="400"/>',
+        "<ref>a chair</ref><bbox>100 200 300 400</bbox>",
+        "chair 1: 100, 200, 300, 400",
+        "The chair (it's red): left = 100, top = 200, right = 300 and bottom = 400.",
+        "chair<loc_100><loc_200><loc_300><loc_400>",
+        '[{"box_2d": [200, 100, 400, 300]}]',  # Gemini's key: y first, whoever writes it
+        "◁think▷[10, 20, 60, 90]? No.◁/think▷[100, 200, 300, 400]",
+        "<Thinking>[10, 20, 60, 90]</Thinking>Perhaps [5, 6, 70, 80].</think><answer>[100, 200, 300, 400]</answer>",
+        "Is it [10, 20, 60, 90]? No: <|begin_of_box|>[[100, 200, 300, 400]]<|end_of_box|>",
+        '[{"bbox_2d": [0, 0, 0, 0]}, {"bbox_2d": [100, 200, 300, 400]}]',
     ],
 )
 def test_ways_of_writing_one_box(text):
     (box,) = parse_boxes(text, "thousand", SIZE)
-    assert (box.x0, box.y0, box.x1, box.y1) == pytest.approx((0.1, 0.2, 0.3, 0.4))
+    assert (box.x0, box.y0, box.x1, box.y1) == pytest.approx((0.1, 0.2, 0.3, 0.4), abs=6e-4)  # <loc_100>: 0.1 to 0.101
+
+
+@pytest.mark.parametrize(
+    ("text", "frame", "order"),
+    [
+        ('<point x="20.0" y="30.0" alt="a chair (red)">a chair</point>', "percent", "xyxy"),
+        ("<point>20, 30</point>", "percent", "xyxy"),
+        ('{"point_2d": [200, 300], "label": "chair"}', "thousand", "xyxy"),
+        ('[{"point": [300, 200], "label": "chair"}]', "thousand", "yxyx"),
+        ('{"points": [{"x": 0.2, "y": 0.3}]}', "thousand", "xyxy"),
+        ("x: 200, y: 300", "thousand", "yxyx"),
+    ],
+)
+def test_a_point_is_a_small_box(text, frame, order):
+    (box,) = parse_boxes(text, frame, SIZE, order)
+    assert ((box.x0 + box.x1) / 2, (box.y0 + box.y1) / 2) == pytest.approx((0.2, 0.3))
+    assert box.x1 - box.x0 == box.y1 - box.y0 == pytest.approx(0.02)
+
+
+def test_paligemma_s_places_are_y_first_of_1024():
+    (box,) = parse_boxes("<loc0204><loc0102><loc0409><loc0307> chair", "pixels", SIZE)
+    assert (box.x0, box.y0, box.x1, box.y1) == pytest.approx((0.1, 0.2, 0.3, 0.4), abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -141,6 +176,25 @@ def test_written_scores(text, score):
         "A red chair is not visible.",
         "No red chair was found here.",
         "<think>Maybe at [1, 2, 3, 4]</think>[]",
+        "[[0, 0, 0, 0]]",
+        '{"x1": 0, "y1": 0, "x2": 0, "y2": 0}',
+        '{"bbox_2d": null, "label": "red chair"}',
+        '{"present": false}',
+        "[-1, -1, -1, -1]",
+        "图中看不到椅子。",
+        "画面に椅子は見当たりません。",
+        "의자가 보이지 않습니다.",
+        "No se ve ninguna silla.",
+        "Il n’y a aucune chaise ici.",
+        "Der Stuhl ist nicht zu sehen.",
+        "Nella foto non ci sono sedie.",
+        "Não vejo cadeiras.",
+        "Стул не найден.",
+        "Nie widać krzesła.",
+        "Ik zie geen stoel.",
+        "Sandalye bulunamadı.",
+        "Det finns ingen stol.",
+        "لا توجد كراسي",
     ],
 )
 def test_ways_of_saying_that_there_is_none(text):
@@ -156,7 +210,9 @@ def test_ways_of_saying_that_there_is_none(text):
         ("[1, 2, 3]", "wanted boxes"),
         ("<think>[1, 2, 3, 4] or", "allow more tokens"),
         ('[{"bbox_2d": [100, 200, 30', "cut off"),
-        ('{"point_2d": [10, 20]}', "point_2d"),
+        ("没问题，椅子在桌子旁边。", "椅子"),
+        ("Kein Problem: links.", "links"),
+        ("◁think▷ [1, 2, 3, 4] oder", "allow more tokens"),
         ("[1200, 1300, 1400, 1500]", "outside the frame 'thousand'"),
         ("[100, 200, 5000, 400]", "outside the frame"),
     ],
@@ -282,6 +338,9 @@ def test_garbled_tokens_do_not_matter_much():
         ("No, there is none", 0),
         ("<think>no</think> Yes", 1),
         ("Answer: yes", 1),
+        ("是的。", 1),
+        ("Nein.", 0),
+        ("◁think▷no◁/think▷ Oui", 1),
     ],
 )
 def test_yes_and_no(text, probability):
@@ -351,6 +410,15 @@ def test_questions_need_words():
         ("llava:7b", "llava"),
         ("deepseek-community/Janus-Pro-7B", "janus"),
         ("OpenGVLab/InternVL3-8B-hf", "internvl"),
+        ("models/gemini-2.5-pro", "gemini"),
+        ("zai-org/GLM-4.5V", "glm_v"),
+        ("moonshotai/Kimi-VL-A3B-Thinking", "kimi_vl"),
+        ("openbmb/minicpm-v4.5:8b", "minicpm_v"),
+        ("deepseek-ai/deepseek-vl2-tiny", "deepseek_vl2"),
+        ("allenai/Molmo-7B-D-0924", "molmo"),
+        ("vikhyatk/moondream2", "moondream"),
+        ("microsoft/Florence-2-large", "florence2"),
+        ("google/paligemma2-3b-mix-448", "paligemma"),
         ("Qwen/Qwen3-32B", "other"),
         ("gpt-4o", "other"),
         ("", "other"),
@@ -362,6 +430,18 @@ def test_families_are_known_by_name(name, family):
     height, width = exact_size(style.cell, style.pixels, style.aspect)
     assert width == style.aspect * height
     assert exact_size(style.cell, style.view**2, 1.0) == (style.view, style.view)
+
+
+def test_the_page_has_order_unit_and_source_of_every_family():
+    page = Path(__file__).parents[2].joinpath("docs", "models.md").read_text(encoding="utf-8")
+    for each in SERVED:
+        row = f"| `{each.family}` | {ORDERS[each.order]} | {UNITS[each.frame]} | {each.source} |"
+        assert each.source
+        assert row in page, row
+
+
+ORDERS = {"xyxy": "x first", "yxyx": "y first"}
+UNITS = {"pixels": "pixels", "thousand": "0 to 1000", "percent": "0 to 100", "unit": "0 to 1"}
 
 
 # --- sizes -----------------------------------------------------------------------------------------------------------

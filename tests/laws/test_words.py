@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import QueryError
-from eagor.perception.words import GROUPS, IRREGULAR, KIN, WIDER, meant, plain, singular
+from eagor.perception.words import GROUPS, IRREGULAR, KIN, WIDER, fitting, meant, plain, same_name, singular
 from eagor.queries import SYNONYMS
 
 _COCO = """
@@ -208,6 +208,35 @@ def test_any_text_is_answered_or_refused(text):
         found = meant(text, COCO)
         assert found
         assert list(found) == [each for each in COCO if each in found], "classes, in their order"
+
+
+# --- labels of an open vocabulary -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("query", "fit", "not_fit"),
+    [
+        ("lamp", "a lamp; the lamps.; Floor_Lamp; a photo of a lamp; this is a bad picture of the lamp;", "lamp shade"),
+        ("green lamp", "lamp; an image of a light", "red lamp; green"),
+        ("green lamp", "a green lamp; the old green-lamp", "lamp; red lamp"),
+        ("lamp", "lamp; green lamp", "street light; lamp post"),
+        ("a photo of two dogs", "dog; puppy", "hot dog"),
+        ("animal", "cow; a picture of a horse", "person"),
+        ("visitor", "woman; person", "woman's hat"),
+        ("bear", "bears", "teddy bear"),
+        ("the sofa by the lamp", "couch", "lamp"),
+    ],
+)
+def test_what_a_label_says_of_a_query(query, fit, not_fit):
+    fit, not_fit = ({label.strip() for label in text.split(";")} for text in (fit, not_fit))
+    assert fitting(query, fit | not_fit) == fit
+    assert fitting(query.upper(), {label.upper() for label in fit | not_fit}) == {label.upper() for label in fit}
+
+
+def test_a_label_is_a_class_however_it_is_written():
+    assert all(same_name(label, ["dining table"]) for label in ("Dining_Tables", "the dining-table", "dining table."))
+    assert not same_name("", ["dining table"])
+    assert not same_name("table", ["dining table"])
 
 
 # --- the tables -------------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from eagor.errors import AnswerError, EagorError, ServerError
 from eagor.lab.eval import log
 from eagor.perception import load, short_name
 from eagor.perception.endpoint import EndpointPerception
-from eagor.perception.endpoint.client import place_of
+from eagor.perception.endpoint.addresses import place_of
 from eagor.perception.endpoint.server import ServedChat
 from eagor.perception.vlm import Message
 from eagor.perception.vlm.answers import parse_boxes, parse_presence

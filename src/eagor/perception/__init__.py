@@ -172,7 +172,7 @@ def short_name(spec: str) -> str:
     """A short form of `spec` for file names, not unique: ``scout``, ``endpoint-qwen2.5vl-7b``."""
     name, _, text = str(spec).partition(":")
     if name == "endpoint":
-        from eagor.perception.endpoint.client import place_of
+        from eagor.perception.endpoint.addresses import place_of
 
         model, _ = place_of(text.partition("?")[0])
         name = f"endpoint-{model.rstrip('/').rpartition('/')[2]}" if model else name

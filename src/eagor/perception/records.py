@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, TextIO
 
@@ -17,7 +15,7 @@ from msgspec import Meta
 from scipy.special import expit
 
 from eagor.conventions import rotation_from_wxyz
-from eagor.errors import FormatError, QueryError
+from eagor.errors import FormatError
 from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
@@ -27,7 +25,7 @@ from eagor.lenses import PinholeLens
 from eagor.media.pose_files import FramePose
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
 from eagor.perception.views import Boxes, Seen, combined
-from eagor.perception.words import RELATIONS, meant
+from eagor.perception.words import fitting, plain, same_name
 from eagor.sphere import direction, world_R_body
 
 KINDS = ("boxes", "points", "response", "views")
@@ -35,7 +33,6 @@ APART = 1.0  # seconds: lines of one look that lie farther apart are taken for a
 LONGEST = 32  # a view this many times longer than wide is taken for a mistake
 UNIT = 1e-3  # by how much the length of a quaternion may differ from 1
 WHOLE = 0.999  # of the sphere: the least that the solid angles of several views of one look come to
-ARTICLES = {"a", "an", "the"}
 HINTS = {  # for keys that others use, and whose sign or unit may differ
     "pitch_deg": "pitch_up_deg is positive UP, like elevation_deg; pitch_deg of a pose file is positive nose DOWN",
     "pitch": "pitch_up_deg is positive UP, in degrees",
@@ -202,7 +199,7 @@ class Record:
         """Whether this line is for `query`; letter case and spaces do not matter."""
         if self.kind == "pose":
             return False
-        return self.query is None or words_of(self.query) == words_of(query)
+        return self.query is None or plain(self.query) == plain(query)
 
     def evidence(
         self,
@@ -231,16 +228,15 @@ class Record:
         wanted: Collection[str] | None,
     ) -> Evidence:
         if self.kind == "views":
-            if self.query is None and wanted is None:
-                wanted = fitting(query, among or [label for label in self.labels if label is not None])
-            chosen = None if wanted is None else [*wanted]
-            return combined(self.views, query, chosen, detector, self.stamp)
+            if self.query is None and wanted is None and among:
+                wanted = fitting(query, among)
+            return combined(self.views, query, wanted, detector, self.stamp)
         if self.kind == "response" and self.grid is not None:
             return Evidence.from_response(self.values, self.grid, calibration=calibration, stamp=self.stamp)
         own = [label for label in self.labels if label is not None]
         if wanted is None:
             wanted = fitting(query, among or own) if self.query is None and own else ()
-        keep = [self.query is not None or label is None or label in wanted for label in self.labels]
+        keep = [self.query is not None or label is None or same_name(label, wanted) for label in self.labels]
         values, scores = self.values[keep], self.scores[keep]
         scores = scores if (scores != 1).any() else None  # 1 everywhere: the file tells none
         if self.kind == "boxes" and self.grid is not None:
@@ -314,7 +310,7 @@ def _record(found: dict[str, Any]) -> Record:
 def _looked(entry: _Line) -> Record:
     """What a line says of a look, whatever else it says."""
     stamp, query, logits = entry.stamp, entry.query, entry.scores == "logit"
-    need(query is None or words_of(query) != [], "query", query, _QUERY)
+    need(query is None or plain(query) != "", "query", query, _QUERY)
     need(entry.look != "", "look", entry.look, _LOOK)
     look, image = None if entry.look is None else str(entry.look), entry.image or _Image()
     kinds = [kind for kind in KINDS if getattr(entry, kind) is not None]
@@ -505,33 +501,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no JSON form")
-
-
-# --- labels -----------------------------------------------------------------------------------------------------------
-
-
-def fitting(query: str, labels: Iterable[str]) -> frozenset[str]:
-    """Those of `labels` that `query` means.
-
-    A label that is the query itself wins. Otherwise a label fits if all its words occur in the query ("chair" and "red
-    chair" fit "the big red chair"), or if the query means it by a plural, another name or a wider word ("fridge" means
-    "refrigerator", `eagor.perception.words.meant`). What follows a preposition is left out: "the chair by the table"
-    is no table.
-    """
-    known = tuple(dict.fromkeys(labels))
-    asked = words_of(query)
-    bare = [word for word in asked if word not in ARTICLES]
-    exact = frozenset(label for label in known if words_of(label) in (asked, bare) and words_of(label))
-    if exact:
-        return exact
-    place = next((at for at, word in enumerate(asked) if at and word in RELATIONS), len(asked))
-    thing = set(asked[:place])
-    named = {label for label in known if words_of(label) and thing.issuperset(words_of(label))}
-    with suppress(QueryError):  # which says that the words mean none of them
-        named.update(meant(query, known, described=True))
-    return frozenset(named)
-
-
-def words_of(text: str) -> list[str]:
-    """Lower-case words: runs of letters and digits of any script."""
-    return re.findall(r"\w+", text.casefold())

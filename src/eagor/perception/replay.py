@@ -24,8 +24,8 @@ from eagor.perception import Perception
 from eagor.perception import look as one_look
 from eagor.perception.colour import colour_in
 from eagor.perception.partial import ViewPerception, look_at_view
-from eagor.perception.records import Record, fitting, parse_record, read_looks, read_records, write_record
-from eagor.perception.words import meant
+from eagor.perception.records import Record, parse_record, read_looks, read_records, write_record
+from eagor.perception.words import fitting, meant
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [

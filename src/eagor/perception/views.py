@@ -12,7 +12,8 @@ that no library is imported. Whatever it is, it is checked.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -28,10 +29,11 @@ from eagor.grids import PerspectiveGrid
 from eagor.media.panorama import checked_picture, cut, tangent_views
 from eagor.perception.colour import colour_in, share_of
 from eagor.perception.things import Thing, ViewBox, spread_evidence, things
-from eagor.perception.words import meant
+from eagor.perception.words import fitting, meant, same_name
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 from eagor.tracking import Around
 
+MOST_LABELS = 8  # in a warning
 # Of a box's pixels, so many have the thing's colour at least: it fills about half of its box, and has others, too.
 COLOURED = 0.25
 
@@ -54,8 +56,9 @@ class Views:
 
     - `detect`: ``detect(picture, query) -> boxes, scores[, labels]`` for a picture ``(h, w, 3)`` uint8 RGB: boxes
       ``(n, 4)`` x0, y0, x1, y1 in its pixels, scores in [0, 1]. What detectors of known libraries return is understood
-      too (`eagor.perception.views.boxes_of`). Where there are labels, those that the query means are kept. One with
-      a method ``many(pictures, query)``, a list of such results, gets all views of a look at once.
+      too (`eagor.perception.views.boxes_of`). Of labels, those that fit the query are kept (without `classes`:
+      `eagor.perception.words.fitting`); where none ever fitted, a warning names them, once for each query. One with a
+      method ``many(pictures, query)``, a list of such results, gets all views of a look at once.
     - `hfov`: field of each view, degrees.
     - `count`: the most views per look. They overlap as far as it allows; more views cut fewer things apart.
     - `size`: pixels along each side of a view.
@@ -87,6 +90,7 @@ class Views:
         known = getattr(detect, "classes", None) if classes is None else classes
         self.classes = None if known is None else tuple(known)
         self._views = _layout(int(size), float(hfov), int(count))
+        self._settled: set[str] = set()  # queries that a label fitted, or of which it was said that none does
 
     def __repr__(self) -> str:
         view = self._views[0]
@@ -171,9 +175,25 @@ class Views:
     def _meant(self, shown: Shown, seen: Sequence[Boxes], query: str, wanted: Sequence[str] | None) -> list[Thing]:
         """What was `seen` in what was `shown` that `query` means, one `Thing` each."""
         pieces: list[ViewBox] = []
+        fit = _fitting(seen, query, wanted)
+        self._name_strangers(seen, query, fit)
         for number, ((grid, picture), boxes) in enumerate(zip(shown, seen, strict=True)):
-            pieces += self._weighed(_pieces(number, grid, boxes, query, wanted), picture, query)
+            pieces += self._weighed(_pieces(number, grid, boxes, fit), picture, query)
         return things(pieces)
+
+    def _name_strangers(self, seen: Sequence[Boxes], query: str, fit: Collection[str]) -> None:
+        """Warn, once for each query, of labels that say nothing of it: nobody looked in vain."""
+        strangers = {label for label in _labels(seen) if not same_name(label, self.classes or ())}
+        if not strangers or query in self._settled or (fit and self.classes is None):
+            self._settled.update([query] if fit else [])
+            return
+        self._settled.add(query)
+        shown = ", ".join(map(repr, sorted(strangers)[:MOST_LABELS])) + ", ..." * (len(strangers) > MOST_LABELS)
+        what = f"none fits {query!r}" if self.classes is None else "none of its classes is called so"
+        text = (
+            f"the detector says {shown}; {what}. If it has its own words, name them all: Views(detect, classes=[...])"
+        )
+        warnings.warn(text, UserWarning, stacklevel=4)
 
     def _detected(self, shown: Shown, query: str) -> list[Boxes]:
         """What the detector finds in each picture: in all of them at once, if it has a method `many`."""
@@ -228,7 +248,7 @@ class Views:
 def combined(
     seen: Sequence[Seen],
     query: str,
-    wanted: Sequence[str] | None = None,
+    wanted: Collection[str] | None = None,
     detector: DetectorModel | None = None,
     stamp: float | None = None,
 ) -> Evidence:
@@ -236,19 +256,18 @@ def combined(
 
     `wanted`: the classes that `query` means; None: the query itself decides about labels, of an open vocabulary.
     """
-    pieces = [piece for number, each in enumerate(seen) for piece in _pieces(number, *each, query, wanted)]
+    fit = _fitting([each.boxes for each in seen], query, wanted)
+    pieces = [piece for number, each in enumerate(seen) for piece in _pieces(number, *each, fit)]
     view = View(seen[0].grid if len(seen) == 1 else WHOLE_SPHERE)
     return spread_evidence(things(pieces), detector or DetectorModel(), view, stamp)
 
 
-def _pieces(
-    number: int, grid: PerspectiveGrid, seen: Boxes, query: str, wanted: Sequence[str] | None
-) -> Iterator[ViewBox]:
-    """The boxes of view `number` that the query means."""
+def _pieces(number: int, grid: PerspectiveGrid, seen: Boxes, fit: Collection[str]) -> Iterator[ViewBox]:
+    """The boxes of view `number` whose labels `fit`."""
     boxes, scores, labels = seen
     size = np.array([grid.width, grid.height] * 2, dtype=np.float64)
     for box, score, label in zip(boxes, scores, labels or [None] * len(boxes), strict=True):
-        if label is not None and not _fits(label, query, wanted):
+        if label is not None and label not in fit:
             continue
         inside = np.clip(box, 0, size)
         if np.abs(inside - box).reshape(2, 2).min(axis=0).max() > BEYOND * size.max():
@@ -260,14 +279,14 @@ def _pieces(
             yield ViewBox(number, grid, inside, float(score))
 
 
-def _fits(label: str, query: str, wanted: Sequence[str] | None) -> bool:
-    """Whether a label is one of the `wanted` classes; of an open vocabulary, whether the query means it."""
-    if wanted is not None:
-        return label in wanted
-    try:
-        return label in meant(query, (label,))
-    except QueryError:
-        return False
+def _labels(seen: Iterable[Boxes]) -> set[str]:
+    return {label for boxes in seen for label in boxes.labels or ()}
+
+
+def _fitting(seen: Iterable[Boxes], query: str, wanted: Collection[str] | None) -> Collection[str]:
+    """The labels of a look that are among the `wanted` classes; of an open vocabulary, those that fit the query."""
+    labels = _labels(seen)
+    return fitting(query, labels) if wanted is None else {label for label in labels if same_name(label, wanted)}
 
 
 @lru_cache(maxsize=16)
@@ -419,8 +438,14 @@ def _supervision(found: Any, _: Any) -> _Read:
 
 
 def _ultralytics(found: Any, _: Any) -> _Read:
-    boxes = found.boxes
-    return boxes.xyxy, boxes.conf, boxes.cls, getattr(found, "names", None)
+    boxes = getattr(found, "obb", None) if found.boxes is None else found.boxes
+    if boxes is None:
+        raise ResponseError("Ultralytics' results came with neither boxes nor oriented boxes (obb), as of a classifier")
+    corners = getattr(boxes, "xyxy", None)  # of oriented boxes: what holds them
+    if corners is None:
+        points = to_numpy(boxes.xyxyxyxy).reshape(-1, 4, 2)
+        corners = np.concatenate([points.min(axis=1), points.max(axis=1)], axis=1)
+    return corners, boxes.conf, boxes.cls, getattr(found, "names", None)
 
 
 def _mapping(found: Mapping[str, Any], _: Any) -> _Read:
@@ -496,7 +521,7 @@ def _reader(found: Any) -> Callable[[Any, Sequence[int] | None], _Read] | None:
         return _mapping if {"boxes", "scores"} <= {*found} else None
     if hasattr(found, "xyxy") and hasattr(found, "confidence"):
         return _supervision
-    if hasattr(found, "boxes") and all(hasattr(found.boxes, name) for name in ("xyxy", "conf", "cls")):
+    if hasattr(found, "boxes") and (hasattr(found, "obb") or hasattr(found.boxes, "conf")):
         return _ultralytics
     if hasattr(found, "detections"):
         return _mediapipe

@@ -1,7 +1,8 @@
-"""Which classes of a detector a query means: articles, plurals, compounds, other names, wider words.
+"""Which classes of a detector a query means, and which of its labels: articles, plurals, compounds, other names.
 
-A detector with a closed set of classes knows no colours and no relations: a query with one is refused, and the noun
-alone is suggested. `eagor.perception.views` takes colours, and weighs boxes by them. The tables are in words.toml.
+A detector with a closed set of classes knows no colours and no relations: `meant` refuses a query with one, and
+suggests the noun alone; `eagor.perception.views` takes colours, and weighs boxes by them. One with an open vocabulary
+writes what it likes: `fitting` is the rule for its labels, live and recorded. The tables are in words.toml.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,10 +18,10 @@ from pathlib import Path
 from eagor._extras import how_to_install
 from eagor.errors import QueryError
 from eagor.perception.colour import COLOURS as SHADES
-from eagor.perception.colour import is_colour
+from eagor.perception.colour import SYNONYMS, is_colour
 from eagor.queries import COLOURS
 
-__all__ = ["for_any_words", "meant", "plain", "singular"]
+__all__ = ["fitting", "for_any_words", "meant", "plain", "same_name", "singular"]
 
 _TABLES = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 
@@ -55,6 +56,11 @@ around that which who
 RELATIONS = frozenset(_PLACES.split())
 _HOLDING = {"cup", "glass", "mug", "bottle", "bowl", "vase", "box", "can", "jar", "pot"}  # a cup of tea is a cup
 _PARTS = {"slice", "piece", "pair", "bunch", "group", "kind", "sort", "couple"}  # a slice of pizza is pizza
+# What detectors of an open vocabulary are asked with, and label with: "a photo of a chair", "an image of the chair".
+_SHOWN = "this here it is an? the one my good bad cropped blurry clean bright dark low high resolution quality"
+_PROMPT = re.compile(
+    rf"\A(?:(?:{_SHOWN.replace(' ', '|')}) )*(?:photo|photograph|picture|image|rendering|itap|close up) of (?=\S)"
+)
 _EVERY = 8  # classes that an error names
 _ROOMS = ("chair", "couch", "bed", "dining table", "tv", "refrigerator", "potted plant", "person")
 
@@ -72,15 +78,10 @@ def meant(query: str, classes: Sequence[str], *, described: bool = False, colour
     words = plain(query).split() if isinstance(query, str) else []
     if not words:
         raise QueryError(f"the query {query!r} has no words; say what to look for, such as {_some(classes)}")
-    if found := _named(" ".join(words), classes):  # whatever it is, a class is called so
-        return found
-    words = _asked(words)
-    if found := _called(" ".join(words), classes):
-        return found
-    noun, left_out = _noun(words)
-    found = _found(noun, classes)
+    found, noun, left_out = _looked_up(tuple(words), tuple(classes))
     if found and (not left_out or described or (coloured and is_colour(" ".join(left_out)))):
         return found
+    words = _asked(words)
     if all(word in _COLOURS for word in words):
         raise QueryError(
             f"the query {query!r} names a colour and no thing; this detector does not know colours. It knows "
@@ -89,6 +90,69 @@ def meant(query: str, classes: Sequence[str], *, described: bool = False, colour
     if found:
         raise _too_much(query, left_out, noun, found)
     raise _unknown(query, noun or words, classes)
+
+
+@lru_cache(maxsize=4096)
+def _looked_up(asked: tuple[str, ...], classes: tuple[str, ...]) -> tuple[tuple[str, ...], list[str], list[str]]:
+    """The classes that the words mean, their noun, and the words that describe it."""
+    found, words = _named(" ".join(asked), classes), _asked([*asked])  # whatever it is, a class is called so
+    if found := found or _called(" ".join(words), classes):
+        return found, words, []
+    noun, left_out = _noun(words)
+    return _found(noun, classes), noun, left_out
+
+
+def fitting(query: str, labels: Iterable[str]) -> frozenset[str]:
+    """Those of `labels` that may be what `query` asks for: the one rule for detectors that take any words.
+
+    Articles, prompts ("a photo of a chair"), plurals and signs do not matter. A label that is the query itself wins.
+    Otherwise a label fits that names the query's thing, by another name, or more widely or narrowly, too ("fridge" and
+    "refrigerator", "person" and "woman"), unless both name colours, and none in common: "chair" and "office chair" fit
+    "red chair", "blue chair" does not. What follows a preposition is left out: "the chair by the table" is no table. A
+    label without words says nothing against its box, and fits.
+    """
+    asked, known = _bare(query), {label: _bare(label) for label in labels}
+    noun, colours = " ".join(_noun(asked)[0]), _colours(asked)
+    exact = any(_same(words, asked) for words in known.values())
+
+    def fits(words: list[str]) -> bool:
+        if not words or _same(words, asked):
+            return True
+        own, name = _colours(words), " ".join(words)
+        if colours and own and colours.isdisjoint(own):
+            return False
+        more = words[-1:] == asked[-1:] and {*asked} <= {*words}
+        narrower = more or (not exact and _looked_up(tuple(words), (noun,))[0])
+        return bool((narrower and not _is_other(name, noun)) or (not exact and _looked_up(tuple(asked), (name,))[0]))
+
+    return frozenset(label for label, words in known.items() if fits(words))
+
+
+def _same(words: list[str], others: list[str]) -> bool:
+    return bool(words) and singular(" ".join(words)) == singular(" ".join(others))
+
+
+def _is_other(name: str, noun: str) -> bool:
+    """Whether `name` is a thing by itself, and not the noun that it ends with: a teddy bear is no bear."""
+    group = _groups().get(singular(name), ())
+    return singular(name) in OTHER_THINGS or (bool(group) and singular(noun) not in group)
+
+
+def _bare(text: str) -> list[str]:
+    """The words of a query or of a label, without the prompt and the article before them."""
+    return _asked(_PROMPT.sub("", plain(text)).split())
+
+
+def _colours(words: list[str]) -> set[str]:
+    """The colours of the thing, each by one name."""
+    place = next((at for at, word in enumerate(words) if at and word in RELATIONS), len(words))
+    named = [SYNONYMS.get(word, word).rpartition(" ")[2] for word in words[: place - 1]]
+    return {name for name in named if name in SHADES}
+
+
+def same_name(label: str, classes: Collection[str]) -> bool:
+    """Whether a label is one of the `classes`, as it is or without article, prompt, plural, case and signs."""
+    return label in classes or any(_same(_bare(label), _bare(each)) for each in classes)
 
 
 def for_any_words() -> str:
@@ -102,7 +166,7 @@ def for_any_words() -> str:
 
 def plain(text: str) -> str:
     """`text` in small letters, words with one space between them: ``"Television_Set"`` is ``"television set"``."""
-    text = re.sub(r"['’]s?\b", "", str(text).lower())
+    text = re.sub(r"['’]s?\b", "", str(text).casefold())
     return " ".join(re.findall(r"[^\W_]+", text))
 
 

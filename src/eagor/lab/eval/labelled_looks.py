@@ -25,8 +25,8 @@ from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.lab.envs.rules import Camera
 from eagor.perception.calibrated import Labelled, cap_radius
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
-from eagor.perception.records import words_of
 from eagor.perception.replay import ReplayPerception
+from eagor.perception.words import plain
 from eagor.sphere import angular_distance, checked_pose, direction, unit, world_R_body
 
 __all__ = ["DetectionTable", "LabelledLook", "Truth", "apartment_labels", "read_truth", "replayed_looks"]
@@ -248,7 +248,7 @@ def read_truth(path: str | os.PathLike[str]) -> tuple[Truth, ...]:
     """The lines of a file of true directions. `FormatError` names the file and the line of a fault."""
     truths: dict[tuple[float, str, str], Truth] = {}
     for truth, where in parsed_lines(path, _parsed):
-        key = truth.stamp, " ".join(words_of(truth.query)), truth.group
+        key = truth.stamp, plain(truth.query), truth.group
         if key in truths:
             raise FormatError(
                 f"{where}: is a second line for {truth.query!r} at {truth.stamp:g} s; wanted all targets in one"
@@ -273,7 +273,7 @@ class _Line(msgspec.Struct, forbid_unknown_fields=True):
 
 def _parsed(line: bytes) -> Truth:
     entry = checked(object_of(line), _Line, "a line of true directions", noted=True)
-    need(words_of(entry.query) != [], "query", entry.query, "words")
+    need(plain(entry.query) != "", "query", entry.query, "words")
     angles = [(target.azimuth_deg, target.elevation_deg) for target in entry.targets]
     azimuths, elevations = np.radians(angles).reshape(-1, 2).T
     name = entry.query if entry.group is None else f"{entry.group}: {entry.query}"

@@ -28,7 +28,8 @@ from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import WHOLE_SPHERE, canvas_of
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
 from eagor.media.panorama import check_fields, checked_picture, cut, resized, tangent_views
-from eagor.perception.endpoint.client import Answer, Picture, Request, question, shown_address
+from eagor.perception.endpoint.addresses import shown_address
+from eagor.perception.endpoint.client import Answer, Picture, Request, question
 from eagor.perception.endpoint.server import Asker, Server, named
 from eagor.perception.vlm import Served, ask_boxes, ask_presence, boxes_schema, exact_size, phrase, style_of
 from eagor.perception.vlm.answers import Box, Frame, Order, parse_boxes, parse_presence

@@ -1,14 +1,13 @@
 """A model on a server, the limits of asking it (concurrency, timeout, retries), and conversations with it.
 
-Requests run on an event loop in a thread of its own. Only there can a whole exchange have one deadline, whatever the
-server does meanwhile (a byte now and then, endless headers), and be cancelled at any moment.
+Requests run on an event loop in a thread of its own. Only there can a whole answer have one deadline, whatever the
+server does meanwhile (a byte now and then, endless headers), and a look be cancelled at any moment.
 """
 
 from __future__ import annotations
 
 import asyncio
 import os
-import random
 import threading
 import weakref
 from collections.abc import Coroutine, Sequence
@@ -24,24 +23,11 @@ from eagor._checks import above, require, whole, within
 from eagor._extras import need
 from eagor._files import redacted
 from eagor.errors import AnswerError, EagorError, QueryError
-from eagor.perception.endpoint.client import (
-    DEFAULT_SERVER,
-    Answer,
-    Picture,
-    Request,
-    checked_address,
-    client_of,
-    explained,
-    message,
-    place_of,
-    refused_feature,
-    retry_after,
-    shown_address,
-    worth_retrying,
-)
+from eagor.perception.endpoint.addresses import DEFAULT_SERVER, checked_address, place_of, shown_address
+from eagor.perception.endpoint.client import Answer, Picture, Request
+from eagor.perception.endpoint.transport import client_of, explained, message, refused_feature
 from eagor.perception.vlm import IMAGE, MAX_TOKENS, ChatReply, Message
 
-LONGEST_REST = 30.0  # seconds between two tries at most, unless the server asks for longer
 _LONGEST = 86400.0  # longest timeout, seconds: sockets store timeouts in few bits
 _CONNECTING = threading.Lock()
 
@@ -150,15 +136,14 @@ class Server:
             variable = asker.key if asker.key.isupper() else "that key=... names"  # it may hold the key itself
             raise EagorError(f"the environment variable {variable}, which should hold the server's key, is not set")
         (url,) = asker.servers
-        self._model, self._timeout, self._retries = asker.model, asker.timeout, asker.retries
+        self._model, self._timeout = asker.model, asker.timeout
         self._shown = shown_address(url)
         # What the client raises, and what reading its result raises if the server sent something else.
         nonsense = (ValueError, AttributeError, TypeError, RecursionError)
-        self._failures = (openai.OpenAIError, TimeoutError, *nonsense)
-        self._refused: set[str] = set()  # features that the server rejected
+        self._failures = (openai.OpenAIError, *nonsense)
+        self._refused: set[str] = set()  # what the server rejected
         self._room = asyncio.Semaphore(concurrency)
-        self._backoff = asker.backoff
-        self._client = client_of(url, key, asker.timeout, max_tokens, asker.ca)
+        self._client = client_of(url, key, asker.timeout, max_tokens, asker.ca, asker.retries, asker.backoff)
         self._loop = _loop(os.getpid())
         weakref.finalize(self, _close, self._client).atexit = False
 
@@ -196,21 +181,21 @@ class Server:
                 task.cancel()
 
     async def _one(self, request: Request) -> Answer:
-        """One answer, with retries; a request that waits for its next try keeps its slot."""
+        """One answer, without what the server rejects; the client retries, and keeps its slot meanwhile."""
         async with self._room:
-            for count in range(1, 2 + self._retries):
+            while True:
+                refused = frozenset(self._refused)
+                body = await asyncio.to_thread(request.body, self._model, refused)  # encodes pictures
                 try:
-                    return request.read(await self._completion(request), self._model, count)
+                    raw = await self._client.chat.completions.with_raw_response.create(**body)
+                    return request.read(raw.parse(), self._model, 1 + raw.retries_taken)
                 except self._failures as error:
                     if isinstance(error, EagorError):
                         raise
-                    if count > self._retries or not worth_retrying(error):
-                        served = await self._served(error)
-                        raise self._explained(error, request.size, count, served) from error
-                    rest = min(self._backoff * 2 ** (count - 1), LONGEST_REST)
-                    rest += random.uniform(0, self._backoff / 4)  # so that clients do not retry in step
-                    await asyncio.sleep(max(rest, retry_after(error)))
-        raise AssertionError("the last try ends in an answer or an error")
+                    if feature := refused_feature(error, request.features - refused):
+                        self._refused.add(feature)
+                        continue
+                    raise self._explained(error, request.size, await self._served(error)) from error
 
     async def _served(self, error: Any) -> list[str] | None:
         """The server's models, if the failure may have to do with the model's name."""
@@ -219,35 +204,17 @@ class Server:
                 return await self._names()
         return None
 
-    def _explained(self, error: Any, image: tuple[int, int], count: int, served: list[str] | None) -> EagorError:
-        about = self._model, self._shown, self._timeout
-        return explained(error, *about, image=image, count=count, served=served)
-
-    async def _completion(self, request: Request) -> Any:
-        """The client's result for one request, without the features that the server rejects."""
-        import openai
-
-        while True:
-            refused = frozenset(self._refused)
-            body = await asyncio.to_thread(request.body, self._model, refused)  # encodes pictures
-            try:
-                async with asyncio.timeout(self._timeout):
-                    return await self._client.chat.completions.create(**body)
-            except openai.OpenAIError as error:
-                feature = refused_feature(error, request.features - refused)
-                if not feature:
-                    raise
-                self._refused.add(feature)
+    def _explained(self, error: Any, image: tuple[int, int], served: list[str] | None) -> EagorError:
+        return explained(error, self._model, self._shown, self._timeout, image=image, served=served)
 
     async def _names(self) -> list[str]:
-        async with asyncio.timeout(self._timeout):
-            return [str(model.id) for model in (await self._client.models.list()).data]
+        return [str(model.id) for model in (await self._client.with_options(max_retries=0).models.list()).data]
 
     async def _only_model(self) -> str:
         try:
             names = await self._names()
         except self._failures as error:
-            raise self._explained(error, (0, 0), 1, None) from error
+            raise self._explained(error, (0, 0), None) from error
         if len(names) != 1:
             has = f"{self._shown} has {len(names)} models"
             raise QueryError(f"{has} ({', '.join(names)}); name one before the @")

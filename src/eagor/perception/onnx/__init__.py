@@ -156,6 +156,9 @@ class OnnxDetector:
             raise ResponseError(f"{where}: {error}") from None
         if not np.isfinite(found.boxes).all():
             raise ResponseError(f"{where} gives boxes that are not finite; name the right layout=...")
+        middles = (found.boxes[:, :2] + found.boxes[:, 2:]) / 2
+        if (np.abs(middles / self._frame.sides[:2] - 0.5) > 1.5).any():
+            raise ResponseError(f"{where} gives boxes far outside of the picture; name the right layout=...")
         return found
 
     def _name(self, number: int) -> str:

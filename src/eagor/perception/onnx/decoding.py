@@ -116,7 +116,7 @@ def upright(table: np.ndarray, classes: int | None) -> np.ndarray:
 
 
 def end_to_end(outputs: Sequence[np.ndarray], frame: Frame) -> Found:
-    """``(1, n, 6)``: corners, score, class; nothing is left to suppress."""
+    """``(1, n, 6)``: corners, score, class, perhaps masks or key points; nothing is left to suppress."""
     table = outputs[0][0]
     return of_list(table[:, :4], table[:, 4], table[:, 5], frame)
 

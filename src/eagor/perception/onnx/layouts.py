@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,11 @@ class Graph:
     size: tuple[int, int]
     notes: Mapping[str, str]
     classes: int | None = None
+
+    @property
+    def suppressed(self) -> bool:
+        """Whether the metadata say that the table lists what was found, as of YOLO26 and exports with nms=True."""
+        return self.notes.get("end2end") == "True" or bool(re.search("nms.{1,3}True", self.notes.get("args", "")))
 
     def shown(self) -> str:
         """The outputs, for an error text."""
@@ -111,17 +117,33 @@ def _one(graph: Graph, rank: int, last: int | None = None) -> tuple[int, ...] | 
     return _each_one(_places(graph, rank)) and _each_one(_places(graph, rank, last))
 
 
-def _table(least: int) -> Pick:
-    """One output ``(1, a, b)`` whose shorter side has at least so many entries."""
+def _table(least: int, fits: Callable[[Graph, int, int], bool] = lambda graph, a, b: True) -> Pick:
+    """One output ``(1, a, b)`` whose shorter side has at least so many entries, and which `fits`."""
 
     def pick(graph: Graph) -> tuple[int, ...] | None:
         found = _one(graph, 3)
         if found is None:
             return None
         batch, *sides = graph.outputs[found[0]].shape
-        return found if batch == 1 and min(sides) >= least else None
+        return found if batch == 1 and min(sides) >= least and fits(graph, *sides) else None
 
     return pick
+
+
+def _cells(graph: Graph, *counts: float) -> bool:
+    """Whether one of `counts` is the number of cells of grids of neighbouring strides, and nothing was suppressed."""
+    strides = (4, 8, 16, 32, 64, 128)
+    runs = [strides[first : last + 1] for first in range(6) for last in range(first + 1, 6)]
+    return not graph.suppressed and any(cells_in(graph.size, run) in counts for run in runs)
+
+
+def _listed_boxes(graph: Graph, n: int, columns: int) -> bool:
+    """Whether a table lists what was found: corners, score, class, and perhaps masks or key points (not an angle)."""
+    return columns > 5 and columns != 7 and not _cells(graph, max(n, columns), n / 3)
+
+
+def _queries_with_scores(graph: Graph, n: int, columns: int) -> bool:
+    return not graph.suppressed and graph.classes in (None, columns - 4)
 
 
 def _named(*wanted: str | tuple[str, ...]) -> Pick:
@@ -192,6 +214,8 @@ def _family(graph: Graph) -> str | None:
     known = graph.classes
     if "rtdetr" in graph.notes.get("description", "").lower().replace("-", ""):
         return "rtdetr"
+    if graph.suppressed:
+        return "end-to-end"
     if per_anchor and b > 5 and known in (None, b - 5):
         return "yolov5"
     if rows_are_cells and b > 5 and (known == b - 5 or (known is None and b > 6)):
@@ -201,7 +225,7 @@ def _family(graph: Graph) -> str | None:
         return "yolov8"
     if rows_are_cells and known == b - 4:
         return "yolov8"
-    if b == 6 and a <= 1000:
+    if a <= 1000 and (b == 6 or graph.notes.get("task") in ("segment", "pose")):
         return "end-to-end"
     if known is not None and a == 4 + known and b > a:
         return "yolov8"
@@ -234,24 +258,26 @@ def _always(graph: Graph) -> bool:
 _TFLITE = "tflite_detection_postprocess"
 LAYOUTS: dict[str, Layout] = {
     "yolov5": Layout(
-        "one output (1, n, 5 + C), boxes in pixels, objectness (YOLOv5, v6, v7)", _table(6), decoding.yolov5,
-        _is("yolov5"), lambda shapes: shapes[0][2] - 5,
+        "one output (1, n, 5 + C), boxes in pixels, objectness (YOLOv5, v6, v7)",
+        _table(6, lambda graph, n, columns: _cells(graph, n, n / 3)), decoding.yolov5, _is("yolov5"),
+        lambda shapes: shapes[0][2] - 5,
     ),
     "yolov8": Layout(
-        "one output (1, 4 + C, n), boxes in pixels (YOLOv8, v9, v11, v12)", _table(5), decoding.yolov8,
-        _is("yolov8"), lambda shapes: min(shapes[0][1:]) - 4,
+        "one output (1, 4 + C, n), boxes in pixels (YOLOv8, v9, v11, v12)", _table(5, _cells),
+        decoding.yolov8, _is("yolov8"), lambda shapes: min(shapes[0][1:]) - 4,
     ),
     "end-to-end": Layout(
-        "one output (1, n, 6): corners, score, class (YOLOv10, YOLO26, exports with nms=True)",
-        lambda graph: _one(graph, 3, 6), decoding.end_to_end, _is("end-to-end"), suppress=False,
+        "one output (1, n, 6): corners, score, class (YOLOv10, YOLO26, exports with nms=True), and perhaps "
+        "masks or key points", _table(1, _listed_boxes), decoding.end_to_end, _is("end-to-end"), suppress=False,
     ),
     "yolov7-end-to-end": Layout(
         "one output (n, 7): picture, corners, class, score", lambda graph: _one(graph, 2, 7),
         decoding.yolov7_end_to_end, _always, suppress=False,
     ),
     "yolox": Layout(
-        "one output (1, n, 5 + C), boxes in strides from their cells (YOLOX)", _table(6), decoding.yolox,
-        _is("yolox"), lambda shapes: shapes[0][2] - 5, fit="corner", values="byte", order="bgr",
+        "one output (1, n, 5 + C), boxes in strides from their cells (YOLOX)",
+        _table(6, lambda graph, n, columns: _cells(graph, n)), decoding.yolox, _is("yolox"),
+        lambda shapes: shapes[0][2] - 5, fit="corner", values="byte", order="bgr",
     ),
     "ssd": Layout(
         "detection_boxes (1, n, 4) y first as fractions, detection_classes, detection_scores, perhaps num_detections "
@@ -277,7 +303,7 @@ LAYOUTS: dict[str, Layout] = {
     "rtdetr": Layout(
         "boxes (1, n, 4) centre and size as fractions, logits (1, n, C) (RT-DETR, D-FINE); or one output (1, n, 4 + C) "
         "with probabilities",
-        lambda graph: _boxes_and_logits(graph) or _table(5)(graph), decoding.rtdetr,
+        lambda graph: _boxes_and_logits(graph) or _table(5, _queries_with_scores)(graph), decoding.rtdetr,
         lambda graph: "rtdetr" in (_queries(graph), _family(graph)),
         lambda shapes: shapes[1][2] if len(shapes) > 1 else shapes[0][2] - 4, fit="stretch", suppress=False,
     ),

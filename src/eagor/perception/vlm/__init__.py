@@ -1,6 +1,7 @@
 """How vision-language models are asked, local or served: their families, questions, conversations.
 
-The differences between families are data (families.toml): no family has code of its own.
+The differences between families are data (families.toml, with the order and the unit of each one's boxes): no family
+has code of its own.
 
 `Family` says how a model on this machine is used, `style_of` how a served one is asked, `exact_size` which sizes of
 pictures both take unchanged. This module imports neither torch nor transformers, so that ``eagor doctor`` can print
@@ -25,9 +26,9 @@ from eagor.errors import EagorError, ImageError, QueryError
 from eagor.perception.vlm.answers import Frame, Order
 
 __all__ = [
-    "FAMILIES", "GENERAL", "IMAGE", "MAX_TOKENS", "PIXELS", "Account", "Chat", "ChatReply", "Checkpoint", "Extractor",
-    "Family", "Fit", "Labelled", "Message", "Served", "ask_boxes", "ask_presence", "boxes_schema", "chosen",
-    "exact_size", "family_of", "nearest_size", "phrase", "style_of",
+    "FAMILIES", "GENERAL", "IMAGE", "MAX_TOKENS", "PIXELS", "SERVED", "Account", "Chat", "ChatReply", "Checkpoint",
+    "Extractor", "Family", "Fit", "Labelled", "Message", "Served", "ask_boxes", "ask_presence", "boxes_schema",
+    "chosen", "exact_size", "family_of", "nearest_size", "phrase", "style_of",
 ]  # fmt: skip
 
 Fit = Literal["exact", "squash", "pad", "tiles"]
@@ -58,7 +59,7 @@ class Served:
       the panorama is squeezed beforehand: cells are then twice as wide as high.
     - `frame`, `order`: of the coordinates to ask for. `grounded`: whether it was trained to write boxes, in the frame
       of its family; others are better asked yes or no.
-    - `family`: its name. `pixels`: of a panorama, by default.
+    - `family`: its name. `pixels`: of a panorama, by default. `source`: who says what it writes.
     """
 
     pattern: str
@@ -70,6 +71,7 @@ class Served:
     family: str = "other"
     pixels: int = PIXELS
     grounded: bool = True
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,8 @@ def _family(entry: dict[str, Any]) -> Family:
 
 
 _FILE = Path(__file__).with_name("families.toml")
-FAMILIES: tuple[Family, ...] = tuple(map(_family, tomllib.loads(_FILE.read_text(encoding="utf-8"))["family"]))
+_TABLES = tomllib.loads(_FILE.read_text(encoding="utf-8"))
+FAMILIES: tuple[Family, ...] = tuple(map(_family, _TABLES["family"]))
 
 
 def chosen(name: str, family: Family, option: str) -> Extractor:
@@ -192,14 +195,12 @@ def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
 
 
 OTHER = Served("", 28, 560)  # of a name of no known family
-# Qwen2-VL runs on servers only.
-_QWEN2_VL = Served(r"qwen[\W_]?2[\W_]?vl", 28, 560, family="qwen2_vl")
+SERVED = (*(each.served for each in FAMILIES if each.served), *msgspec.convert(_TABLES["served"], tuple[Served, ...]))
 
 
 def style_of(model: str) -> Served:
     """How the model of this name is asked: ``Qwen/Qwen2.5-VL-7B-Instruct``, ``qwen2.5vl:7b``; else `OTHER`."""
-    known = [*(family.served for family in FAMILIES if family.served), _QWEN2_VL]
-    return next((served for served in known if re.search(served.pattern, model.lower())), OTHER)
+    return next((served for served in SERVED if re.search(served.pattern, model.lower())), OTHER)
 
 
 # --- exact sizes ------------------------------------------------------------------------------------------------------
@@ -278,6 +279,7 @@ GENERAL = "Write a general description of the image."
 _FRAMES = {
     "pixels": ("in pixels of this image", "100, 150, 220, 310"),
     "thousand": ("as whole numbers from 0 to 1000 of the image's width and height", "100, 150, 220, 310"),
+    "percent": ("as numbers from 0 to 100 of the image's width and height", "10.0, 15.0, 22.0, 31.0"),
     "unit": ("as fractions from 0 to 1 of the image's width and height", "0.10, 0.15, 0.22, 0.31"),
 }
 _KEYS = {"xyxy": ("bbox_2d", "x1, y1, x2, y2"), "yxyx": ("box_2d", "y1, x1, y2, x2")}
@@ -305,7 +307,7 @@ def ask_boxes(query: str, frame: Frame, order: Order = "xyxy") -> str:
 
 def boxes_schema(frame: Frame, order: Order = "xyxy") -> dict[str, Any]:
     """The JSON schema of the answer to `ask_boxes`."""
-    number = {"type": "number"} if frame == "unit" else {"type": "integer"}
+    number = {"type": "number"} if frame in ("percent", "unit") else {"type": "integer"}
     key = _KEYS[order][0]
     entry = {
         "type": "object",

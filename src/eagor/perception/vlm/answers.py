@@ -2,173 +2,60 @@
 
 `parse_boxes` reads lenient JSON, lists in prose, and the markup of some families: lists of objects with a box under any
 usual key (``bbox_2d``, ``box_2d``, ``bbox``, ``box``, ...), bare lists of four numbers, pairs of corners, named
-corners, and InternVL's and Qwen2-VL's markup; within fences, prose or a model's thoughts, complete or cut off. The
-caller says what the coordinates count: 0..1000 and pixels look alike (Qwen2.5-VL counts pixels of the RESIZED picture,
-Bai et al. 2025, arXiv:2502.13923).
+corners, points, XML, Florence-2's and PaliGemma's ``<loc>`` tokens, and numbers without any brackets; within fences,
+prose or a model's thoughts, complete or cut off. The caller says what the coordinates count: 0..1000 and pixels look
+alike (families.toml says what each family counts).
 """
 
 from __future__ import annotations
 
 import math
 import re
+import tomllib
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from pathlib import Path
+from typing import Literal
 
 from eagor.errors import AnswerError
+from eagor.perception.vlm.lenient import Node, values
 
 __all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "without_thoughts"]
 
-_SPACE = re.compile(r"(?:\s|//[^\n]*|#[^\n]*)*")
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_WORD = re.compile(r"[^\s,:\[\](){}\"'<>]+")
-_STRING = {quote: re.compile(rf"(?:[^{quote}\\]|\\.)*", re.DOTALL) for quote in "\"'"}
-_ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|U00[0-9a-fA-F]{6}|x[0-9a-fA-F]{2}|.|\Z)", re.DOTALL)
-_CLOSING = {"[": "]", "(": ")", "{": "}"}
-_CONSTANTS = {"true": True, "false": False, "null": None, "none": None, "nan": None}
-_DEEPEST = 40  # nesting of lists; deeper ones are not answers
-
-
-@dataclass(frozen=True)
-class Node:
-    """A value and the half-open range of characters that it was read from.
-
-    `value` is a list of nodes, a dict of nodes by key, a string, a float, a bool or None. `whole` is False if the text
-    ended before the value did.
-    """
-
-    value: Any
-    start: int
-    end: int
-    whole: bool = True
-
-
-def values(text: str) -> list[Node]:
-    """All top-level lists and objects in `text`, in order."""
-    found, place = [], 0
-    while place < len(text):
-        if text[place] in _CLOSING:
-            node = _collection(text, place, 0)
-            found.append(node)
-            place = max(node.end, place + 1)
-        else:
-            place += 1
-    return found
-
-
-def _skip(text: str, place: int) -> int:
-    """The place after white space and comments."""
-    match = _SPACE.match(text, place)
-    assert match is not None  # it may be empty
-    return match.end()
-
-
-def _value(text: str, place: int, depth: int) -> Node | None:
-    """The value that begins at `place`, None if nothing known begins there."""
-    if place >= len(text):
-        return None
-    first = text[place]
-    if first in _CLOSING:
-        return _collection(text, place, depth) if depth < _DEEPEST else None
-    if first in _STRING and (string := _STRING[first].match(text, place + 1)):
-        end = string.end()
-        return Node(_unescaped(text[place + 1 : end]), place, min(end + 1, len(text)), whole=end < len(text))
-    number = _NUMBER.match(text, place)
-    if number:
-        return Node(float(number.group()), place, number.end(), whole=number.end() < len(text))
-    word = _WORD.match(text, place)
-    if word is None:
-        return None
-    written = word.group()
-    return Node(_CONSTANTS.get(written.lower(), written), place, word.end())
-
-
-def _unescaped(written: str) -> str:
-    """The text of a string literal of JSON or Python."""
-    meant = _ESCAPE.sub(_letter, written)
-    return meant.encode("utf-16", "surrogatepass").decode("utf-16", "replace")  # joins pairs of surrogates
-
-
-def _letter(match: re.Match[str]) -> str:
-    code = match.group(1)
-    if len(code) > 1:
-        return chr(min(int(code[1:], 16), 0x10FFFF))
-    return {"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f"}.get(code, code)
-
-
-def _collection(text: str, place: int, depth: int) -> Node:
-    """The list, tuple or object that opens at `place`; it ends early where the text is no longer valid."""
-    opening = text[place]
-    closing, keyed = _CLOSING[opening], opening == "{"
-    entries: list[Node] = []
-    pairs: dict[str, list[Node]] = {}
-    at, whole = place + 1, False
-    while True:
-        at = _skip(text, at)
-        while at < len(text) and text[at] in ",;":
-            at = _skip(text, at + 1)
-        if at < len(text) and text[at] == closing:
-            at, whole = at + 1, True
-            break
-        node = _value(text, at, depth + 1)
-        if node is None or _torn(node):
-            break
-        at = _skip(text, node.end)
-        if keyed and at < len(text) and text[at] in ":=":
-            key, inner = str(node.value), _value(text, _skip(text, at + 1), depth + 1)
-            if inner is None or _torn(inner):
-                break
-            pairs.setdefault(key, []).append(inner)
-            node, at = inner, inner.end
-        elif keyed:  # {[...], [...]}: a set of values without keys
-            pairs[f"{len(pairs)}"] = [node]
-        else:
-            entries.append(node)
-        if not node.whole:
-            break
-    if not keyed:
-        return Node(entries, place, at, whole)
-    # A key that occurs several times holds all its values, in one list.
-    held = {key: Node(several, several[0].start, several[-1].end) for key, several in pairs.items()}
-    single = {key: several[0] for key, several in pairs.items() if len(several) == 1}
-    return Node(held | single, place, at, whole)
-
-
-def _torn(node: Node) -> bool:
-    """Whether `node` is a number at the end of a text that stops within a list: digits may be missing."""
-    return isinstance(node.value, float) and not node.whole
-
-
 # --- what a model's answer says ---------------------------------------------------------------------------------------
 
-Frame = Literal["pixels", "thousand", "unit"]  # pixels of the image that the model saw; 0..1000 per side; 0..1
+Frame = Literal["pixels", "thousand", "percent", "unit"]  # pixels of the image that the model saw; parts of each side
 Order = Literal["xyxy", "yxyx"]
 
 _BOX_KEYS = (
     *("bbox_2d", "box_2d", "bbox2d", "box2d", "bbox", "box", "bounding_box", "boundingbox", "bndbox"),
     *("coordinates", "coords", "xyxy", "position", "location"),
 )
+_Y_FIRST = "box_2d"  # Gemini's key, whose boxes are y0 x0 y1 x1 whatever is asked for
+_POINT_KEYS = ("point_2d", "point", "points", "point2d", "xy", "center", "centre")
 _LABEL_KEYS = ("label", "name", "class", "category", "object", "description", "text")
 _SCORE_KEYS = ("score", "confidence", "probability", "prob", "conf")
 _GENERIC = {
     *_BOX_KEYS,
+    *_POINT_KEYS,
     *("boxes", "bboxes", "objects", "detections", "results", "instances", "items", "answer", "output", "data"),
 }
 _CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1 y1 x2 y2", "left top right bottom")
 _SIDES = ("x y width height", "x y w h", "left top width height")
-_ABSENT = re.compile(
-    r"\A\W*(?:no|none|null|nothing)\b(?! problem)|\bthere(?: is|'s| are| was| were) (?:no|none|nothing|not)\b"
-    r"|\bno \w[\w ]{0,80} (?:in|visible|present|found|detected|shown|here|can be)\b"
-    r"|\b(?:not|isn't|aren't) (?:any|visible|present|found|there|detected|shown|seen|in (?:the|this|view))\b"
-    r"|\b(?:not|doesn't|don't) (?:contain|show|appear|include|have|see|find|depict|feature)\b"
-    r"|\b(?:cannot|can't|can not|couldn't|could not|unable to) (?:be )?(?:see|seen|find|found|locate|located|detect)\b"
+_WORDS_OF = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_ABSENT = re.compile("|".join(line for each in _WORDS_OF["absent"].values() for line in each.strip().splitlines()))
+# Marks of thoughts; some chat templates open them themselves, so that the answer only closes them.
+_THOUGHT = re.compile(r"[<◁\[](?P<end>/?)\|?(?:seed:)?(?:think(?:ing)?|thoughts?|reasoning)\|?[>▷\]]", re.IGNORECASE)
+# Marks of the answer, of GLM and others: what is outside leads to it.
+_ANSWER = re.compile(
+    r"<answer>(.*?)(?:</answer>|\Z)|<\|begin_of_box\|>(.*?)(?:<\|end_of_box\|>|\Z)|<\|channel\|>final<\|message\|>(.*?)(?:<\||\Z)",
+    re.DOTALL | re.IGNORECASE,
 )
-# Some chat templates open the thoughts themselves, so that the answer only closes them.
-_THOUGHTS = re.compile(r"\A(?:(?!<think).)*</think(?:ing)?>|<think(?:ing)?>.*?(?:</think(?:ing)?>|\Z)", re.DOTALL)
 _LONGEST = 200_000  # characters of an answer: thousands of boxes
 _MOST_THOUGHTS = 1_000_000  # characters, with the answer
 _LEAST = 1e-6  # of the image's sides: anything smaller has no area
+_POINT = 0.01  # of the image's sides: half of what a point without a size stands for
 _PAST = 1.1  # coordinates beyond this many image sides are in another frame, not just inaccurate
 
 
@@ -189,13 +76,14 @@ class _Found:
     """Four coordinates as written, x0 y0 x1 y1, and the span of text in which the model decided to write them.
 
     The span begins at the list's opening or after the previous box, and ends with the opening bracket of this entry.
-    None: unknown.
+    None: unknown. A point has equal corners.
     """
 
     numbers: tuple[Node, ...]
-    decided: tuple[int, int] | None
-    label: str
-    score: float | None
+    decided: tuple[int, int] | None = None
+    label: str = ""
+    score: float | None = None
+    point: bool = False
 
 
 def parse_boxes(
@@ -207,15 +95,18 @@ def parse_boxes(
         text: the answer.
         frame: what its coordinates count. Fractions below 1 are read as fractions in every frame.
         size: (height, width) of the image that the model saw, after any resizing.
-        order: of four bare numbers; named corners go by their names.
+        order: of bare numbers; named corners go by their names, Gemini's ``box_2d`` is always y first.
         tokens: the pieces of the answer with log probabilities, which give the scores (`_confidence`); without them 1.
 
-    Boxes without area, duplicates, and boxes far outside are left out. Raises `AnswerError` if nothing can be read,
+    A point becomes a small box. Boxes without area ([0, 0, 0, 0] says that there is none), duplicates, and boxes far
+    outside are left out. Raises `AnswerError` if nothing can be read,
     or if all coordinates lie far outside the frame.
     """
     answer = spoken(text)
     nodes = values(answer)
     found = [box for node in _joined(nodes) for box in _boxes(node, order, "", node.start)]
+    if not found and not any(_cut_off(node) for node in nodes):
+        found = [*_marked(answer, order)]
     if not found:
         said = answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
         if any(_emptied(node) for node in nodes) or _ABSENT.search(said):
@@ -252,8 +143,28 @@ def spoken(text: str) -> str:
 
 
 def without_thoughts(text: str) -> str:
-    """`text` with everything between <think> tags blanked out; all other characters keep their places."""
-    return _THOUGHTS.sub(lambda match: " " * len(match.group()), text)
+    """`text` with all thoughts blanked out, and all outside of the marks of an answer; the rest keeps its places."""
+    kept, place, thinks = [], 0, False
+    for mark in _THOUGHT.finditer(text):
+        if mark["end"]:
+            kept.append((place, place))  # what came before was thought, opened or not
+            place, thinks = mark.end(), False
+        elif not thinks:
+            kept.append((place, mark.start()))
+            place, thinks = mark.start(), True
+    kept.append((place, place if thinks else len(text)))
+    bare = _only(text, kept)
+    marked = [answer.span(answer.lastindex or 0) for answer in _ANSWER.finditer(bare)]
+    return _only(bare, marked) if any(bare[start:end].strip() for start, end in marked) else bare
+
+
+def _only(text: str, spans: Sequence[tuple[int, int]]) -> str:
+    """`text` with blanks outside of `spans`, which are in order."""
+    parts, place = [], 0
+    for start, end in spans:
+        parts += [" " * (start - place), text[start:end]]
+        place = end
+    return "".join(parts) + " " * (len(text) - place)
 
 
 def shortened(text: str, most: int = 200) -> str:
@@ -283,8 +194,16 @@ def _joined(nodes: list[Node]) -> list[Node]:
     return joined
 
 
+def _cut_off(node: Node) -> bool:
+    """Whether the text ended within a list or object that has numbers."""
+    inner = node.value.values() if isinstance(node.value, dict) else node.value if isinstance(node.value, list) else ()
+    return not node.whole and any(isinstance(entry.value, float) or _cut_off(entry) for entry in inner)
+
+
 def _emptied(node: Node) -> bool:
-    """Whether a value is or contains a complete list or object without entries."""
+    """Whether a value is or contains a complete list or object without entries, "null" or "false"."""
+    if node.value is None or node.value is False:
+        return True
     if isinstance(node.value, dict | list):
         inner = node.value.values() if isinstance(node.value, dict) else node.value
         return (node.whole and not node.value) or any(_emptied(entry) for entry in inner)
@@ -331,16 +250,33 @@ def _boxes_of_object(node: Node, order: Order, label: str, since: int) -> Iterat
     if corners:
         yield _Found(corners, (since, node.start + 1), label, score)
         return
-    key = next((key for key in _BOX_KEYS if key in fields), None)
-    if key is not None:
+    if key := next((key for key in _BOX_KEYS if key in fields and fields[key].value is not None), None):
         decided = (since, node.start + 1)
-        for index, found in enumerate(_boxes(fields[key], order, label, since)):
+        own_order: Order = "yxyx" if key == _Y_FIRST else order
+        for index, found in enumerate(_boxes(fields[key], own_order, label, since)):
             own = score if found.score is None else found.score
             yield replace(found, score=own, decided=decided if index == 0 and found.decided else found.decided)
+        return
+    places = [fields[key] for key in _POINT_KEYS if key in fields] or [node]
+    if points := [point for each in places for point in _points(each, order)]:
+        yield from (_Found(point, None, label, score, point=True) for point in points)
         return
     for key, inner in node.value.items():
         generic = key.strip().lower() in _GENERIC or key.isdigit()
         yield from _boxes(inner, order, label or ("" if generic else key), inner.start)
+
+
+def _points(node: Node, order: Order) -> Iterator[tuple[Node, ...]]:
+    """The points in a value, each as x y x y: two numbers, x and y by name, or a list of these."""
+    if isinstance(node.value, dict):
+        pair = tuple(node.value[key] for key in ("x", "y") if key in node.value)
+        if len(pair) == 2 and all(isinstance(entry.value, float) for entry in pair):
+            yield pair * 2
+    elif len(pair := _numbers(node)) == 2:
+        yield (pair if order == "xyxy" else pair[::-1]) * 2
+    elif isinstance(node.value, list):
+        for entry in node.value:
+            yield from _points(entry, order)
 
 
 def _named_corners(fields: dict[str, Node]) -> tuple[Node, ...]:
@@ -352,6 +288,54 @@ def _named_corners(fields: dict[str, Node]) -> tuple[Node, ...]:
                 across, down = replace(across, value=x.value + across.value), replace(down, value=y.value + down.value)
             return x, y, across, down
     return ()
+
+
+# Without lists: XML, names, tokens of places, or bare numbers.
+_N = r"[-+]?(?:\d+(?:\.\d+)?|\.\d+)"
+_NAMES = sorted({name for names in (*_CORNERS, *_SIDES) for name in names.split()}, key=len, reverse=True)
+_NAMED = re.compile(rf"\b({'|'.join(_NAMES)})[\"'`*]*\s*(?:=|:|>|\bis\b)\s*[\"'`]?({_N})", re.IGNORECASE)
+_POINT_TAG = re.compile(r"<points?\b([^<>]*)>([^<]*)", re.IGNORECASE)
+_ATTRIBUTE = re.compile(rf"\b[xy]\d*\s*=\s*[\"']?({_N})", re.IGNORECASE)
+_LOC = re.compile(r"<loc(_?)(\d+)>" + r"\s*<loc_?(\d+)>" * 3)
+_RUN = re.compile(rf"(?<![\w.]){_N}(?:[^\S\n]*[,;][^\S\n]*{_N}|[^\S\n]+{_N})*(?![\w])")
+
+
+def _marked(text: str, order: Order) -> Iterator[_Found]:
+    """The boxes or points in a text without lists: of the first kind that there is."""
+
+    def nodes(matches: Iterable[re.Match[str]], group: int = 0, after: int = 0) -> tuple[Node, ...]:
+        return tuple(Node(float(m[group]), after + m.start(group), after + m.end(group)) for m in matches)
+
+    found: list[_Found] = []
+    for loc in _LOC.finditer(text):  # Florence-2: thousandths, x first; PaliGemma: of 1024, y first
+        parts = [(int(loc[group]) + 0.5) / (1000 if loc[1] else 1024) for group in range(2, 6)]
+        written = tuple(Node(part, loc.start(), loc.end()) for part in parts)
+        found.append(_Found(written if loc[1] else tuple(written[place] for place in (1, 0, 3, 2))))
+    for tag in _POINT_TAG.finditer(text):
+        if numbers := nodes(_ATTRIBUTE.finditer(tag[1]), 1, tag.start(1)):
+            pairs = zip(numbers[::2], numbers[1::2], strict=False)
+        else:
+            numbers = nodes(re.finditer(_N, tag[2]), 0, tag.start(2))
+            pairs = zip(*(numbers[place::2] for place in ((0, 1) if order == "xyxy" else (1, 0))), strict=False)
+        found += [_Found((x, y, x, y), point=True) for x, y in pairs]
+    if found:
+        yield from found
+        return
+    fields: dict[str, Node] = {}
+    for match in _NAMED.finditer(text):
+        name = match[1].lower()
+        fields = {} if name in fields else fields
+        fields[name] = nodes([match], 2)[0]
+        if corners := _named_corners(fields):
+            found.append(_Found(corners))
+            fields = {}
+    if not found and {"x", "y"} <= fields.keys():
+        found.append(_Found((fields["x"], fields["y"]) * 2, point=True))
+    if not found:
+        places = (0, 1, 2, 3) if order == "xyxy" else (1, 0, 3, 2)
+        runs = [nodes(re.finditer(_N, run[0]), 0, run.start()) for run in _RUN.finditer(text)]
+        found = [_Found(tuple(run[place] for place in places)) for run in runs if len(run) == 4]
+    yield from found
 
 
 def _score(written: object) -> float | None:
@@ -370,12 +354,15 @@ def _box(found: _Found, frame: Frame, size: tuple[int, int], trace: Trace | None
     """The box in fractions, or the reason for none: "outside" or "empty"."""
     height, width = size
     written = [entry.value for entry in found.numbers]
-    if not all(math.isfinite(number) for number in written):
+    if not all(math.isfinite(number) for number in written) or max(written) <= 0:  # [0, 0, 0, 0], [-1, -1, -1, -1]
         return "empty"
-    across, down = {"pixels": (width, height), "thousand": (1000, 1000), "unit": (1, 1)}[frame]
+    parts = {"thousand": 1000, "percent": 100, "unit": 1}
+    across, down = (width, height) if frame == "pixels" else (parts[frame],) * 2
     if max(written) <= 1 and not all(number.is_integer() for number in written):
         across = down = 1
     xs, ys = sorted((written[0] / across, written[2] / across)), sorted((written[1] / down, written[3] / down))
+    if found.point:
+        (xs, ys) = ([centre[0] - _POINT, centre[1] + _POINT] for centre in (xs, ys))
     if min(xs[0], ys[0]) < 1 - _PAST or max(xs[1], ys[1]) > _PAST or max(xs[0], ys[0]) >= 1 or min(xs[1], ys[1]) <= 0:
         return "outside"
     x0, y0, x1, y1 = (min(max(value, 0.0), 1.0) for value in (xs[0], ys[0], xs[1], ys[1]))
@@ -395,7 +382,7 @@ def _confidence(numbers: tuple[Node, ...], decided: tuple[int, int], trace: Trac
 
 # --- yes or no --------------------------------------------------------------------------------------------------------
 
-_YES, _NO = ("yes", "true", "present", "visible"), ("no", "false", "none", "not", "absent")
+_YES, _NO = (frozenset(_WORDS_OF["verdicts"][side].split()) for side in ("yes", "no"))
 _WORDS = re.compile(r"[^\W\d_]+")
 
 
