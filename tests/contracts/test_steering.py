@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from eagor.robots.run_page import Plan, RobotPage, Sample, summary
 
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
 from eagor.live.events import Answer, Fault, FrameCame, PoseCame
 from eagor.media import Pose
 from eagor.perception.colour import ColourPerception
-from eagor.robots.run_page import Plan, RobotPage, Sample, summary
 from eagor.robots.safety.gate import Mode
 from eagor.robots.safety.messages import GuardState
 from eagor.robots.safety.walking import Odometer, WalkSettings, steer

@@ -13,12 +13,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from eagor.robots.run_page import RobotPage, Sample
 from processes import alive, little_room, sessions_of, wait_for
 
 from eagor.cli import main, robot_run
 from eagor.errors import DeviceError
 from eagor.robots.dds import free_domain
-from eagor.robots.run_page import RobotPage, Sample
 
 pytestmark = pytest.mark.xdist_group("real time")
 

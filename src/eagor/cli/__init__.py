@@ -47,7 +47,7 @@ Exit codes: 0 success, 1 the run failed, 2 usage or input, 3 finished but some c
 `eagor --version` prints the version, `eagor --tyro-print-completion bash` (zsh, fish) a completion script."""
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
-COMPLETION = "--tyro-print-completion"
+COMPLETION, ROS_ARGS = "--tyro-print-completion", "--ros-args"
 # tyro completes a file after an option, but not in place of a positional argument. Bash and fish can offer files there
 # if nothing else fits.
 _FILES_TOO = {
@@ -95,8 +95,6 @@ def _run(arguments: list[str]) -> int:
     if arguments[:1] == [COMPLETION]:
         print(_completion(arguments), end="")
         return 0
-    if arguments[:1] == ["ros"] and "--ros-args" in arguments:  # the rest is for ROS
-        arguments.insert(arguments.index("--ros-args"), "--")
     try:
         command = _parse(joined(arguments))
     except SystemExit as stop:  # tyro has printed a text: help, or a mistake that we cannot explain
@@ -106,14 +104,17 @@ def _run(arguments: list[str]) -> int:
 
 
 def joined(arguments: list[str]) -> list[str]:
-    """`arguments` in which each of `_LISTS` stands once, with all its values; tyro keeps only the last of several."""
+    """`arguments` in which each of `_LISTS` stands once, with all its values; tyro keeps only the last of several.
+
+    What follows ``--ros-args`` is left as it is.
+    """
     found: list[str] = []
     values: dict[str, list[str]] = {}
     into = found
     for index, word in enumerate(arguments):
         name, equals, value = word.partition("=")
-        if word == "--":
-            found.extend(arguments[index:])
+        if word in ("--", ROS_ARGS):
+            found.extend(arguments[index:] if word == "--" else ["--", *arguments[index:]])
             break
         if name in _LISTS:
             if name not in values:
