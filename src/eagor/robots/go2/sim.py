@@ -54,7 +54,7 @@ CAMERA = "ros:" + CAMERA_TOPIC.removeprefix("rt")
 STARTING = 300.0  # seconds for the house and its light, on a busy machine
 ENDING = 10.0
 TRIES, ROOM, NEAR, FAR = 2000, 0.35, 2.5, 5.0  # draws; metres around the start; metres to the target
-BEFORE = 0.8  # metres before the target's centre at which the way may end: things fill some floor
+BEFORE = 1.0  # metres before the target's centre at which the way may end: things fill some floor
 
 
 @dataclass(frozen=True)
