@@ -50,13 +50,13 @@ from eagor.media import ros_messages as ros
 from eagor.media.bags import BagWriter
 from eagor.perception import load
 from eagor.robots.dds import Link
-from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings, House, load_house
+from eagor.robots.go2.camera import PICTURE
+from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings, SimWorld
 from eagor.robots.go2.plant import PlantSettings
-from eagor.robots.go2.sim import TRUTH_THINGS, LiveGo2, SimSettings, SimulatedGo2
-from eagor.robots.go2.sim_wire import TRUTH as TRUTH_POSE
-from eagor.robots.go2.sim_wire import WireSettings
+from eagor.robots.go2.sim import TRUTH as TRUTH_POSE
+from eagor.robots.go2.sim import LiveGo2, SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
-from eagor.robots.go2.state import BodyState, Go2State
+from eagor.robots.go2.state import BodyState, Go2State, Odometry
 from eagor.sphere import angular_distance, unit
 from eagor.tracking.poses import PoseHistory
 
@@ -70,7 +70,7 @@ REGIONS = 5  # answers from one check of the region to the next
 NEAR, GONE = math.radians(15), 2.0
 CAMERA = CameraSettings(rows=128, rate=5.0)
 PLANT = PlantSettings(deaf=(0.0, 0.0))
-WIRE = WireSettings(clock_offset=12.5, clock_drift=2e-5, drop=0.01, delay=(0.0, 0.01))
+CLOCK = {"clock_offset": 12.5, "clock_drift": 2e-5}  # of the robot
 EYES = PlantSettings().height + CAMERA.mount[2]  # metres
 IMAGE, ODOMETRY, TRUTH, BALL = "/image/compressed", "/odom", "/truth", "/ball"
 
@@ -112,7 +112,7 @@ class Run:
 class Steering:
     """Goes from one random place of the floor to another; where to go next, from where the body truly is."""
 
-    def __init__(self, house: House, rng: np.random.Generator) -> None:
+    def __init__(self, house: SimWorld, rng: np.random.Generator) -> None:
         self._house, self._rng = house, rng
         self._path = np.zeros((0, 2))
 
@@ -141,11 +141,10 @@ class Steering:
 def settings(seed: int, scene: str) -> SimSettings:
     """The robot, its house and its ball. It starts with the ball in sight, 1.5 to 5 m away, with any heading."""
     speed = 0.0 if "lying" in scene else SPEED
-    found = SimSettings(seed=seed, target=QUERY, speed=speed, camera=CAMERA, plant=PLANT, wire=WIRE)
+    found = SimSettings(seed=seed, target=QUERY, speed=speed, camera=CAMERA, plant=PLANT, **CLOCK)
     house, rng = SimulatedGo2(found).house, np.random.default_rng([seed, SCENES.index(scene)])
     assert house is not None
-    assert house.ball is not None
-    ball, rays = house.ball.at(0.0).centre, Renderer(house.scene).raycaster
+    ball, rays = house.targets()[0].centre, Renderer(house.scene).raycaster
     for _ in range(2000):
         spot = house.ground.sample(rng, 0.3)
         eye = np.array([*spot, EYES])
@@ -158,15 +157,15 @@ def settings(seed: int, scene: str) -> SimSettings:
 def _live(ready: Any, settings: SimSettings, domain: int) -> None:
     """A process: the robot on DDS."""
     with LiveGo2(SimulatedGo2(settings), domain, "lo") as live:
-        live.wait_for_camera()
-        ready.send("ready")
+        ready.send(live.begun)
         ready.recv()
 
 
 def record(seed: int, scene: str, path: Path, domain: int) -> None:
     """Record a run in real time: the robot and its camera are other processes."""
     wanted = settings(seed, scene)
-    house = load_house("apartment", seed)
+    house = SimulatedGo2(wanted).house  # its ball rolls as the robot's
+    assert house is not None
     steering, now_at = Steering(house, np.random.default_rng([seed, 7])), {}
     context = multiprocessing.get_context("spawn")
     line, there = context.Pipe()
@@ -174,7 +173,7 @@ def record(seed: int, scene: str, path: Path, domain: int) -> None:
     robot.start()
     there.close()
     try:
-        line.recv()
+        begun = line.recv()
         with BagWriter(path) as bag, Link(domain, "lo") as link:
 
             def pose(topic: str, found: Pose) -> None:
@@ -186,19 +185,16 @@ def record(seed: int, scene: str, path: Path, domain: int) -> None:
             def true(message: Any, _: float) -> None:
                 now_at["pose"] = ros.pose_of(message)
                 pose(TRUTH, now_at["pose"])
+                now = now_at["pose"].stamp
+                where = json.dumps([now, *house.targets(now - begun)[0].centre.tolist()])
+                bag.write(BALL, ros.TEXT, ros.text_message(where), now)
 
             def picture(message: Any, _: float) -> None:
-                bag.write(IMAGE, ros.COMPRESSED, message, ros.stamp_of(message))
+                received = ros.store().deserialize_cdr(message.data, ros.COMPRESSED)
+                bag.write(IMAGE, ros.COMPRESSED, received, ros.stamp_of(received))
 
-            def things(message: Any, _: float) -> None:
-                told = json.loads(message.data)
-                (ball,) = (each for each in told["things"] if each["id"] in told["targets"])
-                where = json.dumps([told["stamp"], *ball["position"]])
-                bag.write(BALL, ros.TEXT, ros.text_message(where), told["stamp"])
-
-            link.subscribe(CAMERA_TOPIC, ros.COMPRESSED, picture, depth=5)
-            link.subscribe(TRUTH_POSE, ros.ODOMETRY, true, depth=50)
-            link.subscribe(TRUTH_THINGS, ros.TEXT, things, reliable=True, transient=True, depth=5)
+            link.subscribe(CAMERA_TOPIC, PICTURE, picture)
+            link.subscribe(TRUTH_POSE, Odometry, true)
             states = Go2State(link, received=state)
             sport = SportClient(link)
             states.wait()
@@ -283,7 +279,7 @@ def play(run: Run, looks: Sequence[tuple[float, Evidence]], method: Estimator, l
     return {"stamps": np.array(stamps), "said": np.array(said), "mass": np.array(mass)}
 
 
-def in_sight(run: Run, house: House, stamps: np.ndarray) -> np.ndarray:
+def in_sight(run: Run, house: SimWorld, stamps: np.ndarray) -> np.ndarray:
     """Whether the ball's centre is in sight at each time: walls and furniture are in the way, or not."""
     eyes = np.array([run.bearing(float(now))[1] for now in stamps])
     ways = np.array([run.ball(float(now)) for now in stamps]) - eyes
@@ -338,7 +334,7 @@ def conditions() -> Iterator[tuple[str, float, bool]]:
 def judge_run(path: str) -> tuple[str, dict[tuple[str, str], dict[str, float]]]:
     """All figures of one run, by condition and method."""
     run = read(Path(path))
-    house = load_house("apartment", run.seed)
+    house = SimWorld("apartment", run.seed)
     perception = load("scout")
     calibration, detector = (getattr(perception, key, None) for key in ("calibration", "detector"))
     looks = look_at(run, perception)

@@ -43,8 +43,8 @@ from guard_driving import OTHER, TRIALS, Driver, Time, begun_by, bring_to_speed,
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.house import CAMERA_FRAME, CAMERA_TOPIC
-from eagor.robots.go2.sim_wire import TRUTH
-from eagor.robots.go2.state import Go2State
+from eagor.robots.go2.sim import TRUTH
+from eagor.robots.go2.state import Go2State, Odometry
 from eagor.robots.safety.guard import Guard
 
 LIMIT, FROZEN_DETECTOR = 0.25, 0.6  # seconds
@@ -134,15 +134,14 @@ class Steady:
 def program(domain: int, speed: float) -> None:
     """The program that steers: says the numbers of its processes, and walks until somebody ends it."""
     from eagor.live.loop import LiveLoop
-    from eagor.robots.ros import RosCamera
+    from eagor.robots.go2.camera import DdsCamera
     from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 
-    network, topic = {"domain": domain, "interface": "lo"}, CAMERA_TOPIC.removeprefix("rt")
-    with Link(domain, "lo") as link, Guard(armed=True, deadman="none", **network) as guard:
+    with Link(domain, "lo") as link, Guard(armed=True, deadman="none", domain=domain, interface="lo") as guard:
         steady = Steady(guard, speed)
         odometer = Odometer(steady, lambda: loop.clock.now())
         loop = LiveLoop(
-            lambda: RosCamera(topic, rows=128, **network), "colour", ["red chair"], poses=lambda: Go2State(link),
+            lambda: DdsCamera(CAMERA_TOPIC, domain, "lo"), "colour", ["red chair"], poses=lambda: Go2State(link),
             watchers=[odometer],
         )  # fmt: skip
         told = False
@@ -155,7 +154,8 @@ def program(domain: int, speed: float) -> None:
 def camera(domain: int) -> None:
     """The camera: a painted room far away, which turns as the robot does."""
     from eagor.lab.worlds.painted import painted_room
-    from eagor.media.ros_messages import compressed_message, pose_of
+    from eagor.media.ros_messages import pose_of
+    from eagor.robots.go2.camera import PICTURE, picture_message
     from eagor.sphere import heading
 
     room, turned = painted_room(128, 256), [0.0]
@@ -164,13 +164,13 @@ def camera(domain: int) -> None:
         turned[0] = heading(pose_of(message).world_R_body)
 
     with Link(domain, "lo") as link:
-        link.subscribe(TRUTH, "nav_msgs/msg/Odometry", seen)
-        writer = link.publish(CAMERA_TOPIC, "sensor_msgs/msg/CompressedImage")
+        link.subscribe(TRUTH, Odometry, seen)
+        writer = link.publish(CAMERA_TOPIC, PICTURE)
         due = time.monotonic()
         while True:
             stamp, columns = time.time(), round(turned[0] / (2 * math.pi) * room.shape[1])
             time.sleep(ARRIVES)
-            writer.write(compressed_message(np.roll(room, columns, axis=1), stamp, CAMERA_FRAME))
+            writer.write(picture_message(np.roll(room, columns, axis=1), stamp, CAMERA_FRAME))
             due = max(due + 1 / RATE, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
 

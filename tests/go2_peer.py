@@ -11,10 +11,10 @@ import threading
 import time
 from dataclasses import dataclass, field
 
-from eagor.robots.dds import Link
-from eagor.robots.go2 import idl
+from eagor.robots.dds import Link, raw
+from eagor.robots.go2 import state as idl
 from eagor.robots.go2.sim import LiveGo2, SimSettings, SimulatedGo2
-from eagor.robots.go2.state import LowFields, Remote, SportFields, raw
+from eagor.robots.go2.state import Remote, low_state, sport_state
 
 GAINS, LAG, DEAD, EXPIRY = (0.80, 0.74, 0.90), 0.30, 0.15, 1.0
 
@@ -90,7 +90,7 @@ class Peer(Noted):
         self._ended, self._turn = threading.Event(), threading.Lock()
         self._link = Link(self.domain, "lo")
         self._state = self._link.publish("rt/sportmodestate", raw(idl.SportModeState))
-        self._low = self._link.publish("rt/lf/lowstate", raw(idl.LowState))
+        self._low = self._link.publish("rt/lf/lowstate", idl.LowState)
         self._reply = self._link.publish("rt/api/sport/response", idl.Response)
         self._link.subscribe("rt/api/sport/request", idl.Request, self._request, reliable=True)
         self._thread = threading.Thread(target=self._run)
@@ -119,7 +119,7 @@ class Peer(Noted):
 
     def _run(self):
         before, speed, count, late = time.monotonic(), (0.0, 0.0, 0.0), 0, 0.0
-        kind, low = raw(idl.SportModeState), raw(idl.LowState)
+        kind = raw(idl.SportModeState)
         while not self._ended.wait(0.005):
             now = time.monotonic()
             share = 1 - math.exp(-(now - before) / LAG)
@@ -129,15 +129,14 @@ class Peer(Noted):
             before = now
             self.speeds.append((now, speed))
             stamp, half = time.time() - late, self.roll / 2
-            fields = SportFields(
-                int(stamp), int(1e9 * (stamp % 1)), self.error_code, (math.cos(half), math.sin(half), 0.0, 0.0),
-                rpy=(self.roll, 0.0, 0.0), mode=self.mode, velocity=(*speed[:2], 0.0), yaw_speed=speed[2],
-            )  # fmt: skip
             if not self.mute:
-                self._state.write(kind(fields.to_bytes()))
+                data = sport_state(
+                    stamp, (math.cos(half), math.sin(half), 0.0, 0.0), rpy=(self.roll, 0.0, 0.0), mode=self.mode,
+                    velocity=(*speed[:2], 0.0), yaw_speed=speed[2], error_code=self.error_code,
+                )  # fmt: skip
+                self._state.write(kind(data))
             if self.pressed is not None and (count := count + 1) % 10 == 0:
-                remote = Remote(self.pressed).to_bytes()
-                self._low.write(low(LowFields(wireless_remote=remote).to_bytes()))
+                self._low.write(low_state(Remote(self.pressed)))
 
 
 @dataclass
@@ -148,7 +147,7 @@ class Simulated(Noted):
 
     def __enter__(self):
         self._link = Link(self.domain, "lo")
-        self._robot = LiveGo2(SimulatedGo2(SimSettings(None)), self.domain, "lo").__enter__()
+        self.server = LiveGo2(SimulatedGo2(SimSettings(None)), self.domain).__enter__()
         self._link.subscribe("rt/api/sport/request", idl.Request, self._request, reliable=True)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch)
@@ -158,16 +157,16 @@ class Simulated(Noted):
     def __exit__(self, *_):
         self._ended.set()
         self._thread.join()
-        self._robot.close()
+        self.server.close()
         self._link.close()
 
     @property
     def error_code(self) -> int:
-        return self._robot.server.error_code
+        return self.server.error_code
 
     @error_code.setter
     def error_code(self, code: int) -> None:
-        self._robot.server.error_code = code
+        self.server.error_code = code
 
     def _request(self, request, _):
         told = Told(time.monotonic(), request.header.identity.api_id)
@@ -178,6 +177,6 @@ class Simulated(Noted):
 
     def _watch(self):
         while not self._ended.wait(0.005):
-            motion = self._robot.server.truth
+            motion = self.server.truth
             velocity = motion.pose.world_R_body.T @ motion.velocity
             self.speeds.append((time.monotonic(), (float(velocity[0]), float(velocity[1]), motion.yaw_rate)))

@@ -13,18 +13,18 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise, takewhile
 from pathlib import Path
 
-import numpy as np
 import pytest
 from commands import eagor
 from processes import alive, sessions_of, wait_for
 
-from eagor.robots.dds import Link, free_domain
-from eagor.robots.go2.plant import Plant, PlantSettings
-from eagor.robots.go2.sim_wire import Go2Server, WireSettings
+from eagor.robots.dds import Link, free_domain, raw
+from eagor.robots.go2.sim import LiveGo2, SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
+from eagor.robots.go2.state import SportModeState, sport_state
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -92,30 +92,49 @@ def test_a_simulated_robot_ends_by_itself_and_says_what_happened():
 
 
 def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
-    domain = free_domain()
-    wire = WireSettings(short=True, battery=9, clock_offset=-777.0)
+    domain, settings = free_domain(), SimSettings(None, short=True, battery=9, clock_offset=-777.0)
+    with LiveGo2(SimulatedGo2(settings), domain) as robot, Link(domain, "lo") as link:
+        robot.error_code = 1001
+        link.publish("rt/sportmodestate", raw(SportModeState))
+        done = check(domain, "--seconds", 1.5)
+        assert done.returncode == 1, done.stderr
+        assert "states of 236 bytes, without a planned path" in done.stdout
+        behind = re.search(r"([\d.]+) s behind this machine's", done.stdout)
+        assert behind is not None, done.stdout
+        assert 770 < float(behind[1]) < 800  # less the time that messages take
+        assert "problem: the robot reports error 1001" in done.stdout
+        assert "problem: the battery is at 9 %: charge it" in done.stdout
+        assert "2 publish rt/sportmodestate" in done.stdout
+        assert done.stdout.endswith("it cannot be used like this\n")
+        assert [*robot.requests] == []  # nothing was moved
+
+
+def test_a_robot_that_has_not_told_its_orientation_is_said_so():
+    domain, ended = free_domain(), threading.Event()
     with Link(domain, "lo") as link:
-        servers = [Go2Server(Plant(PlantSettings(), np.random.default_rng(k)), link, wire) for k in range(2)]
-        servers[0].error_code = 1001
-        with servers[0]:
-            done = check(domain, "--seconds", 1.5)
-            assert done.returncode == 1, done.stderr
-            assert "states of 236 bytes, without a planned path" in done.stdout
-            behind = re.search(r"([\d.]+) s behind this machine's", done.stdout)
-            assert behind is not None, done.stdout
-            assert 770 < float(behind[1]) < 800  # less the time that messages take
-            assert "problem: the robot reports error 1001" in done.stdout
-            assert "problem: the battery is at 9 %: charge it" in done.stdout
-            assert "2 publish rt/sportmodestate" in done.stdout
-            assert done.stdout.endswith("it cannot be used like this\n")
-            assert servers[0].requests == []  # nothing was moved
-        servers[1].close()
+        kind = raw(SportModeState)
+        writer = link.publish("rt/sportmodestate", kind)
+
+        def tell():
+            while not ended.wait(0.01):
+                writer.write(kind(sport_state(time.time(), (0.0, 0.0, 0.0, 0.0))))
+
+        thread = threading.Thread(target=tell)
+        thread.start()
+        try:
+            done = check(domain, "--seconds", 1)
+        finally:
+            ended.set()
+            thread.join()
+    assert done.returncode == 1
+    assert "but the robot has not told its orientation yet (its quaternion is [0, 0, 0, 0], which is" in done.stdout
+    assert "firmware is newer" not in done.stdout
 
 
 @pytest.mark.slow
 def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
     domain = free_domain()
-    with Link(domain, "lo") as link, Go2Server(Plant(PlantSettings(), np.random.default_rng(1)), link) as server:
+    with LiveGo2(SimulatedGo2(SimSettings(None)), domain) as server:
         walks = {"which": 0.0}
         ended = threading.Event()
 
@@ -159,7 +178,6 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
         (("sim", "--target", "elephant"), "names nothing known here"),
         (("sim", "--rows", "33"), "rows = 33; wanted an even number"),
         (("sim", "--speed", "9"), "--speed 9: wanted 0 to 3"),
-        (("sim", "--drop", "2"), "drop = 2.0; wanted a share"),
         (("walk",), "unknown command 'walk'; wanted"),
     ],
 )
@@ -171,26 +189,22 @@ def test_wrong_usage_is_one_line(words, said):
     assert said in errors[0]
 
 
-def commands_of_the_page():
-    """The first command of the page, which starts a robot, and the others, which need nothing else."""
-    parts = PAGE.read_text(encoding="utf-8").split("```sh\n")
-    lines = [part.split("```")[0].strip() for before, part in pairwise(parts) if "*Needs" not in before[-40:]]
-    return [shlex.split(line) for line in lines]
+def blocks_of_the_page(language, needs):
+    """The blocks of the page in a language whose line before says what they need, or has none."""
+    parts = PAGE.read_text(encoding="utf-8").split(f"```{language}\n")
+    return [part.split("```")[0].strip() for before, part in pairwise(parts) if needs in before[-60:]]
 
 
 def test_the_page_about_the_go2_begins_with_safety():
     text = PAGE.read_text(encoding="utf-8")
     assert 0 < text.index("(robot-safety.md)") < text.index("```sh")
-    assert [words[:3] for words in commands_of_the_page()] == [
-        ["eagor", "robot", "sim"], ["eagor", "robot", "check"], ["eagor", "live", "ros:/x3/image/compressed"],
-    ]  # fmt: skip
 
 
-@pytest.mark.slow  # its three commands are tried by themselves, too
-def test_the_page_about_the_go2_runs_as_written():
-    first, *others = commands_of_the_page()
+@pytest.mark.slow
+def test_the_page_about_the_go2_runs_as_written(tmp_path):
+    start, look = (shlex.split(line) for line in blocks_of_the_page("sh", "\n\n")[:2])
     alone = os.environ | {"ROS_DOMAIN_ID": str(free_domain())}
-    command = [sys.executable, "-m", *first]
+    command = [sys.executable, "-m", *start]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=alone, start_new_session=True
     ) as robot:
@@ -198,19 +212,16 @@ def test_the_page_about_the_go2_runs_as_written():
             assert robot.stdout is not None
             said = list(takewhile(lambda line: line != "end it with Ctrl-C\n", robot.stdout))
             assert any("green sofa" in line for line in said)
-            for words in others:
-                for _ in range(4):  # on a busy machine nothing is looked at within so few seconds
-                    done = subprocess.run(
-                        [sys.executable, "-m", *words], capture_output=True, text=True, timeout=300, env=alone
-                    )
-                    if "nothing was looked at" not in done.stderr:
-                        break
-                busy = words[2] == "check" and "processor" in done.stdout  # this machine, not the robot
-                assert done.returncode == (1 if busy else 0), (words, done.stdout, done.stderr)
-                if words[1] == "live":
-                    assert re.search(
-                        r"[1-9]\d* pictures, [1-9]\d* looks, [1-9]\d* poses, [1-9]\d* answers", done.stderr
-                    )
+            run = partial(subprocess.run, capture_output=True, text=True, timeout=300, env=alone, cwd=tmp_path)
+            done = run([sys.executable, "-m", *look])
+            busy = "processor" in done.stdout  # this machine, not the robot
+            assert done.returncode == (1 if busy else 0), (done.stdout, done.stderr)
+            pages = blocks_of_the_page("python", "*Needs the simulated robot")
+            prints = r"-?\d+ degrees to the left\n", r".* m/s standing 0\n(\d+.*\n){3}"
+            for text, printed in zip(pages, prints, strict=True):
+                (tmp_path / "page.py").write_text(text, encoding="utf-8")
+                done = run([sys.executable, "page.py"])
+                assert (done.returncode, re.fullmatch(printed, done.stdout) is not None) == (0, True), done
         finally:
             robot.send_signal(signal.SIGINT)
             _, log = robot.communicate(timeout=300)
@@ -227,9 +238,8 @@ def test_nobody_there_is_said():
 
 def test_a_taken_domain_is_refused():
     domain = free_domain()
-    with Link(domain, "lo") as link, Go2Server(Plant(PlantSettings(), np.random.default_rng(0)), link):
-        time.sleep(0.1)
+    with LiveGo2(SimulatedGo2(SimSettings(None)), domain):
         done = eagor("robot", "sim", "--domain", domain, "--camera", "none", "--seconds", 1)
     assert done.returncode == 2
-    assert f"a robot already speaks on DDS domain {domain} on lo" in done.stderr
+    assert f"a robot already speaks on DDS domain {domain}, lo" in done.stderr
     assert "take another --domain" in done.stderr

@@ -240,10 +240,10 @@ def test_no_robot_no_interface_and_no_switch_are_said():
 @pytest.mark.parametrize("killed", [False, True])
 def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself(killed):
     with Simulated(domain=free_domain()) as robot:
-        server = robot._robot.server
+        server = robot.server
         with driven(robot, armed=True, avoid=True) as driver:
             until(lambda: robot.moves)
-            assert all(server._avoid.values())
+            assert all(server.avoid.values())
             begun = time.monotonic()
             if killed:
                 os.kill(driver.guard.pid, signal.SIGKILL)
@@ -253,4 +253,4 @@ def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself(killed):
             last = {service: (api_id, asked) for service, api_id, asked in server.requests}
             assert last["sport"][0] == last["obstacles_avoid"][0] == 1003
             assert (last["obstacles_avoid"][1]["x"], last["obstacles_avoid"][1]["yaw"]) == (0.0, 0.0)
-        assert not any(server._avoid.values())  # the remote control has its robot back
+        assert not any(server.avoid.values())  # the remote control has its robot back

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg, subcommand
@@ -18,7 +18,6 @@ from eagor.cli.robot_run import RobotRun
 
 if TYPE_CHECKING:
     from eagor.robots.go2.sim import LiveGo2, SimSettings
-    from eagor.robots.go2.sport import Report
 
 
 Domain = Annotated[int | None, bare("N")]
@@ -50,8 +49,8 @@ class RobotSim(Common):
     )
     speed: Annotated[float, arg(metavar="M_PER_S")] = 0.3
     """Speed of the ball; 0: it lies."""
-    camera: Literal["erp", "fisheye", "none"] = "erp"
-    """Pictures of the camera: panoramas, both circles of a dual fisheye side by side, or none."""
+    camera: Literal["erp", "none"] = "erp"
+    """Pictures of the camera: panoramas, or none."""
     rows: Whole = 128
     """Rows of its pictures."""
     rate: Annotated[float, arg(metavar="HZ")] = 5.0
@@ -60,10 +59,6 @@ class RobotSim(Common):
     """Time from capture to arrival of a picture."""
     clock_offset: Seconds = 0.0
     """By how much the robot's clock is ahead of this machine's."""
-    drop: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Share of the robot's messages, both ways, that get lost."""
-    delay: Seconds = 0.0
-    """Time that its messages take at most; each takes another one."""
     short: Flag = False
     """States in the short form of some firmware, without a planned path."""
     lying: Flag = False
@@ -104,46 +99,43 @@ class Robot:
 def check(options: RobotCheck) -> int:
     """Run the command; exit code 1 if something is wrong."""
     from eagor.robots.dds import Link, default_domain
-    from eagor.robots.go2.sport import examine
+    from eagor.robots.go2.sport import check_robot
 
     if not within(options.seconds, 0.5, 600):
         raise terminal.UsageError(f"--seconds {options.seconds:g}: wanted 0.5 to 600")
     domain = default_domain() if options.domain is None else options.domain
     with Link(domain, options.interface) as link:
-        report = examine(link, options.seconds)
+        report = check_robot(link, options.seconds)
     if options.json:
-        terminal.emit(asdict(report) | {"usable": not report.problems})
+        terminal.emit(report | {"usable": not report["problems"]})
     else:
         terminal.facts(_heard(report))
-        for problem in report.problems:
+        for problem in report["problems"]:
             terminal.say(f"problem: {problem}")
-        print("it cannot be used like this" if report.problems else "a Go2 that can be used")
-    return terminal.FAILED if report.problems else terminal.OK
+        print("it cannot be used like this" if report["problems"] else "a Go2 that can be used")
+    return terminal.FAILED if report["problems"] else terminal.OK
 
 
-def _heard(report: Report) -> dict[str, str]:
+def _heard(report: dict[str, Any]) -> dict[str, str]:
     """The report in words; only what was heard."""
-    found = {"topics": ", ".join(report.topics)}
-    if report.rates:
-        found["messages per second"] = ", ".join(f"{topic} {rate:g}" for topic, rate in report.rates.items())
-    if report.firmware is not None:
-        found["firmware"] = report.firmware
-    if report.mode is not None:
-        found["robot"] = report.mode + (f", error {report.error_code}" if report.error_code else "")
-    if report.clock is not None:
-        way = "ahead of" if report.clock > 0 else "behind"
-        found["its clock"] = f"{abs(report.clock):.3f} s {way} this machine's, or less by the time that messages take"
-    if report.lateness is not None:
-        found["lateness of states"] = "median {:.1f} ms, one in a hundred {:.1f} ms".format(
-            *(1000 * part for part in report.lateness)
-        )
-    if report.battery is not None:
-        found["battery"] = f"{report.battery} %, {report.volts:.1f} V"
-    if report.sport_version is not None and report.answer is not None:
-        found["walking service"] = f"version {report.sport_version}, answers in {1000 * report.answer:.1f} ms"
-    if report.commands:
-        found["commands of others"] = str(report.commands)
-    found["cameras"] = ", ".join(report.cameras) or "none on DDS"
+    found = {"topics": ", ".join(report["topics"])}
+    if report["rates"]:
+        found["messages per second"] = ", ".join(f"{topic} {rate:g}" for topic, rate in report["rates"].items())
+    if "firmware" in report:
+        found["firmware"] = report["firmware"]
+    if "mode" in report:
+        found["robot"] = report["mode"] + (f", error {report['error_code']}" if report["error_code"] else "")
+        clock, (median, late) = report["clock"], report["lateness"]
+        way = "ahead of" if clock > 0 else "behind"
+        found["its clock"] = f"{abs(clock):.3f} s {way} this machine's, or less by the time that messages take"
+        found["lateness of states"] = f"median {1000 * median:.1f} ms, one in a hundred {1000 * late:.1f} ms"
+    if "battery" in report:
+        found["battery"] = f"{report['battery']} %, {report['volts']:.1f} V"
+    if "answer" in report:
+        found["walking service"] = f"version {report['sport_version']}, answers in {1000 * report['answer']:.1f} ms"
+    if report["commands"]:
+        found["commands of others"] = str(report["commands"])
+    found["cameras"] = ", ".join(report["cameras"]) or "none on DDS"
     return found
 
 
@@ -159,10 +151,9 @@ def sim(options: RobotSim) -> int:
         terminal.log(f"building the house (seed {options.seed})")
     robot = SimulatedGo2(settings)
     domain = default_domain() if options.domain is None else options.domain
+    if not options.json:
+        terminal.log("waiting for the camera" if settings.camera else "without a camera")
     with LiveGo2(robot, domain, options.interface) as live:
-        if not options.json:
-            terminal.log("waiting for the camera" if live.pictures else "without a camera")
-        live.wait_for_camera()
         if options.json:
             terminal.emit(_facts(live, options))
         else:
@@ -180,70 +171,53 @@ def settings_of(options: RobotSim) -> SimSettings:
     from eagor.robots.go2.house import CameraSettings
     from eagor.robots.go2.plant import PlantSettings
     from eagor.robots.go2.sim import SimSettings
-    from eagor.robots.go2.sim_wire import WireSettings
 
     if not within(options.speed, 0, 3):
         raise terminal.UsageError(f"--speed {options.speed:g}: wanted 0 to 3 metres per second")
-    camera = None
-    if options.camera != "none":
-        camera = CameraSettings(options.camera, options.rows, options.rate, options.latency)
+    camera = CameraSettings(options.rows, options.rate, options.latency) if options.camera != "none" else None
     return SimSettings(
-        world=options.world,
-        seed=options.seed,
-        target=options.target,
-        speed=options.speed,
-        plant=PlantSettings(upright=not options.lying),
-        wire=WireSettings(
-            clock_offset=options.clock_offset, drop=options.drop, delay=(0.0, options.delay), short=options.short
-        ),
-        camera=camera,
-    )
+        options.world, options.seed, options.target, options.speed, plant=PlantSettings(upright=not options.lying),
+        camera=camera, clock_offset=options.clock_offset, short=options.short,
+    )  # fmt: skip
 
 
 def _facts(live: LiveGo2, options: RobotSim) -> dict[str, Any]:
     from eagor.sphere import heading
 
-    robot = live.robot
-    pose = robot.truth.pose
+    house, pose = live.robot.house, live.truth.pose
+    assert house is not None
     assert pose.position is not None
     yaw = math.degrees(heading(pose.world_R_body))
     return {
         "domain": live.link.domain,
         "interface": options.interface,
-        "world": None if robot.house is None else robot.house.scene.source,
+        "world": house.scene.source,
         "start": {"position": pose.position.round(3).tolist(), "yaw_deg": round(yaw, 1)},
         "target": options.target,
-        "targets": [{"name": each.name, "position": each.centre.round(3).tolist()} for each in robot.targets],
-        "things": dict(sorted(Counter(thing.name for thing in robot.things()).items())),
+        "targets": [{"name": each.name, "position": each.centre.round(3).tolist()} for each in live.robot.targets],
+        "things": dict(sorted(Counter(thing.name for thing in house.things()).items())),
         "topics": live.topics,
     }
 
 
 def _tell(live: LiveGo2, options: RobotSim) -> None:
-    from eagor.robots.go2.house import ball_of
-    from eagor.sphere import heading
-
-    robot = live.robot
-    pose = robot.truth.pose
-    assert pose.position is not None
-    x, y, _ = pose.position
-    yaw = math.degrees(heading(pose.world_R_body))
+    facts = _facts(live, options)
+    (x, y, _), yaw = facts["start"]["position"], facts["start"]["yaw_deg"]
     where = "only this machine" if options.interface == "lo" else f"all on {options.interface}"
     found = {
         "simulated Go2": f"DDS domain {live.link.domain} on {options.interface}, which {where} can hear",
-        "house": "" if robot.house is None else robot.house.scene.source,
+        "house": facts["world"],
         "start": f"x {x:.2f} m, y {y:.2f} m, heading {yaw:.0f} degrees",
         "posture": "lying" if options.lying else "standing, ready to walk",
     }
-    for each in robot.targets:
-        _, distance = robot.bearing(each)
-        rolls = f", which rolls at {options.speed:g} m/s" if ball_of(options.target) and options.speed else ""
-        found["target"] = f"{each.name}{rolls}, {distance:.1f} m away"
-    count = Counter(thing.name for thing in robot.things())
-    found["things"] = ", ".join(name if number == 1 else f"{number} {name}s" for name, number in sorted(count.items()))
+    for each in facts["targets"]:
+        rolls = f", which rolls at {options.speed:g} m/s" if each["name"].endswith(" ball") and options.speed else ""
+        far = math.dist(each["position"][:2], (x, y))
+        found["target"] = f"{each['name']}{rolls}, {far:.1f} m away"
+    things = facts["things"].items()
+    found["things"] = ", ".join(name if number == 1 else f"{number} {name}s" for name, number in things)
+    found["topics"] = ", ".join(live.topics)
     terminal.facts(found)
-    print("topics")
-    terminal.columns(live.topics)
     print("end it with Ctrl-C" if options.seconds is None else f"it ends after {options.seconds:g} s", flush=True)
 
 
@@ -262,7 +236,7 @@ def _sum_up(live: LiveGo2, seconds: float) -> None:
     drawn = (
         "" if pictures is None else f", {pictures.drawn} pictures ({pictures.skipped} that could not be drawn in time)"
     )
-    skipped = f", {live.server.skipped} steps late" if live.server.skipped else ""
+    skipped = f", {live.skipped} steps late" if live.skipped else ""
     terminal.log(
-        f"after {seconds:.0f} s: walked {live.robot.plant.walked:.2f} m, {live.server.asked} commands{drawn}{skipped}"
+        f"after {seconds:.0f} s: walked {live.robot.plant.walked:.2f} m, {live.asked} commands{drawn}{skipped}"
     )

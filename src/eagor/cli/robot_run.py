@@ -301,32 +301,21 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
 @contextmanager
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
-    import numpy as np
-
     from eagor.robots.go2.camera import DdsCamera
-    from eagor.robots.go2.house import CameraSettings
-    from eagor.robots.go2.sim import CAMERA, Rehearsal, SimSettings, SimulatedGo2, clear_start
+    from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings
+    from eagor.robots.go2.sim import Rehearsal, SimSettings
 
     rows = rows_for(spec, options.rows, PICTURE)
     camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)
     start = options.start and (*options.start[:2], math.radians(options.start[2]))
-    settings = SimSettings(options.world, options.seed, query, start=start, camera=camera)
-    twin = SimulatedGo2(settings)  # knows where things are before the robot starts
-    house = twin.house
-    assert house is not None
-    if settings.start is None:
-        settings = replace(settings, start=clear_start(house, twin.targets, np.random.default_rng(options.seed)))
     terminal.log("the simulated robot starts")
-    with Rehearsal(settings) as robot:
+    with Rehearsal(SimSettings(options.world, options.seed, query, start=start, camera=camera)) as robot:
         terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
         # Its stamps are those of capture.
         yield Place(
-            robot.domain,
-            INTERFACE,
-            lambda: DdsCamera(CAMERA.partition(":")[2], robot.domain, INTERFACE, rows),
-            robot.truth,
+            robot.domain, INTERFACE, lambda: DdsCamera(CAMERA_TOPIC, robot.domain, INTERFACE, rows), robot.truth,
             robot.targets,
-        )
+        )  # fmt: skip
 
 
 def _walk(options: RobotRun, steps: Iterator[Step], summary: Summary, place: Place) -> None:

@@ -1,4 +1,4 @@
-"""ROS 2 and the Go2 over DDS, the simulated Go2, and what keeps a robot safe while it follows an answer.
+"""ROS 2, the Go2 over DDS, the simulated Go2, and what keeps a robot safe while it follows an answer.
 
 Here: live sources of poses by their names.
 """
@@ -6,7 +6,6 @@ Here: live sources of poses by their names.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from eagor.errors import DeviceError
@@ -31,10 +30,8 @@ class Go2Poses:
         from eagor.robots.dds import Link
         from eagor.robots.go2.state import Go2State
 
-        with ExitStack() as stack:
-            link = stack.enter_context(Link(domain, interface))
-            self._state = Go2State(link, source, mount=mount)
-            self._held = stack.pop_all()
+        self._link = Link(domain, interface)
+        self._state = Go2State(self._link, source, mount=mount)
 
     def __iter__(self) -> Iterator[Pose]:
         return iter(self._state)
@@ -42,7 +39,7 @@ class Go2Poses:
     def close(self) -> None:
         """Leave the network."""
         self._state.close()
-        self._held.close()
+        self._link.close()
 
 
 def open_poses(
@@ -50,16 +47,17 @@ def open_poses(
 ) -> PoseSource:
     """The live source of poses that `text` names: "ros:/odom", "go2", or "go2:lidar" (`eagor.robots.go2.state`).
 
-    `domain`, `interface`: of DDS. `camera`: the frame of a ROS camera, whose poses are wanted. Raises `DeviceError` for
-    another text, or if the network cannot be used; `MissingExtraError`.
+    `domain`, `interface`: of DDS, for the Go2; ROS has those of its environment. `camera`: the frame of a ROS camera,
+    whose poses are wanted. Raises `DeviceError` for another text, or if the network cannot be used;
+    `MissingExtraError`.
     """
     if text.startswith(ROS):
-        from eagor.robots.ros import RosPoses
+        from eagor.robots.ros import RosPoses  # type: ignore[attr-defined]
 
-        return RosPoses(text.removeprefix(ROS) or None, domain=domain, interface=interface, camera=camera)
-    if text.partition(":")[0] == GO2:
+        return RosPoses(text.removeprefix(ROS) or None, camera=camera)
+    name, _, source = text.partition(":")
+    if name == GO2:
         from eagor.robots.dds import default_domain
 
-        source = text.partition(":")[2] or "sport"
-        return Go2Poses(default_domain() if domain is None else domain, interface, source)
+        return Go2Poses(default_domain() if domain is None else domain, interface, source or "sport")
     raise DeviceError(f"no poses are called {text!r}; wanted ros:/TOPIC or go2")

@@ -1,4 +1,4 @@
-"""How a Go2 answers commands: a body on the floor and its legs, in steps of fixed length, without any clock or wire.
+"""How a Go2 answers commands: a body on the floor, in steps of fixed length, without any clock or wire.
 
 Forward, sideways and turning speed follow the command as first-order systems with dead time; gains and times were
 fitted to a real Go2 (dimos, `go2_posedomain.json`, on concrete, June 2026). The rest is what users of real ones report:
@@ -18,52 +18,12 @@ from eagor._checks import require, stretch, within
 from eagor.errors import DeviceError
 from eagor.media import Pose
 
-__all__ = ["JOINTS", "STANDING", "WALKING", "Ahead", "Motion", "Plant", "PlantSettings", "Slide", "joint_angles"]
-
-LEGS = "FR", "FL", "RR", "RL"  # the order of the motors in ``LowState``: front right, front left, rear right, rear left
-JOINTS = tuple(f"{leg}_{joint}" for leg in LEGS for joint in ("hip", "thigh", "calf"))
-LINK = 0.213  # metres of thigh and calf alike (Unitree's description of the Go2)
-CALF = -2.7227, -0.83776  # radians that the calf's joint can reach; the others' limits are not met here
-AHEAD, ASIDE = 0.1934, 0.1420  # metres from the body's centre to the hips, forward and to the side of the feet
-LIFT = 0.09  # metres by which a foot is lifted
+__all__ = ["STANDING", "WALKING", "Motion", "Plant", "PlantSettings", "Slide"]
 
 Slide = Callable[[np.ndarray, np.ndarray], np.ndarray]  # start (2,), step (2,) -> end (2,), metres
-Ahead = Callable[[np.ndarray, float], float]  # point (2,), heading in radians -> metres of free floor ahead
 STANDING, WALKING, LYING, LOCKED, LIMP = 1, 3, 5, 6, 7  # numbers of `eagor.robots.go2.state.MODES`
 GRAVITY = 9.81  # m/s^2
 MOVING = 0.02  # metres or radians per second below which the legs stand still
-BERTH = 0.35  # metres that a careful body keeps from what it would run into
-BRAKING = 1.0  # seconds in which a careful body would reach that distance, at most
-
-
-def joint_angles(
-    height: float, velocity: tuple[float, float, float], phase: float, trot: float, share: float
-) -> tuple[float, ...]:
-    """The twelve angles of `JOINTS`, radians; zero is a leg that hangs down straight.
-
-    `height`: metres from the floor to the hips. `velocity`: m/s forward and left, rad/s to the left; `phase`: radians
-    of a trot with `trot` steps per second, whose feet are lifted by `share` (0 to 1) of what is usual. Feet on the
-    floor stay where they are while the body moves; diagonal legs go together.
-    """
-    forward, left, turn = velocity
-    angles: list[float] = []
-    for index in range(len(LEGS)):
-        ahead, aside = (AHEAD if index < 2 else -AHEAD), (ASIDE if index % 2 else -ASIDE)
-        at = (phase if index in (0, 3) else phase + math.pi) % (2 * math.pi)
-        # On the floor for half a step: seconds until the body is above the foot, then since. In the air it goes back.
-        reach = (2 * abs(at / math.pi - 1) - 1) / (4 * trot) if trot > 0 else 0.0
-        x, y = (forward - turn * aside) * reach, (left + turn * ahead) * reach
-        down = height - LIFT * share * max(0.0, -math.sin(at))
-        angles += _leg(x, y, down)
-    return tuple(angles)
-
-
-def _leg(x: float, y: float, down: float) -> tuple[float, float, float]:
-    """Hip, thigh and calf of a leg whose foot is `x` ahead, `y` left and `down` below the hip, metres."""
-    hip, down = math.atan2(y, down), math.hypot(y, down)
-    bend = math.acos(min(1.0, math.hypot(x, down) / (2 * LINK)))
-    calf = min(max(-2 * bend, CALF[0]), CALF[1])
-    return hip, math.atan2(-x, down) - calf / 2, calf
 
 
 @dataclass(frozen=True)
@@ -95,13 +55,14 @@ class PlantSettings:
     upright: bool = True
 
     def __post_init__(self) -> None:
-        positive = {"lag": 1e-3, "trot": 0.0, "height": 0.05, "expiry": 0.0, "dead_time": 0.0, "tilt": 0.0}
-        fields = {name: (within(getattr(self, name), low, 60), f"at least {low:g}") for name, low in positive.items()}
-        fields["step"] = within(self.step, 1e-4, 0.1), "0.0001 to 0.1 s"
-        fields["deaf"] = stretch(self.deaf, 0, 600), "seconds (from, to)"
-        for name in ("scale_drift", "turn_drift", "yaw_drift"):
-            fields[name] = within(getattr(self, name), 0, 1), "0 to 1"
-        require(self, fields, DeviceError)
+        ranges = dict.fromkeys(
+            ("dead_time", "expiry", "tilt", "trot", "scale_drift", "turn_drift", "yaw_drift"), (0, 60)
+        )
+        ranges |= {"step": (1e-4, 0.1), "lag": (1e-3, 60), "height": (0.05, 1)}
+        fields = {
+            key: (within(getattr(self, key), *ends), "{:g} to {:g}".format(*ends)) for key, ends in ranges.items()
+        }
+        require(self, fields | {"deaf": (stretch(self.deaf, 0, 600), "seconds (from, to)")}, DeviceError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +79,7 @@ class Motion:
 class Plant:
     """A Go2's body. `rng` draws drift and how long it is deaf; `start`: x, y (metres) and heading (radians, left).
 
-    `slide(start, step)` gives where a step over the floor ends, at walls; without it the floor has no end. `ahead`: how
-    far the floor is free, which careful moves heed.
+    `slide(start, step)` gives where a step over the floor ends, at walls; without it the floor has no end.
     """
 
     def __init__(
@@ -128,9 +88,8 @@ class Plant:
         rng: np.random.Generator,
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         slide: Slide | None = None,
-        ahead: Ahead | None = None,
     ) -> None:
-        self.settings, self._rng, self._slide, self._ahead = settings, rng, slide, ahead
+        self.settings, self._rng, self._slide = settings, rng, slide
         self.steps = 0
         self.mode = STANDING if settings.upright else LYING
         self.walked = 0.0
@@ -138,12 +97,10 @@ class Plant:
         self._speed = np.zeros(3)  # forward, left, turning; body frame
         self._velocity = np.zeros(2)  # of the last step, world frame
         self._wanted, self._until = np.zeros(3), 0  # command, and the step at which it ends
-        self._careful = False
         self._pipe: deque[np.ndarray] = deque([np.zeros(3)] * round(settings.dead_time / settings.step))
         self._deaf_until = 0
         self._phase, self._rocking = 0.0, 0.0  # of the trot; 0 standing, 1 walking
-        self._attitude = _turned(self._yaw, 0.0, 0.0)
-        self._before = self._attitude
+        self._attitude = self._before = _turned(self._yaw, 0.0, 0.0)
         # Odometry: where the robot believes it is.
         self._scale = 1.0 + settings.scale_drift * float(rng.standard_normal())
         self._turn_scale = 1.0 + settings.turn_drift * float(rng.standard_normal())
@@ -154,21 +111,14 @@ class Plant:
         """Since the start."""
         return self.steps * self.settings.step
 
-    @property
-    def joints(self) -> tuple[float, ...]:
-        """The angles of the legs' joints (`JOINTS`), radians."""
-        forward, left, turn = (float(value) for value in self._speed)
-        return joint_angles(self._height, (forward, left, turn), self._phase, self.settings.trot, self._rocking)
+    # --- commands ---
 
-    # --- commands: whether the robot takes them, as it says itself ---
-
-    def move(self, vx: float, vy: float, wz: float, *, careful: bool = False) -> None:
-        """A Move: heeded only by a robot that stands ready. `careful`: it stops before what it would run into."""
+    def move(self, vx: float, vy: float, wz: float) -> None:
+        """A Move: heeded only by a robot that stands ready."""
         if self.mode in (STANDING, WALKING) and self.steps >= self._deaf_until:
             limit = np.array(self.settings.fastest)
             self._wanted = np.clip([vx, vy, wz], -limit, limit)
             self._until = self.steps + round(self.settings.expiry / self.settings.step)
-            self._careful = careful
 
     def stop(self) -> None:
         """StopMove."""
@@ -176,16 +126,14 @@ class Plant:
 
     def stand_up(self) -> None:
         """Stand with locked joints, deaf to Moves for a while."""
-        self.stop()
+        self._rest(LOCKED)
         low, high = self.settings.deaf
         self._deaf_until = self.steps + round(float(self._rng.uniform(low, high)) / self.settings.step)
-        self.mode = LOCKED
 
     def balance_stand(self) -> None:
         """Unlock the joints: ready to walk (once it is no longer deaf)."""
         if self.mode not in (LYING, LIMP):
-            self.stop()
-            self.mode = STANDING
+            self._rest(STANDING)
 
     def recover(self) -> None:
         """RecoveryStand: from anything to standing, ready to walk once it is no longer deaf."""
@@ -194,21 +142,22 @@ class Plant:
 
     def damp(self) -> None:
         """Let all joints go: the body sinks to the floor."""
-        self.stop()
-        self.mode = LIMP
+        self._rest(LIMP)
 
     def stand_down(self) -> None:
         """Lie down."""
+        self._rest(LYING)
+
+    def _rest(self, mode: int) -> None:
         self.stop()
-        self.mode = LYING
+        self.mode = mode
 
     # --- time ---
 
     def advance(self) -> None:
         """One step."""
         rules = self.settings
-        asked = self._allowed() if self.steps < self._until else np.zeros(3)
-        self._pipe.append(asked)
+        self._pipe.append(self._wanted if self.steps < self._until else np.zeros(3))
         command = self._pipe.popleft() * rules.gain
         if self.mode not in (STANDING, WALKING):
             command = np.zeros(3)
@@ -217,37 +166,19 @@ class Plant:
         if self.mode in (LYING, LIMP):
             self._speed = np.zeros(3)
         turned = float(self._speed[2]) * rules.step
-        heading = self._yaw + turned / 2
-        c, s = math.cos(heading), math.sin(heading)
-        forward, left = self._speed[:2] * rules.step
-        step = np.array([c * forward - s * left, s * forward + c * left])
+        step = _along(self._yaw + turned / 2, self._speed[:2] * rules.step)
         end = self._xy + step if self._slide is None else np.asarray(self._slide(self._xy, step), dtype=np.float64)
         done = end - self._xy
-        self._believe(done, turned)
+        way = float(np.hypot(*done))
+        # What the robot believes of that: the step in body axes, with errors of scale and heading.
+        self._believed_xy = self._believed_xy + _along(self._believed_yaw - self._yaw, done * self._scale)
+        slip = rules.yaw_drift * math.sqrt(way) * float(self._rng.standard_normal()) if way > 0 else 0.0
+        self._believed_yaw += turned * self._turn_scale + slip
         self._xy, self._yaw = end, self._yaw + turned
         self._velocity = done / rules.step
-        self.walked += float(np.hypot(*done))
+        self.walked += way
         self._trot()
         self.steps += 1
-
-    def _allowed(self) -> np.ndarray:
-        """The command, slowed down by a careful body before obstacles."""
-        speed = float(np.hypot(*self._wanted[:2]))
-        if not self._careful or self._ahead is None or speed == 0:
-            return self._wanted
-        free = self._ahead(self._xy, self._yaw + math.atan2(self._wanted[1], self._wanted[0]))
-        most = max(0.0, free - BERTH) / BRAKING
-        return self._wanted * (min(1.0, most / speed), min(1.0, most / speed), 1.0)
-
-    def _believe(self, done: np.ndarray, turned: float) -> None:
-        """The odometry's share: the step in body axes, with errors of scale and heading."""
-        off = self._believed_yaw - self._yaw
-        c, s = math.cos(off), math.sin(off)
-        x, y = done * self._scale
-        self._believed_xy = self._believed_xy + np.array([c * x - s * y, s * x + c * y])
-        way = float(np.hypot(*done))
-        slip = self.settings.yaw_drift * math.sqrt(way) * float(self._rng.standard_normal()) if way > 0 else 0.0
-        self._believed_yaw += turned * self._turn_scale + slip
 
     def _trot(self) -> None:
         """Rock from side to side and to and fro while the legs move; fade in and out as the speed does."""
@@ -257,12 +188,7 @@ class Plant:
             self.mode = WALKING if moving or self.steps < self._until else STANDING
         self._rocking += (float(moving) - self._rocking) * (1.0 - math.exp(-rules.step / rules.lag))
         self._phase += 2 * math.pi * rules.trot * rules.step
-        self._before = self._attitude
-        self._attitude = self._leaning(self._yaw)
-
-    @property
-    def _height(self) -> float:
-        return self.settings.height * (0.25 if self.mode in (LYING, LIMP) else 1.0)
+        self._before, self._attitude = self._attitude, self._leaning(self._yaw)
 
     def _leaning(self, yaw: float) -> np.ndarray:
         lean = self.settings.tilt * self._rocking
@@ -278,10 +204,7 @@ class Plant:
     @property
     def odometry(self) -> Motion:
         """The body as the robot believes."""
-        off = self._believed_yaw - self._yaw
-        c, s = math.cos(off), math.sin(off)
-        x, y = self._velocity * self._scale
-        speed = np.array([c * x - s * y, s * x + c * y])
+        speed = _along(self._believed_yaw - self._yaw, self._velocity * self._scale)
         return self._motion(self._believed_xy, self._leaning(self._believed_yaw), speed)
 
     def _motion(self, xy: np.ndarray, attitude: np.ndarray, velocity: np.ndarray) -> Motion:
@@ -289,8 +212,16 @@ class Plant:
         # For the small turn of one step the antisymmetric part is the rotation vector (to 1e-6 of it).
         rates = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         rates /= 2 * self.settings.step
-        pose = Pose(self.seconds, attitude, np.array([*xy, self._height]))
+        height = self.settings.height * (0.25 if self.mode in (LYING, LIMP) else 1.0)
+        pose = Pose(self.seconds, attitude, np.array([*xy, height]))
         return Motion(pose, np.array([*velocity, 0.0]), rates, float(self._speed[2]), self.mode)
+
+
+def _along(heading: float, step: np.ndarray) -> np.ndarray:
+    """A step ``(2,)`` forward and left, of a body with this heading."""
+    c, s = math.cos(heading), math.sin(heading)
+    forward, left = step
+    return np.array([c * forward - s * left, s * forward + c * left])
 
 
 def _turned(yaw: float, pitch: float, roll: float) -> np.ndarray:

@@ -1,8 +1,7 @@
-"""A simulated Go2 with a 360-degree camera in a simulated house: on a clock of its own, or live over DDS.
+"""A simulated Go2 with a 360-degree camera in a simulated house, on DDS in real time.
 
-`SimulatedGo2` alone has a simulated clock: `advance` gives what arrives meanwhile, as fast as it can be computed, and
-the same again for the same seed. `LiveGo2` puts the same robot on DDS, in real time; `Rehearsal` is that in a process
-of its own, to walk with before a real one.
+`SimulatedGo2` is the robot; `LiveGo2` puts it on DDS; `Rehearsal` is that in a process of its own, to walk with before
+a real one.
 """
 
 from __future__ import annotations
@@ -10,51 +9,46 @@ from __future__ import annotations
 import json
 import math
 import signal
+import threading
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
 import numpy as np
 
+from eagor._checks import require, within
 from eagor._processes import Worker, WorkerEnded, WorkerSilent
-from eagor._values import lazy
-from eagor.conventions import rotation_from_wxyz
+from eagor.conventions import rotation_from_xyzw
 from eagor.errors import DeviceError
-from eagor.media import Frame
-from eagor.media.clocks import RelatedClock
-from eagor.media.ros_messages import TEXT, text_message
-from eagor.robots.dds import Link, free_domain
+from eagor.robots.dds import Link, Writer, free_domain, raw
+from eagor.robots.go2 import state as idl
 from eagor.robots.go2.house import (
     CAMERA_TOPIC,
     CameraSettings,
-    House,
-    Moment,
     PictureProcess,
-    SimulatedCamera,
-    Thing,
-    ball_of,
-    load_house,
+    RenderRequest,
+    SimWorld,
+    clear_start,
 )
-from eagor.robots.go2.plant import Motion, Plant, PlantSettings
-from eagor.robots.go2.sim_wire import TRUTH, Go2Server, SimulatedWire, WireSettings, sport_fields
-from eagor.robots.go2.sport import OK, checked_velocity
-from eagor.robots.go2.state import SOURCES, BodyState, SportFields
+from eagor.robots.go2.plant import GRAVITY, Motion, Plant, PlantSettings
+from eagor.robots.go2.sport import API_VERSION, OK, Avoid, Sport, checked_velocity
+from eagor.robots.go2.state import SOURCES, Remote, low_state, split_time, sport_state
 
-__all__ = ["CAMERA", "INTERFACE", "TRUTH_THINGS", "LiveGo2", "Rehearsal", "SimSettings", "SimulatedGo2", "clear_start"]
+__all__ = ["INTERFACE", "TRUTH", "LiveGo2", "Rehearsal", "SimSettings", "SimulatedGo2", "clear_start"]
 
-TRUTH_THINGS = f"{TRUTH}/things"  # std_msgs/String: JSON of all things and where they are; no robot has this topic
+TRUTH = "rt/eagor/truth"  # the true pose (nav_msgs/Odometry), which no robot tells
 LISTENING = 1.0  # seconds to hear whether another robot is there
-THINGS_EVERY = 0.2  # seconds
+SLOW = 10  # steps between messages of the slow topics: 20 Hz at 200 Hz
+LATEST = 0.1  # seconds by which the simulation may lag behind before it skips
+VERSIONS = {"sport": "1.0.0.1", "obstacles_avoid": "1.0.0.2"}
+NOT_KNOWN, NOT_UNDERSTOOD = 3203, 3204
 
 INTERFACE = "lo"  # of a rehearsal
-CAMERA = "ros:" + CAMERA_TOPIC.removeprefix("rt")
-STARTING = 300.0  # seconds for the house and its light, on a busy machine
-ENDING = 10.0
-TRIES, ROOM, NEAR, FAR = 2000, 0.35, 2.5, 5.0  # draws; metres around the start; metres to the target
-BEFORE = 1.0  # metres before the target's centre at which the way may end: things fill some floor
+STARTING, ENDING = 300.0, 10.0  # seconds for the house and its light on a busy machine; for the process to leave
 
 
 @dataclass(frozen=True)
@@ -65,7 +59,9 @@ class SimSettings:
     - `target`: what the robot is to find, in words, such as "red chair". A ball ("red ball") is brought into the house,
       and rolls at `speed` metres per second.
     - `start`: x, y (metres) and heading (radians); None: drawn from the seed, some metres from the target.
-    - `plant`, `wire`, `camera`: body, wire and camera; `camera` None: no pictures.
+    - `plant`, `camera`: body and camera; `camera` None: no pictures.
+    - `clock_offset`: seconds by which the robot's clock is ahead of this machine's at first; `clock_drift`: seconds per
+      second by which it gains. `short`: states without the planned path. `battery`: per cent at the start.
     """
 
     world: str | None = "apartment"
@@ -74,200 +70,140 @@ class SimSettings:
     speed: float = 0.0
     start: tuple[float, float, float] | None = None
     plant: PlantSettings = field(default_factory=PlantSettings)
-    wire: WireSettings = field(default_factory=WireSettings)
     camera: CameraSettings | None = field(default_factory=CameraSettings)
+    clock_offset: float = 0.0
+    clock_drift: float = 0.0
+    short: bool = False
+    battery: int = 87
+
+    def __post_init__(self) -> None:
+        require(self, {"clock_offset": (within(self.clock_offset, -1e8, 1e8), "seconds")}, DeviceError)
 
 
 class SimulatedGo2:
-    """A Go2 that walks in a house. `begun`: seconds of the host's clock at its start.
+    """A Go2 that stands in a house, with the things that it is to find there: `plant`, `house` and `targets`.
 
-    It is told what to do as `eagor.robots.go2.sport.SportClient` is: `move`, `stop`, `balance_stand`, `stand_up`,
-    `stand_down`, each with a status code. Everything random comes from the seed. Raises `WorldError`, `QueryError`,
-    `DeviceError` for settings that cannot be.
+    Everything random comes from the seed. Raises `WorldError`, `QueryError`, `DeviceError` for settings that cannot be.
     """
 
-    def __init__(self, settings: SimSettings | None = None, *, begun: float = 0.0) -> None:
+    def __init__(self, settings: SimSettings | None = None) -> None:
         self.settings = settings = settings or SimSettings()
-        self.begun = begun
-        draws = [np.random.default_rng(part) for part in np.random.SeedSequence(settings.seed).spawn(4)]
-        self.house: House | None = None
+        draws = [np.random.default_rng(part) for part in np.random.SeedSequence(settings.seed).spawn(3)]
+        self.house: SimWorld | None = None
+        start, slide = settings.start or (0.0, 0.0, 0.0), None
         if settings.world is not None:
-            colour = ball_of(settings.target)
-            self.house = load_house(settings.world, settings.seed, ball=colour, speed=settings.speed, rng=draws[0])
+            self.house = SimWorld(settings.world, settings.seed, settings.target, settings.speed, draws[0])
+            start, slide = self._start(self.house), self.house.move_and_slide
         elif settings.target is not None:
             raise DeviceError("a robot on an empty floor has no target; give a world, or no target")
-        self.targets: tuple[Thing, ...] = ()
-        start = settings.start or (0.0, 0.0, 0.0)
-        slide = ahead = None
-        if self.house is not None:
-            if settings.target is not None:
-                self.targets = self.house.targets(settings.target)
-            start = self._start(draws[1])
-            slide, ahead = self.house.slide, self.house.ahead
-        self.plant = Plant(settings.plant, draws[2], start, slide, ahead)
-        self.wire_rng = draws[3]
-        self._clock = RelatedClock("Go2")
-        self._commands = SimulatedWire(settings.wire, self.wire_rng)  # to the robot
-        self._messages = SimulatedWire(settings.wire, self.wire_rng)  # from it: `Frame`, `SportFields`
+        self.targets = [] if self.house is None else self.house.targets()
+        self.plant = Plant(settings.plant, draws[2], start, slide)
         self._pictures = 0
 
-    def _start(self, rng: np.random.Generator) -> tuple[float, float, float]:
-        assert self.house is not None
-        if (start := self.settings.start) is None:
-            return self.house.start(rng, self.targets)
-        spot = self.house.ground.snap(np.array(start[:2]))
-        if spot is None:
+    def _start(self, house: SimWorld) -> tuple[float, float, float]:
+        rng = np.random.default_rng(self.settings.seed)
+        start = self.settings.start or clear_start(house, house.targets(), rng) or clear_start(house, (), rng)
+        assert start is not None
+        if (spot := house.ground.snap(np.array(start[:2]))) is None:
             raise DeviceError(f"start = {start}; wanted x, y (metres) and heading (radians), finite")
         return float(spot[0]), float(spot[1]), float(start[2])
 
-    # --- time ---
+    def picture_due(self, host: float) -> RenderRequest | None:
+        """The picture that the camera takes at this step, if any; asking counts it as taken."""
+        camera, seconds = self.settings.camera, self.plant.seconds
+        if camera is None or self.house is None or seconds < self._pictures / camera.rate:
+            return None
+        self._pictures = math.floor(seconds * camera.rate) + 1
+        body = self.plant.truth.pose
+        at = body.position + body.world_R_body @ np.asarray(camera.mount)
+        return RenderRequest(host, at, body.world_R_body, self.house.ball_at(seconds))
 
-    @property
-    def now(self) -> float:
-        """The host's clock, seconds."""
-        return self.begun + self.plant.seconds
 
-    def advance(self, seconds: float) -> list[BodyState | Frame]:
-        """Let time pass; the states and pictures that arrive meanwhile, in the order of arrival.
+def state_of(motion: Motion, stamp: float, error_code: int = 0, *, short: bool = False) -> bytes:
+    """The state message of a body that moves so, at `stamp` seconds of the robot's clock."""
+    pose = motion.pose
+    assert pose.position is not None
+    rpy, up = _rpy(pose.world_R_body), (GRAVITY * pose.world_R_body[2]).tolist()
+    x, y, z, w = _xyzw(*rpy)
+    return sport_state(
+        stamp, (w, x, y, z), motion.rates.tolist(), up, rpy, motion.mode, pose.position.tolist(),
+        motion.velocity.tolist(), motion.yaw_rate, error_code, short=short,
+    )  # fmt: skip
 
-        Stamps are on the host's clock: a state's as related by its messages, a picture's of its capture.
-        """
-        end = self.plant.steps + round(seconds / self.settings.plant.step)
-        came: list[BodyState | Frame] = []
-        while self.plant.steps < end:
-            for _, command in self._commands.arrived(self.now):
-                command()
-            self.plant.advance()
-            self._send_state()
-            self._send_picture()
-            for when, message in self._messages.arrived(self.now):
-                if not isinstance(message, SportFields):
-                    came.append(message)
-                    continue
-                stamp, _ = self._clock.take(message.sec + 1e-9 * message.nanosec, when)
-                if stamp is not None:
-                    came.append(BodyState.of(message, stamp, when))
-        return came
 
-    # --- commands ---
+def _odometry(motion: Motion, stamp: float, frame: str) -> Any:
+    """A nav_msgs/Odometry of the body, at `stamp` seconds; its twist is in the body frame."""
+    pose, none = motion.pose, [0.0] * 36
+    assert pose.position is not None
+    turned = idl.Quaternion(*_xyzw(*_rpy(pose.world_R_body)))
+    place = idl.RosPoses(idl.RosPose(idl.Point(*pose.position.tolist()), turned), none)
+    velocity = idl.Vector3(*(pose.world_R_body.T @ motion.velocity).tolist())
+    twist = idl.Twists(idl.Twist(velocity, idl.Vector3(*motion.rates.tolist())), none)
+    return idl.Odometry(idl.Header(idl.Time(*split_time(stamp)), frame), "base_link", place, twist)
 
-    def move(self, vx: float, vy: float, wz: float) -> int:
-        """Walk forward and left (m/s), turn left (rad/s), for about a second. Raises `DeviceError` for NaN."""
-        wanted = checked_velocity(vx, vy, wz)
-        return self._do(lambda: self.plant.move(*wanted))
 
-    def stop(self) -> int:
-        """Stand still."""
-        return self._do(self.plant.stop)
+def _rpy(world_R_body: np.ndarray) -> tuple[float, float, float]:
+    (m00, _, _), (m10, _, _), (m20, m21, m22) = world_R_body.tolist()
+    return math.atan2(m21, m22), -math.asin(max(-1.0, min(1.0, m20))), math.atan2(m10, m00)
 
-    def balance_stand(self) -> int:
-        """Stand, ready to walk."""
-        return self._do(self.plant.balance_stand)
 
-    def stand_up(self) -> int:
-        """Stand up, with locked joints."""
-        return self._do(self.plant.stand_up)
-
-    def stand_down(self) -> int:
-        """Lie down."""
-        return self._do(self.plant.stand_down)
-
-    def _do(self, command: Callable[[], None]) -> int:
-        if not self._commands.loses():
-            self._commands.put(self.now + self._commands.delay(), command)
-        return OK
-
-    # --- truth ---
-
-    @property
-    def truth(self) -> Motion:
-        """The body as it is."""
-        return self.plant.truth
-
-    def things(self) -> tuple[Thing, ...]:
-        """All that could be asked for, where it is now."""
-        return () if self.house is None else self.house.things(self.plant.seconds)
-
-    def targets_now(self) -> tuple[Thing, ...]:
-        """The things that the target names, where they are now."""
-        wanted = {thing.id for thing in self.targets}
-        return tuple(thing for thing in self.things() if thing.id in wanted)
-
-    def bearing(self, thing: Thing) -> tuple[np.ndarray, float]:
-        """True direction ``(3,)`` from the camera (body axes) and distance, metres, of a thing, now."""
-        mount = self.settings.camera or CameraSettings()
-        camera = mount.pose(self.plant.truth.pose)
-        assert camera.position is not None
-        offset = camera.world_R_body.T @ (thing.centre - camera.position)
-        distance = float(np.linalg.norm(offset))
-        return offset / distance, distance
-
-    # --- the wire ---
-
-    @lazy
-    def camera(self) -> SimulatedCamera:
-        """The camera. Raises `DeviceError` if there is none."""
-        if self.house is None or self.settings.camera is None:
-            raise DeviceError("this simulated robot has no camera; give it a world and a camera")
-        return SimulatedCamera(self.house.scene, self.settings.camera)
-
-    def picture_due(self) -> bool:
-        """Whether the camera takes a picture at this step; asking counts it as taken."""
-        camera = self.settings.camera
-        if camera is None or self.house is None or self.plant.seconds < self._pictures / camera.rate:
-            return False
-        self._pictures = math.floor(self.plant.seconds * camera.rate) + 1
-        return True
-
-    def _send_state(self) -> None:
-        if not self._messages.loses():
-            stamp = self.settings.wire.robot_time(self.now, self.plant.seconds)
-            self._messages.put(self.now + self._messages.delay(), sport_fields(self.plant.odometry, stamp))
-
-    def _send_picture(self) -> None:
-        if not self.picture_due() or self._messages.loses():
-            return
-        assert self.house is not None
-        assert self.settings.camera is not None
-        pose = self.settings.camera.pose(self.plant.truth.pose)
-        ball = None if self.house.ball is None else self.house.ball.at(self.plant.seconds)
-        panorama = self.camera.received(self.camera.picture(pose, ball))
-        frame = Frame(self.now, panorama, f"picture {self._pictures}")
-        self._messages.put(self.now + self.settings.camera.latency, frame)
+def _xyzw(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """The quaternion of a body turned by `yaw`, then `pitch`, then `roll`: half angles, multiplied out."""
+    a, b, c = math.cos(roll / 2), math.cos(pitch / 2), math.cos(yaw / 2)
+    x, y, z = math.sin(roll / 2), math.sin(pitch / 2), math.sin(yaw / 2)
+    return x * b * c - a * y * z, a * y * c + x * b * z, a * b * z - x * y * c, a * b * c + x * y * z
 
 
 class LiveGo2:
-    """`robot` on DDS domain `domain`, in real time; a context manager.
+    """`robot` on DDS domain `domain`, in real time, as a context manager: its states, commands and camera.
 
-    Raises `DeviceError` if a robot, real or simulated, already speaks there: commands would reach both.
+    `begun`: its start, seconds of this machine's clock. `remote`: what the simulated remote control shows, which may be
+    replaced at any time; `error_code` likewise. `requests`: the last of those that were `asked`, by service, number and
+    parameter; `skipped`: steps that no state tells of, as this machine was too slow. Raises `DeviceError` if a robot,
+    real or simulated, already speaks there: commands would reach both.
     """
 
-    def __init__(self, robot: SimulatedGo2, domain: int = 0, interface: str | None = "lo") -> None:
-        self.robot = robot
+    def __init__(self, robot: SimulatedGo2, domain: int = 0, interface: str | None = INTERFACE) -> None:
+        self.robot, self.plant, settings = robot, robot.plant, robot.settings
+        self.remote, self.error_code = Remote(), 0
+        self.asked = self.skipped = 0
+        self.requests: deque[tuple[str, int, dict[str, Any]]] = deque(maxlen=1000)
+        self.avoid = {"enable": False, "is_remote_commands_from_api": False}
         self.pictures: PictureProcess | None = None
-        self._told = 0.0
-        self._broken = False
+        self._turn, self._ended = threading.RLock(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="simulated Go2", daemon=True)
+        self._state = raw(idl.ShortSportModeState if settings.short else idl.SportModeState)
         self.link = Link(domain, interface)
         try:
-            self._alone()
-            settings = robot.settings
+            if there := sorted({*SOURCES.values()} & {*self.link.topics(LISTENING)}):
+                raise DeviceError(
+                    f"a robot already speaks on DDS {self.link} ({', '.join(there)}), and commands would reach both: "
+                    "take another --domain, or end the other one if it is simulated"
+                )
             if settings.world is not None and settings.camera is not None:
                 self.pictures = PictureProcess(settings.world, settings.seed, settings.camera, domain, interface)
-            self._things = self.link.publish(TRUTH_THINGS, TEXT, transient=True, depth=1)
-            self.server = Go2Server(
-                robot.plant, self.link, settings.wire, rng=robot.wire_rng, every_step=self._every_step
-            )
+            kinds = {
+                "rt/sportmodestate": self._state, "rt/lf/sportmodestate": self._state, "rt/lf/lowstate": idl.LowState,
+                "rt/utlidar/robot_odom": idl.Odometry, TRUTH: idl.Odometry,
+            }  # fmt: skip
+            self._writers = {topic: self.link.publish(topic, kind) for topic, kind in kinds.items()}
+            for name in VERSIONS:
+                self._serve(name)
         except BaseException:
             self.close()
             raise
+        requests, camera = [f"rt/api/{name}/request" for name in VERSIONS], [CAMERA_TOPIC] if self.pictures else []
+        self.topics = [*kinds, *requests, *camera]
 
     def __enter__(self) -> Self:
         try:
-            self.robot.begun = time.time() - self.robot.plant.seconds
-            self.server.__enter__()
+            if self.pictures is not None:
+                self.pictures.wait()
         except BaseException:
             self.close()
             raise
+        self.begun = time.time() - self.plant.seconds
+        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -275,165 +211,156 @@ class LiveGo2:
 
     def close(self) -> None:
         """End the robot, its camera and its place on the network. May be called twice."""
-        if (server := getattr(self, "server", None)) is not None:
-            server.close()
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join()
         if self.pictures is not None:
             self.pictures.close()
-            self.pictures = None
         self.link.close()
 
-    def wait_for_camera(self) -> None:
-        """Wait until pictures come. Raises `DeviceError` if they cannot."""
-        if self.pictures is not None:
-            self.pictures.wait()
-
     @property
-    def topics(self) -> dict[str, str]:
-        """The topics for other programs, in words."""
-        found = {
-            "rt/sportmodestate": "state, 200 per second",
-            "rt/lf/sportmodestate": "state, 20 per second",
-            "rt/utlidar/robot_odom": "odometry (nav_msgs/Odometry), 20 per second",
-            "rt/lowstate": "battery, remote control, 200 per second",
-            "rt/lf/lowstate": "battery, remote control, 20 per second",
-            "rt/api/sport/request": "commands",
-            "rt/api/obstacles_avoid/request": "commands that heed obstacles",
-        }
-        camera = self.robot.settings.camera
-        if camera is not None and self.robot.house is not None:
-            what = "both fisheyes" if camera.kind == "fisheye" else "panorama"
-            wide, high = camera.size
-            found[CAMERA_TOPIC] = f"camera ({what}, {wide} x {high}, JPEG), {camera.rate:g} per second"
-        found[TRUTH] = "the true pose, which no robot has"
-        if self.robot.house is not None:
-            found[TRUTH_THINGS] = "the true places of things, which no robot has"
-        return found
+    def truth(self) -> Motion:
+        """The body as it is now."""
+        with self._turn:
+            return self.plant.truth
 
-    def _alone(self) -> None:
-        taken = self.link.topics(LISTENING)
-        if there := sorted({*SOURCES.values()} & {*taken}):
-            where = f"domain {self.link.domain} on {self.link.interface or 'an automatic interface'}"
-            raise DeviceError(
-                f"a robot already speaks on DDS {where} ({', '.join(there)}), and commands would reach both: take "
-                "another --domain, or end the other one if it is simulated"
-            )
+    # --- states ---
 
-    def _every_step(self, motion: Motion, host: float) -> None:
-        """In the server's thread: offer a picture if one is due, tell where things are."""
-        if self.pictures is not None and not self._broken and self.robot.picture_due():
-            self._offer(motion, host)
-        if self.robot.house is not None and host - self._told >= THINGS_EVERY:
-            if self._told == 0.0 or self.robot.house.ball is not None:
-                self._things.write(text_message(json.dumps(self._truth(host))))
-            self._told = host
+    def _run(self) -> None:
+        step = self.plant.settings.step
+        start = time.monotonic() - self.plant.seconds
+        while not self._ended.is_set():
+            behind = time.monotonic() - start - self.plant.seconds
+            if behind < step:
+                self._ended.wait(step - behind)
+                continue
+            with self._turn:
+                while behind > LATEST and time.monotonic() - start - self.plant.seconds > step:
+                    self.plant.advance()  # states of the past help nobody; the body moves on all the same
+                    self.skipped += 1
+                self.plant.advance()
+                try:
+                    self._send_states()
+                except DeviceError as error:
+                    warnings.warn(f"the simulated Go2 cannot send: {error}", stacklevel=2)
 
-    def _offer(self, motion: Motion, host: float) -> None:
-        camera, house = self.robot.settings.camera, self.robot.house
-        assert camera is not None
-        assert house is not None
-        assert self.pictures is not None
-        ball = None if house.ball is None else house.ball.at(motion.pose.stamp)
+    def _send_states(self) -> None:
+        plant, settings, write = self.plant, self.robot.settings, self._writers
+        host = self.begun + plant.seconds
+        stamp = host + settings.clock_offset + settings.clock_drift * plant.seconds
+        state = self._state(state_of(plant.odometry, stamp, self.error_code, short=settings.short))
+        write["rt/sportmodestate"].write(state)
+        if plant.steps % SLOW == 0:
+            write["rt/lf/sportmodestate"].write(state)
+            write["rt/utlidar/robot_odom"].write(_odometry(plant.odometry, stamp, "odom"))
+            write[TRUTH].write(_odometry(plant.truth, host, "world"))
+            battery = settings.battery - int(plant.seconds / 60)  # a full one lasts for an hour and a half or so
+            write["rt/lf/lowstate"].write(low_state(self.remote, max(0, battery), seconds=plant.seconds))
+        if self.pictures is not None and (request := self.robot.picture_due(host)) is not None:
+            self.pictures.offer(request)
+
+    # --- requests ---
+
+    def _serve(self, service: str) -> None:
+        responses: Writer = self.link.publish(f"rt/api/{service}/response", idl.Response)
+
+        def received(request: Any, _: float) -> None:
+            identity = request.header.identity
+            code, data = self.obey(service, identity.api_id, request.parameter)
+            if not request.header.policy.noreply:
+                header = idl.ResponseHeader(identity, idl.ResponseStatus(code))
+                responses.write(idl.Response(header, data, []))
+
+        self.link.subscribe(f"rt/api/{service}/request", idl.Request, received, reliable=True)
+
+    def obey(self, service: str, api_id: int, parameter: str) -> tuple[int, str]:
+        """The status code and the data of a request, after doing it."""
+        if api_id == API_VERSION:
+            return OK, VERSIONS[service]
         try:
-            self.pictures.offer(Moment(host, camera.pose(motion.pose), ball))
-        except DeviceError as error:
-            self._broken = True
-            warnings.warn(str(error), stacklevel=2)
+            asked = json.loads(parameter) if parameter else {}
+            with self._turn:
+                self.requests.append((service, api_id, asked))
+                self.asked += 1
+                return (self._sport if service == "sport" else self._avoiding)(api_id, asked)
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
+            return NOT_UNDERSTOOD, ""
 
-    def _truth(self, host: float) -> dict[str, Any]:
-        things = [
-            {"id": each.id, "category": each.category, "colour": each.colour, "position": each.centre.round(4).tolist()}
-            for each in self.robot.things()
-        ]
-        targets = [thing.id for thing in self.robot.targets]
-        return {"stamp": host, "target": self.robot.settings.target, "targets": targets, "things": things}
+    def _sport(self, api_id: int, asked: dict[str, Any]) -> tuple[int, str]:
+        plant = self.plant
+        plain: dict[int, Callable[[], None]] = {
+            Sport.DAMP: plant.damp, Sport.BALANCE_STAND: plant.balance_stand, Sport.STOP_MOVE: plant.stop,
+            Sport.STAND_UP: plant.stand_up, Sport.STAND_DOWN: plant.stand_down, Sport.RECOVERY_STAND: plant.recover,
+        }  # fmt: skip
+        if api_id == Sport.MOVE:
+            plant.move(*checked_velocity(asked["x"], asked["y"], asked["z"]))
+        elif api_id in plain:
+            plain[api_id]()
+        else:
+            return NOT_KNOWN, ""
+        return OK, ""
+
+    def _avoiding(self, api_id: int, asked: dict[str, Any]) -> tuple[int, str]:
+        """Without eyes of its own: it takes velocities once it is turned on, and slides along walls as ever."""
+        if api_id == Avoid.MOVE:
+            wanted = checked_velocity(asked["x"], asked["y"], asked["yaw"])
+            if all(self.avoid.values()):
+                self.plant.move(*wanted)
+        elif api_id in (Avoid.SWITCH_SET, Avoid.USE_REMOTE_COMMAND_FROM_API):
+            name = "enable" if api_id == Avoid.SWITCH_SET else "is_remote_commands_from_api"
+            self.avoid[name] = bool(asked[name])
+        else:
+            return NOT_KNOWN, ""
+        return OK, ""
 
 
 class Rehearsal:
     """A simulated Go2 on a free DDS domain of this machine; a context manager. It ends with this process.
 
     `truth()` is the camera's true place ``(3,)`` and orientation ``(3, 3)``, None before the first message;
-    `targets()` the true places ``(n, 3)`` of the things that were asked for. Raises what the simulation raises.
+    `targets()` where the things ``(n, 3)`` that were asked for lie at first. Raises what the simulation raises.
     """
 
-    def __init__(self, settings: SimSettings, domain: int | None = None) -> None:
-        self.settings = settings
-        self.domain = free_domain() if domain is None else domain
+    def __init__(self, settings: SimSettings) -> None:
+        self.settings, self.domain = settings, free_domain()
         self._pose: tuple[np.ndarray, np.ndarray] | None = None
-        self._things: dict[str, Any] = {"targets": [], "things": []}
-        self._worker: Worker | None = None
 
     def __enter__(self) -> Self:
-        self._worker = Worker(_robot, self.settings, self.domain, name="simulated Go2", parent=True)
+        self._worker = Worker(_rehearse, self.settings, self.domain, name="simulated Go2", parent=True)
         try:
-            self._worker.receive(STARTING)
-        except WorkerSilent:
-            self.close()
-            raise DeviceError("the simulated robot does not start: it is not ready in time") from None
-        except WorkerEnded:
-            how = f"its process ended by itself (exit code {self._worker.close(ENDING)})"
-            raise DeviceError(f"the simulated robot does not start: {how}") from None
+            self._targets = np.reshape(self._worker.receive(STARTING), (-1, 3))
+            self._link = Link(self.domain, INTERFACE)
+        except (WorkerSilent, WorkerEnded):
+            code = self._worker.close(ENDING)
+            raise DeviceError(f"the simulated robot does not start: its process ended (exit code {code})") from None
         except BaseException:
-            self.close()
+            self._worker.close(ENDING)
             raise
-        self._link = Link(self.domain, INTERFACE)
-        self._link.subscribe(TRUTH, "nav_msgs/msg/Odometry", self._told_pose)
-        self._link.subscribe(TRUTH_THINGS, TEXT, self._told_things, reliable=True, transient=True)
+        self._link.subscribe(TRUTH, idl.Odometry, self._received_pose)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._link.close()
-        self.close()
-
-    def close(self) -> None:
-        """End the robot."""
-        if self._worker is not None:
-            self._worker.close(ENDING)
+        self._worker.close(ENDING)
 
     def truth(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Where the camera really is, and how it is turned."""
         return self._pose
 
     def targets(self) -> np.ndarray:
-        """Where the things that were asked for really are."""
-        asked = {*self._things["targets"]}
-        places = [thing["position"] for thing in self._things["things"] if thing["id"] in asked]
-        return np.array(places, dtype=np.float64).reshape(-1, 3)
+        """Where the things that were asked for lie."""
+        return self._targets
 
-    def _told_pose(self, message: Any, _: float) -> None:
-        pose = message.pose.pose
-        turned = pose.orientation
-        world_R_body = rotation_from_wxyz(np.array([turned.w, turned.x, turned.y, turned.z]))
-        place = np.array([pose.position.x, pose.position.y, pose.position.z])
+    def _received_pose(self, message: Any, _: float) -> None:
+        at, q = message.pose.pose.position, message.pose.pose.orientation
+        world_R_body = rotation_from_xyzw(np.array([q.x, q.y, q.z, q.w]))
         mount = (0.0, 0.0, 0.0) if self.settings.camera is None else self.settings.camera.mount
-        self._pose = place + world_R_body @ np.asarray(mount), world_R_body
-
-    def _told_things(self, message: Any, _: float) -> None:
-        self._things = json.loads(message.data)
+        self._pose = np.array([at.x, at.y, at.z]) + world_R_body @ np.asarray(mount), world_R_body
 
 
-def clear_start(house: House, targets: Sequence[Thing], rng: np.random.Generator) -> tuple[float, float, float] | None:
-    """A place (x, y in metres) and a heading (radians) some metres from a target, with a straight way there.
-
-    The policy goes straight, and around nothing. None if no such place was found.
-    """
-    ground = house.ground
-    for _ in range(TRIES):
-        spot = ground.sample(rng, min(ROOM, float(ground.clearance[ground.free].max())))
-        for thing in targets:
-            way = thing.centre[:2] - spot
-            far = float(np.hypot(*way))
-            if not NEAR <= far <= FAR:
-                continue
-            steps = np.arange(0.0, far - BEFORE, ground.cell / 2)[:, None] * way / far
-            if bool(ground.is_free(spot + steps).all()):
-                return float(spot[0]), float(spot[1]), float(rng.uniform(-math.pi, math.pi))
-    return None
-
-
-def _robot(line: Connection, settings: SimSettings, domain: int) -> None:
+def _rehearse(line: Connection, settings: SimSettings, domain: int) -> None:
     """The life of the process."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
-    with LiveGo2(SimulatedGo2(settings), domain, INTERFACE) as robot:
-        robot.wait_for_camera()
-        line.send(None)
+    with LiveGo2(SimulatedGo2(settings), domain) as live:
+        line.send([each.centre for each in live.robot.targets])
         line.recv()  # until the parent closes it
