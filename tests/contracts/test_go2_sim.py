@@ -18,7 +18,7 @@ from eagor.metrics import angular_error_deg
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.camera import DdsCamera
 from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings, RenderRequest, SimWorld, clear_start, panorama
-from eagor.robots.go2.sim import LiveGo2, Rehearsal, SimSettings, SimulatedGo2
+from eagor.robots.go2.sim import Rehearsal, SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import Go2State
 from eagor.sphere import world_R_body
@@ -92,12 +92,6 @@ def test_settings_that_cannot_be_say_so(settings, error, said):
         SimulatedGo2(SimSettings(**settings))
 
 
-@pytest.mark.parametrize("wrong", [{"rows": 33}, {"rate": 0}, {"latency": -1}])
-def test_cameras_that_cannot_be_are_refused(wrong):
-    with pytest.raises(DeviceError, match=next(iter(wrong))):
-        CameraSettings(**wrong)
-
-
 @pytest.mark.slow
 @live
 def test_a_rehearsal_walks_sends_pictures_and_tells_the_truth_beside():
@@ -115,8 +109,6 @@ def test_a_rehearsal_walks_sends_pictures_and_tells_the_truth_beside():
         assert frame.picture.std() > 10
         position, turned = robot.truth()
         np.testing.assert_allclose(position - turned @ (0, 0, 0.4), state.newest.position, atol=0.2)
-        with pytest.raises(DeviceError, match=f"a robot already speaks on DDS domain {robot.domain}, lo"):
-            LiveGo2(SimulatedGo2(SimSettings(world=None)), robot.domain)
         camera.close()
 
 

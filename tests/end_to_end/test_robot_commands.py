@@ -79,18 +79,6 @@ def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, c
         wait_for(lambda: not alive(sessions))
 
 
-@pytest.mark.slow
-def test_a_simulated_robot_ends_by_itself_and_says_what_happened():
-    domain = free_domain()
-    words = ("--camera", "none", "--seconds", 1, "--lying", "--short")
-    done = eagor("robot", "sim", "--domain", domain, *words)
-    assert done.returncode == 0, done.stderr
-    assert f"DDS domain {domain} on lo, which only this machine can hear" in done.stdout
-    assert "lying" in done.stdout
-    assert "rt/x3/image/compressed" not in done.stdout
-    assert "walked 0.00 m, 0 commands" in done.stderr
-
-
 def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
     domain, settings = free_domain(), SimSettings(None, short=True, battery=9, clock_offset=-777.0)
     with LiveGo2(SimulatedGo2(settings), domain) as robot, Link(domain, "lo") as link:
@@ -217,7 +205,7 @@ def test_the_page_about_the_go2_runs_as_written(tmp_path):
             busy = "processor" in done.stdout  # this machine, not the robot
             assert done.returncode == (1 if busy else 0), (done.stdout, done.stderr)
             pages = blocks_of_the_page("python", "*Needs the simulated robot")
-            prints = r"-?\d+ degrees to the left\n", r".* m/s standing 0\n(\d+.*\n){3}"
+            prints = r"(-?\d+ degrees to the left\n)+", r".* m/s standing 0\n(\d+.*\n){3}"
             for text, printed in zip(pages, prints, strict=True):
                 (tmp_path / "page.py").write_text(text, encoding="utf-8")
                 done = run([sys.executable, "page.py"])

@@ -62,18 +62,12 @@ def free_domain() -> int:
     Raises `DeviceError` if there is none.
     """
     for domain in random.SystemRandom().sample(FREE, len(FREE)):
-        if all(_is_free(FIRST_PORT + PORTS * domain + 10 + 2 * index) for index in range(LOOKED_AT)):
+        with suppress(OSError):
+            for index in range(LOOKED_AT):
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                    probe.bind(("127.0.0.1", FIRST_PORT + PORTS * domain + 10 + 2 * index))
             return domain
     raise DeviceError("every DDS domain of this machine is in use: end some programs that use DDS")
-
-
-def _is_free(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return False
-    return True
 
 
 class Raw:
@@ -259,24 +253,16 @@ class Reader:
         while not self._ended.is_set():
             with suppress(DDSException):
                 waiting.wait(duration(seconds=WAIT))
-            while not self._ended.is_set() and self._take():
-                pass
+            try:  # one by one, so that a damaged one takes no other with it
+                while not self._ended.is_set() and (samples := self._reader.take(N=1)):
+                    if samples[0].sample_info.valid_data:  # else a writer has gone
+                        self._received(samples[0], time.time())
+            except Exception as error:
+                self.damaged, self.problem = self.damaged + 1, str(error)
+                if self.damaged == 1:
+                    text = f"a message cannot be used ({type(error).__name__}: {error})"
+                    warnings.warn(f"{self.topic}: {text}; it is left out, and others like it", stacklevel=2)
         self._reader = self._wake = None
-
-    def _take(self) -> bool:
-        """Give the next message, if there is one: one by one, so that a damaged one takes no other with it."""
-        try:
-            samples, when = self._reader.take(N=1), time.time()
-            for sample in samples:
-                if sample.sample_info.valid_data:  # else a writer has gone
-                    self._received(sample, when)
-        except Exception as error:
-            self.damaged, self.problem = self.damaged + 1, str(error)
-            if self.damaged == 1:
-                text = f"a message cannot be used ({type(error).__name__}: {error})"
-                warnings.warn(f"{self.topic}: {text}; it is left out, and others like it", stacklevel=2)
-            return False
-        return bool(samples)
 
 
 def _settle(domain: int, interface: str | None) -> None:

@@ -47,7 +47,7 @@ class DdsCamera:
     ) -> None:
         if not math.isfinite(latency):
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to the stamp, 0 or more")
-        self.topic, self.rows, self.latency, self.dropped = topic, rows, latency, 0
+        self.topic, self.latency, self.dropped = topic, latency, 0
         self.problem: str | None = None
         self._changed, self._closed = threading.Condition(), False
         self._newest: tuple[Any, float] | None = None
@@ -57,23 +57,24 @@ class DdsCamera:
             with self._changed:
                 self._changed.wait_for(lambda: self._newest is not None, FIRST)
             if self._newest is None:
-                raise DeviceError(
-                    f"no picture came on {topic} within {FIRST:g} s (domain {domain}, {interface or 'any interface'}): "
-                    "is the camera running there?"
-                )
-            self.grid = ErpGrid(*self._panorama(self._newest[0]).shape[:2])
+                raise DeviceError(f"no picture came on {topic} within {FIRST:g} s ({self._link}): is the camera there?")
+            height = self._panorama(self._newest[0]).shape[0]
         except BaseException:
             self.close()
             raise
+        height = min(rows or height, height)
+        self.grid = ErpGrid(height, 2 * height)
 
     def __iter__(self) -> Iterator[Frame]:
         last = -math.inf
-        while (taken := self._take()) is not None:
-            message, when = taken
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or self._newest is not None)
+                if self._newest is None or self._closed:
+                    return
+                (message, when), self._newest = self._newest, None
             try:
-                picture = self._panorama(message)
-                if picture.shape[:2] != self.grid.shape:
-                    raise ImageError(f"it is {picture.shape[1]} x {picture.shape[0]}, and the first was another size")
+                picture = resized(self._panorama(message), self.grid.shape, wrap=True)
             except EagorError as error:
                 if self.problem is None:
                     warnings.warn(f"{self.topic}: a picture is left out: {error}", UserWarning, stacklevel=2)
@@ -96,18 +97,10 @@ class DdsCamera:
         picture = panorama_of(message)
         if not is_twice_as_wide(*picture.shape[:2]):
             raise ImageError(f"{self.topic} has pictures of {picture.shape[1]} x {picture.shape[0]}; wanted panoramas")
-        rows = min(self.rows or picture.shape[0], picture.shape[0])
-        return resized(picture, (rows, 2 * rows), wrap=True)
+        return picture
 
     def _received(self, message: Any, when: float) -> None:
         with self._changed:
             self.dropped += self._newest is not None
             self._newest = store().deserialize_cdr(message.data, COMPRESSED), when
             self._changed.notify_all()
-
-    def _take(self) -> tuple[Any, float] | None:
-        """Wait for a picture; None after `close`."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._closed or self._newest is not None)
-            taken, self._newest = self._newest, None
-            return None if self._closed else taken

@@ -67,9 +67,10 @@ class PlantSettings:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The body at one step: `pose`, `velocity` ``(3,)`` (m/s, world), `rates` ``(3,)`` (rad/s, body), `mode`."""
+    """The body at one step: `pose`, and the same as roll, pitch and yaw; m/s (world), rad/s (body); `mode`."""
 
     pose: Pose
+    rpy: tuple[float, float, float]
     velocity: np.ndarray
     rates: np.ndarray
     yaw_rate: float
@@ -100,7 +101,7 @@ class Plant:
         self._pipe: deque[np.ndarray] = deque([np.zeros(3)] * round(settings.dead_time / settings.step))
         self._deaf_until = 0
         self._phase, self._rocking = 0.0, 0.0  # of the trot; 0 standing, 1 walking
-        self._attitude = self._before = _turned(self._yaw, 0.0, 0.0)
+        self._attitude = self._before = _turned(0.0, 0.0, self._yaw)
         # Odometry: where the robot believes it is.
         self._scale = 1.0 + settings.scale_drift * float(rng.standard_normal())
         self._turn_scale = 1.0 + settings.turn_drift * float(rng.standard_normal())
@@ -188,33 +189,33 @@ class Plant:
             self.mode = WALKING if moving or self.steps < self._until else STANDING
         self._rocking += (float(moving) - self._rocking) * (1.0 - math.exp(-rules.step / rules.lag))
         self._phase += 2 * math.pi * rules.trot * rules.step
-        self._before, self._attitude = self._attitude, self._leaning(self._yaw)
+        self._before, self._attitude = self._attitude, _turned(*self._leaning(self._yaw))
 
-    def _leaning(self, yaw: float) -> np.ndarray:
+    def _leaning(self, yaw: float) -> tuple[float, float, float]:
         lean = self.settings.tilt * self._rocking
-        return _turned(yaw, lean * math.sin(self._phase + 1.0), lean * math.sin(self._phase))
+        return lean * math.sin(self._phase), lean * math.sin(self._phase + 1.0), yaw
 
     # --- what is so, and what the robot believes ---
 
     @property
     def truth(self) -> Motion:
         """The body as it is."""
-        return self._motion(self._xy, self._attitude, self._velocity)
+        return self._motion(self._xy, self._yaw, self._velocity)
 
     @property
     def odometry(self) -> Motion:
         """The body as the robot believes."""
         speed = _along(self._believed_yaw - self._yaw, self._velocity * self._scale)
-        return self._motion(self._believed_xy, self._leaning(self._believed_yaw), speed)
+        return self._motion(self._believed_xy, self._believed_yaw, speed)
 
-    def _motion(self, xy: np.ndarray, attitude: np.ndarray, velocity: np.ndarray) -> Motion:
-        turn = self._before.T @ self._attitude
+    def _motion(self, xy: np.ndarray, yaw: float, velocity: np.ndarray) -> Motion:
+        turn, rpy = self._before.T @ self._attitude, self._leaning(yaw)
         # For the small turn of one step the antisymmetric part is the rotation vector (to 1e-6 of it).
         rates = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         rates /= 2 * self.settings.step
         height = self.settings.height * (0.25 if self.mode in (LYING, LIMP) else 1.0)
-        pose = Pose(self.seconds, attitude, np.array([*xy, height]))
-        return Motion(pose, np.array([*velocity, 0.0]), rates, float(self._speed[2]), self.mode)
+        pose = Pose(self.seconds, _turned(*rpy), np.array([*xy, height]))
+        return Motion(pose, rpy, np.array([*velocity, 0.0]), rates, float(self._speed[2]), self.mode)
 
 
 def _along(heading: float, step: np.ndarray) -> np.ndarray:
@@ -224,7 +225,7 @@ def _along(heading: float, step: np.ndarray) -> np.ndarray:
     return np.array([c * forward - s * left, s * forward + c * left])
 
 
-def _turned(yaw: float, pitch: float, roll: float) -> np.ndarray:
+def _turned(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """As `eagor.sphere.world_R_body`, multiplied out: it is needed 400 times per second."""
     a, b, c = math.cos(roll), math.cos(pitch), math.cos(yaw)
     x, y, z = math.sin(roll), math.sin(pitch), math.sin(yaw)

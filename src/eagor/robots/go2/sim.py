@@ -53,15 +53,12 @@ STARTING, ENDING = 300.0, 10.0  # seconds for the house and its light on a busy 
 
 @dataclass(frozen=True)
 class SimSettings:
-    """What is simulated.
+    """What is simulated: a body `plant` and perhaps a `camera`, in the house `world` of this `seed` (`SimWorld`).
 
-    - `world`, `seed`: the house, as `eagor.lab.worlds.load` has it; None: an endless empty floor, without pictures.
-    - `target`: what the robot is to find, in words, such as "red chair". A ball ("red ball") is brought into the house,
-      and rolls at `speed` metres per second.
-    - `start`: x, y (metres) and heading (radians); None: drawn from the seed, some metres from the target.
-    - `plant`, `camera`: body and camera; `camera` None: no pictures.
-    - `clock_offset`: seconds by which the robot's clock is ahead of this machine's at first; `clock_drift`: seconds per
-      second by which it gains. `short`: states without the planned path. `battery`: per cent at the start.
+    `world` None: an endless empty floor, without pictures. `target`, `speed`: what it is to find, and how fast that
+    rolls if it is a ball. `start`: x, y (metres), heading (radians); None: some metres from the target. The robot's
+    clock is ahead by `clock_offset` seconds at first, and gains `clock_drift` seconds per second. `short`: states
+    without the planned path. `battery`: per cent at the start.
     """
 
     world: str | None = "apartment"
@@ -119,32 +116,15 @@ class SimulatedGo2:
         return RenderRequest(host, at, body.world_R_body, self.house.ball_at(seconds))
 
 
-def state_of(motion: Motion, stamp: float, error_code: int = 0, *, short: bool = False) -> bytes:
-    """The state message of a body that moves so, at `stamp` seconds of the robot's clock."""
-    pose = motion.pose
-    assert pose.position is not None
-    rpy, up = _rpy(pose.world_R_body), (GRAVITY * pose.world_R_body[2]).tolist()
-    x, y, z, w = _xyzw(*rpy)
-    return sport_state(
-        stamp, (w, x, y, z), motion.rates.tolist(), up, rpy, motion.mode, pose.position.tolist(),
-        motion.velocity.tolist(), motion.yaw_rate, error_code, short=short,
-    )  # fmt: skip
-
-
 def _odometry(motion: Motion, stamp: float, frame: str) -> Any:
     """A nav_msgs/Odometry of the body, at `stamp` seconds; its twist is in the body frame."""
     pose, none = motion.pose, [0.0] * 36
     assert pose.position is not None
-    turned = idl.Quaternion(*_xyzw(*_rpy(pose.world_R_body)))
+    turned = idl.Quaternion(*_xyzw(*motion.rpy))
     place = idl.RosPoses(idl.RosPose(idl.Point(*pose.position.tolist()), turned), none)
     velocity = idl.Vector3(*(pose.world_R_body.T @ motion.velocity).tolist())
     twist = idl.Twists(idl.Twist(velocity, idl.Vector3(*motion.rates.tolist())), none)
     return idl.Odometry(idl.Header(idl.Time(*split_time(stamp)), frame), "base_link", place, twist)
-
-
-def _rpy(world_R_body: np.ndarray) -> tuple[float, float, float]:
-    (m00, _, _), (m10, _, _), (m20, m21, m22) = world_R_body.tolist()
-    return math.atan2(m21, m22), -math.asin(max(-1.0, min(1.0, m20))), math.atan2(m10, m00)
 
 
 def _xyzw(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -248,11 +228,19 @@ class LiveGo2:
         plant, settings, write = self.plant, self.robot.settings, self._writers
         host = self.begun + plant.seconds
         stamp = host + settings.clock_offset + settings.clock_drift * plant.seconds
-        state = self._state(state_of(plant.odometry, stamp, self.error_code, short=settings.short))
+        believed = plant.odometry
+        x, y, z, w = _xyzw(*believed.rpy)
+        felt, position = GRAVITY * believed.pose.world_R_body[2], believed.pose.position
+        state = self._state(
+            sport_state(
+                stamp, (w, x, y, z), believed.rates, felt, believed.rpy, believed.mode, position, believed.velocity,
+                believed.yaw_rate, self.error_code, short=settings.short,
+            )
+        )  # fmt: skip
         write["rt/sportmodestate"].write(state)
         if plant.steps % SLOW == 0:
             write["rt/lf/sportmodestate"].write(state)
-            write["rt/utlidar/robot_odom"].write(_odometry(plant.odometry, stamp, "odom"))
+            write["rt/utlidar/robot_odom"].write(_odometry(believed, stamp, "odom"))
             write[TRUTH].write(_odometry(plant.truth, host, "world"))
             battery = settings.battery - int(plant.seconds / 60)  # a full one lasts for an hour and a half or so
             write["rt/lf/lowstate"].write(low_state(self.remote, max(0, battery), seconds=plant.seconds))

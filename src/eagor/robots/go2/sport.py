@@ -78,16 +78,18 @@ def in_words(code: int) -> str:
 
 
 class Service:
-    """Requests to one service of the robot, ``rt/api/NAME/request``, and the responses by their numbers.
+    """Requests to the service `name` of the robot, ``rt/api/NAME/request``, and the responses by their numbers.
 
     `timeout`: seconds to wait for a response. May be used by several threads.
     """
 
-    def __init__(self, link: Link, name: str, *, timeout: float = 1.0) -> None:
-        self.name, self.timeout = name, timeout
-        self._writer = link.publish(f"rt/api/{name}/request", idl.Request)
+    name = ""
+
+    def __init__(self, link: Link, *, timeout: float = 1.0) -> None:
+        self.timeout = timeout
+        self._writer = link.publish(f"rt/api/{self.name}/request", idl.Request)
         # Best effort takes responses from every writer, as the robot's own SDK does.
-        self._reader = link.subscribe(f"rt/api/{name}/response", idl.Response, self._received)
+        self._reader = link.subscribe(f"rt/api/{self.name}/response", idl.Response, self._received)
         self._turn = threading.Condition()
         self._answers: dict[int, Any] = {}  # by the number of the request; None until it comes
         self._last = 0
@@ -145,8 +147,7 @@ class SportClient(Service):
     `stand_up` a robot needs `balance_stand` and up to ten seconds before it heeds `move`.
     """
 
-    def __init__(self, link: Link, *, timeout: float = 1.0) -> None:
-        super().__init__(link, "sport", timeout=timeout)
+    name = "sport"
 
     def move(self, vx: float, vy: float, wz: float) -> int:
         """Walk forward and left (metres per second), turn left (radians per second). Raises `DeviceError` for NaN."""
@@ -173,8 +174,7 @@ class SportClient(Service):
 class AvoidClient(Service):
     """Walking that heeds obstacles by itself: ``obstacles_avoid``. Turn it on with `start` before `move`."""
 
-    def __init__(self, link: Link, *, timeout: float = 1.0) -> None:
-        super().__init__(link, "obstacles_avoid", timeout=timeout)
+    name = "obstacles_avoid"
 
     def start(self) -> int:
         """Heed obstacles, and take velocities from here instead of from the remote control; the first code not 0."""
@@ -242,7 +242,7 @@ class ForeignCommands:
 SLOW = {SOURCES["sport"]: 100.0, SOURCES["slow"]: 10.0}  # messages per second: less is a bad network
 FINDING = 1.0  # seconds in which processes find each other
 LATE = 0.05  # seconds by which one state in a hundred may come later than the quickest
-MOVES, LONG_ENOUGH = (0.15, 0.2), 0.5  # m/s and rad/s beyond which a robot moves; seconds of that in a row
+MOVES = 0.15, 0.2  # m/s and rad/s beyond which a robot moves, in more than half of its states
 EMPTY = 15  # per cent of charge below which a walk may end on the way
 PICTURES = ("sensor_msgs::msg::dds_::CompressedImage_", "sensor_msgs::msg::dds_::Image_")
 BUSY = "use a cable instead of Wi-Fi, or relieve this machine's processor"
@@ -260,7 +260,7 @@ def check_robot(link: Link, seconds: float = 3.0) -> dict[str, Any]:
     topics = link.topics(FINDING)  # before this process writes any itself
     states: list[BodyState] = []
     odometry = [Go2State(link, name, received=states.append if name == "sport" else _ignore) for name in SOURCES]
-    low, sport, others = Go2Low(link), Service(link, "sport", timeout=2.0), ForeignCommands(link)
+    low, sport, others = Go2Low(link), SportClient(link, timeout=2.0), ForeignCommands(link)
     time.sleep(FINDING)  # until readers and writers have found each other
     before = [source.count for source in odometry]
     states.clear()
@@ -300,12 +300,13 @@ def check_robot(link: Link, seconds: float = 3.0) -> dict[str, Any]:
     elif main.fault is None:
         nobody = f"nobody publishes {main.topic}: the robot's walking has not started; restart it"
         problems.append(main.silence(topics) or nobody)
+    moving = [each for each in states if each.speed > MOVES[0] or abs(each.yaw_rate) > MOVES[1]]
     if others.newest is not None:
         problems.append(
             f"somebody else commands this robot ({others.count} times, the last {others.newest.words}): end that "
             "program or app, for a robot obeys whoever spoke last"
         )
-    elif _moves(states):
+    elif len(moving) > 0.5 * len(states):
         problems.append("the robot moves although nobody tells it to on its topics: is it led by its remote control?")
     begun = time.monotonic()
     code, version = sport.request(API_VERSION)
@@ -324,14 +325,3 @@ def check_robot(link: Link, seconds: float = 3.0) -> dict[str, Any]:
 
 def _ignore(_: BodyState) -> None:
     pass
-
-
-def _moves(states: list[BodyState]) -> bool:
-    """Whether the robot moves for a while."""
-    since = None
-    for state in states:
-        if state.speed <= MOVES[0] and abs(state.yaw_rate) <= MOVES[1]:
-            since = None
-        elif state.received - (since := state.received if since is None else since) >= LONG_ENOUGH:
-            return True
-    return False

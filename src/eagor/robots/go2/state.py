@@ -37,19 +37,16 @@ from cyclonedds.idl.annotations import autoid, final  # noqa: E402
 from cyclonedds.idl.types import array, byte, float32, float64, int16, int32, int64, sequence, uint16, uint32  # noqa: E402
 
 __all__ = [
-    "BUTTONS", "LONG", "MODES", "SHORT", "SOURCES", "TYPES", "BodyState", "Go2Low", "Go2State", "LowReading", "Remote",
+    "BUTTONS", "LONG", "MODES", "SHORT", "SOURCES", "BodyState", "Go2Low", "Go2State", "LowReading", "Remote",
     "low_state", "sport_state",
 ]  # fmt: skip
 
 # --- messages as types ------------------------------------------------------------------------------------------------
 
-TYPES: list[Any] = []
-
 
 def _message(name: str, package: str, /, **members: Any) -> Any:
     """A message as Unitree's compiler makes it: it cannot grow, and its members are numbered in their order."""
-    TYPES.append(final(autoid("sequential")(make_idl_struct(name, f"{package}.msg.dds_.{name}_", members))))
-    return TYPES[-1]
+    return final(autoid("sequential")(make_idl_struct(name, f"{package}.msg.dds_.{name}_", members)))
 
 
 _GO, _API = "unitree_go", "unitree_api"
