@@ -13,9 +13,9 @@ things took and, where a worker was killed, the number of the attempt. Benchmark
 --data. Linux.
 
 --robot: whole processes walk a simulated Go2 in a circle over DDS at 0.5 m/s and 0.3 rad/s: the program (the live loop
-with its odometry, a recording, the steering), the guard, the detector (`colour`), and a camera with ten pictures per
-second, which arrive 0.1 s after their capture. Each is killed (SIGKILL), and frozen for 4 s (SIGSTOP); then the disk is
-full. The table has the seconds from then until nothing is commanded any more, and until the body is below 0.05 m/s and
+with its odometry, and the steering), the guard, the detector (`colour`), and a camera with ten pictures per
+second, which arrive 0.1 s after their capture. Each is killed (SIGKILL), and frozen for 4 s (SIGSTOP); then there is a
+recording, and the disk is full. The table has the seconds from then until nothing is commanded any more, and until the body is below 0.05 m/s and
 0.05 rad/s, by this machine's monotonic clock; the body has the dead time and the lag of a real Go2.
 
 Exit code 1 where something else is found than promised.
@@ -178,7 +178,7 @@ def program(domain: int, folder: str) -> None:
         odometer = Odometer(guard, lambda: loop.clock.now())
         loop = LiveLoop(
             lambda: DdsCamera(CAMERA_TOPIC, domain, "lo"), "colour", ["red chair"], watchers=[odometer],
-            poses=lambda: Go2Poses(domain, "lo"), record=Path(folder),
+            poses=lambda: Go2Poses(domain, "lo"), record=Path(folder) if folder else None,
         )  # fmt: skip
         said: set[str] = set()
         for step in steer(loop, guard, odometer, WalkSettings()):
@@ -213,27 +213,33 @@ def camera(domain: int, _: str) -> None:
 
 
 class Walk:
-    """The robot, and the processes that walk it, anew for each fault; a context manager. `pids`: by their names."""
+    """The robot, and the processes that walk it, anew for each fault; a context manager. `pids`: by their names.
+
+    `recorded`: whether the program keeps a recording; `told`: what it says.
+    """
+
+    def __init__(self, recorded: bool = False) -> None:
+        self.recorded = recorded
 
     def __enter__(self) -> Walk:
         from go2_peer import Simulated
-        from guard_driving import fast_enough, until
+        from guard_driving import fast_enough
 
         from eagor.robots.dds import free_domain
 
         with ExitStack() as stack:
             self.robot = stack.enter_context(Simulated(domain=free_domain()))
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="eagor-kills-"))
+            record = f"{folder}/walk" if self.recorded else ""
             for name in ("camera", "program"):
-                words = [sys.executable, __file__, "--part", name, str(self.robot.domain), f"{folder}/walk"]
+                words = [sys.executable, __file__, "--part", name, str(self.robot.domain), record]
                 process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
                 stack.callback(process.wait)
                 stack.callback(process.kill)
                 self.pids = {"camera": process.pid} if name == "camera" else self.pids | {"program": process.pid}
             self.told = process.stdout
             self.pids |= json.loads(self.told.readline())
-            until(lambda: self.robot.commanded(time.monotonic()) == (SPEED, 0.0, TURN))
-            fast_enough(self.robot, (SPEED, 0.0, TURN))
+            fast_enough(self.robot, (SPEED, 0.0, TURN), PATIENCE)
             self._stack = stack.pop_all()
         return self
 
@@ -266,7 +272,7 @@ def robot(repeats: int) -> None:
             values = (np.median(zero), zero.max(), np.median(standing), standing.max(), most)
             print(f"| {name} | {' | '.join(f'{value:.2f}' for value in values)} |", flush=True)
             late += [name] if zero.max() > most else []
-    with Walk() as walk:
+    with Walk(recorded=True) as walk:
         resource.prlimit(walk.pids["program"], resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
         words, begun = walk.told.readline().strip(), time.monotonic()
         time.sleep(3.0)

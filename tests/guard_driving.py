@@ -82,10 +82,13 @@ def until(what: Callable[[], Any], seconds: float = 60.0) -> Any:
     return found
 
 
-def fast_enough(robot: Any, full: tuple[float, float, float]) -> None:
+def fast_enough(robot: Any, full: tuple[float, float, float], seconds: float = 60.0) -> None:
     """Wait until the robot is told this velocity, and has come near it."""
-    until(lambda: robot.commanded(time.monotonic()) == full)
-    until(lambda: math.hypot(*robot.speeds[-1][1][:2]) > 0.9 * 0.8 * full[0])
+
+    def is_fast() -> bool:
+        return robot.commanded(time.monotonic()) == full and math.hypot(*robot.speeds[-1][1][:2]) > 0.72 * full[0]
+
+    until(is_fast, seconds)
 
 
 def measured(robot: Any, begun: float) -> Time:

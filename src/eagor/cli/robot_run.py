@@ -73,7 +73,7 @@ class RobotRun(Common):
     calm: Annotated[tuple[int, ...], bare("CODE ...")] = ()
     """Error codes of the robot that are no error: some firmware tells its mode there."""
     seconds: Annotated[float | None, bare("SECONDS")] = None
-    """Stop after this time (default: 120 with --sim, else at Ctrl-C)."""
+    """Stop after this time (default: 240 with --sim, else at Ctrl-C)."""
     stay: Flag = False
     """Go on when it has arrived: follow the thing if it moves (default: end 2 s after it has arrived)."""
     record: Annotated[Path | None, bare("DIR")] = None
@@ -116,7 +116,7 @@ DEADMEN = {
 RATE = 20.0  # answers, and so commands, per second
 THERE = 2.0  # seconds for which it has to have arrived
 QUIET, LOUD = 1.0, ("stopping", "latched")  # seconds between two lines; modes that are told at once
-LONGEST = 120.0  # seconds of a simulated walk
+LONGEST = 240.0  # seconds of a simulated walk: a busy machine needs many
 SWAY = 0.1  # metres: a robot that walks sways, so only what adds up is a way
 PICTURE, PICTURES = 128, 8.0  # rows of a simulated picture, and pictures per second
 REACH = 2.0  # metres from the body's centre at which no camera is any more: a Go2 is 0.7 m long
