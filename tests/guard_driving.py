@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,11 +40,11 @@ class Driver:
 
     def say(self, now: float) -> None:
         """One message."""
-        known = {"image_age": 0.15, "pose_age": 0.01, "belief_age": 0.5, "presence": 0.9, "faults": ()} | self.wrong
+        known = {"image_age": 0.15, "pose_age": 0.01, "look_age": 0.5, "presence": 0.9, "faults": ()} | self.wrong
         velocity = known.pop("velocity", self.velocity)
         if not self.mumbles:
-            self.guard.command(*velocity)
-        self.guard.status(**known)
+            self.guard.set_velocity(*velocity)
+        self.guard.report(**known)
 
     def _run(self):
         while not self._ended.wait(1 / RATE):
@@ -53,78 +53,16 @@ class Driver:
                     self.say(time.monotonic())
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A fault: `begin(driver, robot)` makes it, `end` takes it away; `detection`: seconds until it can be noticed.
-
-    `begin` may give the time (monotonic) at which the fault began, if that is later than the call.
-    """
-
-    begin: Callable[[Driver, Any], Any]
-    end: Callable[[Driver, Any], Any]
-    detection: float = 0.0
-
-
-def says(**wrong: Any) -> Trial:
-    """The program says something else than it should."""
-    return Trial(
-        lambda driver, robot: setattr(driver, "wrong", wrong), lambda driver, robot: setattr(driver, "wrong", {})
-    )
-
-
-def is_so(whose: str, name: str, value: Any, normal: Any, detection: float = 0.0) -> Trial:
-    """A field of the driver or of the robot has another value."""
-
-    def put(value: Any) -> Callable[[Driver, Any], Any]:
-        return lambda driver, robot: setattr(driver if whose == "driver" else robot, name, value)
-
-    return Trial(put(value), put(normal), detection)
-
-
-class Other:
-    """Somebody else who commands the robot, once."""
-
-    def begin(self, _: Driver, robot: Any) -> float:
-        self._link = Link(robot.domain, "lo")
-        client = SportClient(self._link, timeout=20.0)
+@contextmanager
+def other_commander(domain: int) -> Iterator[float]:
+    """Somebody else who commands the robot once, inside; when that was."""
+    with Link(domain, "lo") as link:
+        client = SportClient(link, timeout=20.0)
         assert client.wait(20)
         time.sleep(1.0)  # until the guard has found it as well
         begun = time.monotonic()
         assert client.move(0.2, 0.0, 0.0) == OK
-        return begun
-
-    def end(self, _: Driver, __: Any) -> None:
-        self._link.close()
-
-
-OTHER = Other()
-
-# What can go wrong while the guard itself lives. The seconds are those of `Limits`, after which it is a fault.
-TRIALS = {
-    "stale command": is_so("driver", "mumbles", True, False),
-    "stale image": says(image_age=1.01),
-    "no image": says(image_age=None),
-    "stale pose": says(pose_age=0.26),
-    "stale belief (perception hangs)": says(belief_age=3.01),
-    "presence too low": says(presence=0.3),
-    "NaN wanted": says(velocity=(math.nan, 0.0, 0.0)),
-    "NaN presence": says(presence=math.nan),
-    "NaN age": says(pose_age=math.nan),
-    "program hangs": is_so("driver", "silent", True, False, detection=0.25),
-    "program states a fault": says(faults=("the camera is unplugged",)),
-    "tilt": is_so("robot", "roll", 0.6, 0.0),
-    "error code": is_so("robot", "error_code", 7, 0),
-    "robot falls silent": is_so("robot", "mute", True, False, detection=0.1),
-    "robot's states come later and later": is_so("robot", "growing", 1.0, 0.0, detection=0.1),
-    "somebody else commands": Trial(OTHER.begin, OTHER.end),
-    "emergency stop": Trial(lambda driver, _: driver.guard.emergency(), lambda driver, _: driver.guard.reset()),
-    "stop": Trial(
-        lambda driver, _: (setattr(driver, "mumbles", True), driver.guard.stop()),
-        lambda driver, _: setattr(driver, "mumbles", False),
-    ),
-}
-# What only the tests' own robot can do: lean, fall silent, be slow.
-PEERS = ("tilt", "robot falls silent", "robot's states come later and later")
+        yield begun
 
 
 @dataclass(frozen=True)
@@ -144,22 +82,13 @@ def until(what: Callable[[], Any], seconds: float = 60.0) -> Any:
     return found
 
 
-def bring_to_speed(driver: Driver, robot: Any) -> None:
-    """Wait until the robot goes as fast as the driver wants."""
-    fast_enough(robot, driver.velocity)
-
-
-def fast_enough(robot: Any, full: tuple[float, float, float]) -> None:
+def fast_enough(robot: Any, full: tuple[float, float, float], seconds: float = 60.0) -> None:
     """Wait until the robot is told this velocity, and has come near it."""
-    until(lambda: robot.commanded(time.monotonic()) == full)
-    until(lambda: math.hypot(*robot.speeds[-1][1][:2]) > 0.9 * 0.8 * full[0])
 
+    def is_fast() -> bool:
+        return robot.commanded(time.monotonic()) == full and math.hypot(*robot.speeds[-1][1][:2]) > 0.72 * full[0]
 
-def begun_by(trial: Trial, driver: Driver, robot: Any) -> float:
-    """Make the fault; when it began."""
-    begun = time.monotonic()
-    said = trial.begin(driver, robot)
-    return said if isinstance(said, float) else begun
+    until(is_fast, seconds)
 
 
 def measured(robot: Any, begun: float) -> Time:

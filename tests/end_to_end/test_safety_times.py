@@ -1,4 +1,4 @@
-"""Over DDS, against a robot of the tests' own: the time from each fault to zero and to standing."""
+"""The guard over DDS, against a robot of the tests' own: each fault of a kind, and whoever is killed or frozen."""
 
 import math
 import os
@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,19 +17,19 @@ from eagor.robots.dds import free_domain
 pytest.importorskip("cyclonedds")
 
 from go2_peer import Peer, Simulated
-from guard_driving import PEERS, TRIALS, Driver, Time, begun_by, bring_to_speed, measured, until
+from guard_driving import Driver, Time, fast_enough, measured, other_commander, until
 
 from eagor.errors import DeviceError
 from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.limits import Limits
-from eagor.robots.safety.messages import GuardState
 
 pytestmark = pytest.mark.xdist_group("real time")
 
-ZERO = 0.5  # seconds from a fault to the command being zero, at most; 0.25 for a stale command
-QUICK = Limits(acceleration=4.0, turn_acceleration=4.0, settle=0.1)  # so that the tests are quick
+QUICK = Limits(acceleration=4.0, turn_acceleration=4.0)  # so that the tests are quick
 LONG = 180.0  # seconds for a guard to start on a busy machine
+ZERO, GUARD = 0.25, 0.5  # seconds from a fault, or from the end of the guard, to the command being zero
 COASTING = 1.0  # seconds that the body needs after that: 0.15 dead time, then a third of the speed each 0.33 s
+SLACK = 0.25  # seconds that this machine may be busy with something else
 TRIES = 8  # a busy machine holds processes up, so a trial that is late is repeated
 
 
@@ -38,171 +38,89 @@ def in_time(trial, zero=ZERO):
     late = []
     for _ in range(TRIES):
         took = trial()
-        if took.zero <= zero and took.standing <= zero + COASTING:
+        if took.zero <= zero + SLACK and took.standing <= zero + SLACK + COASTING:
             return
         late.append(took)
     pytest.fail(f"never in time: {late}")
 
 
+@contextmanager
+def driven(robot, remote=False, **options):
+    """A guard on the robot's domain, and a program that drives with it."""
+    guard = Guard(remote=remote, domain=robot.domain, interface="lo", limits=QUICK, patience=LONG, **options)
+    with guard, Driver(guard) as driver:
+        yield driver
+
+
 @pytest.fixture(scope="module")
-def driven():
-    domain = free_domain()
-    with (
-        Peer(domain=domain) as peer,
-        Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG) as guard,
-        Driver(guard) as driver,
-    ):
+def driving():
+    with Peer(domain=free_domain()) as peer, driven(peer, armed=True) as driver:
         yield driver, peer
 
 
+def stops_since(peer, begun):
+    return [told for told in peer.told if told.api_id == 1003 and told.when > begun]
+
+
 # Faults that the gate is only told of are one of a kind: tests/laws/test_safety_gate.py tries each of them.
-KINDS = (
-    "stale command", "stale image", "NaN wanted", "program hangs", "tilt", "robot falls silent",
-    "robot's states come later and later", "somebody else commands", "emergency stop", "stop",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "name", [name if name in KINDS else pytest.param(name, marks=pytest.mark.slow) for name in TRIALS]
-)
-def test_each_fault_stops_the_robot_in_time(driven, name):
-    driver, peer = driven
-    trial = TRIALS[name]
+@pytest.mark.parametrize(("whose", "name", "value", "normal", "words"), [
+    ("driver", "wrong", {"image_age": 0.51}, {}, "the newest picture is"),
+    ("driver", "wrong", {"velocity": (math.nan, 0.0, 0.0)}, {}, "not finite"),
+    ("driver", "wrong", {"faults": ("the camera is unplugged",)}, {}, "the camera is unplugged"),
+    ("driver", "mumbles", True, False, "the wanted velocity is"), ("driver", "silent", True, False, "the newest p"),
+    ("robot", "roll", 0.6, 0.0, "tilted"), ("robot", "error_code", 7, 0, "error code 7"),
+    ("robot", "mute", True, False, "state of the robot is"), ("robot", "growing", 1.0, 0.0, "state of the robot is"),
+    *(("robot", "mode", mode, 1, "the robot cannot walk: it is") for mode in (2, 5, 9)),
+])  # fmt: skip
+def test_each_fault_stops_the_robot_in_time(driving, whose, name, value, normal, words):
+    driver, peer = driving
 
     def once():
-        bring_to_speed(driver, peer)
-        begun = begun_by(trial, driver, peer)
+        fast_enough(peer, driver.velocity)
+        begun = time.monotonic()
+        setattr(driver if whose == "driver" else peer, name, value)
         try:
             took = measured(peer, begun)
-            if name in ("robot falls silent", "robot's states come later and later"):
+            until(lambda: any(words in reason for reason in driver.guard.state.reasons))
+            if name in ("mute", "growing"):
                 assert driver.guard.state.mode == "stopping"  # nobody knows whether it stands
             else:
-                until(lambda: driver.guard.state.mode in ("standing", "latched"))
-            assert driver.guard.state.reasons
+                until(lambda: driver.guard.state.mode == "standing")
         finally:
-            trial.end(driver, peer)
+            setattr(driver if whose == "driver" else peer, name, normal)
         until(lambda: driver.guard.state.mode == "armed")  # and it goes on when all is well again
         return took
 
     in_time(once)
 
 
-@pytest.fixture(scope="module")
-def simulated():
-    domain = free_domain()
-    guard = Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG)
-    with Simulated(domain=domain) as robot, guard, Driver(guard) as driver:
-        yield driver, robot
+def test_a_second_commander_stops_the_robot(driving):
+    driver, peer = driving
+    fast_enough(peer, driver.velocity)
+    with other_commander(peer.domain) as begun:
+        measured(peer, begun)
+        until(lambda: any("Move on rt/api/sport/request" in reason for reason in driver.guard.state.reasons))
 
 
-@pytest.mark.slow  # each fault is tried with the tests' own robot, too
-@pytest.mark.parametrize("name", [name for name in TRIALS if name not in PEERS])
-def test_the_simulated_go2_stops_in_time_too(simulated, name):
-    driver, robot = simulated
-    trial = TRIALS[name]
-
-    def once():
-        bring_to_speed(driver, robot)
-        begun = begun_by(trial, driver, robot)
-        try:
-            took = measured(robot, begun)
-            until(lambda: driver.guard.state.mode in ("standing", "latched"))
-        finally:
-            trial.end(driver, robot)
-        return took
-
-    in_time(once)
+def test_stopmove_comes_again_and_again_until_it_is_acknowledged(driving):
+    driver, peer = driving
+    fast_enough(peer, driver.velocity)
+    peer.deaf, begun = 4, time.monotonic()
+    driver.wrong = {"presence": 0.1}
+    measured(peer, begun)
+    driver.wrong = {}
+    assert len([told for told in peer.told if told.api_id == -1003 and told.when > begun]) == 4
 
 
-@pytest.mark.slow
-def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself():
-    domain = free_domain()
-    with Simulated(domain=domain) as robot:
-        server = robot.server
-        guard = Guard(
-            armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG, avoid=True
-        )
-        with guard, Driver(guard) as driver:
-            until(lambda: robot.moves)
-            assert all(server.avoid.values())
-            walked = [service for service, api_id, _ in server.requests if api_id in (1003, 1008)]
-            assert set(walked) == {"obstacles_avoid"}
-            begun = time.monotonic()
-            driver.wrong = {"presence": 0.1}
-            until(lambda: robot.still_since(begun))
-            until(lambda: driver.guard.state.mode == "standing")
-        assert not any(server.avoid.values())  # the remote control has its robot back
-
-
-@pytest.mark.slow
-def test_a_guard_that_is_killed_while_the_robot_avoids_obstacles_is_stood_in_for():
-    domain = free_domain()
-    with Simulated(domain=domain) as robot:
-        server = robot.server
-        guard = Guard(
-            armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG, avoid=True
-        )
-        with guard, Driver(guard):
-            until(lambda: robot.moves)
-            begun = time.monotonic()
-            os.kill(guard.pid, signal.SIGKILL)
-            until(lambda: robot.still_since(begun))
-            last = {service: (api_id, asked) for service, api_id, asked in server.requests}
-            assert last["sport"][0] == last["obstacles_avoid"][0] == 1003
-            assert (last["obstacles_avoid"][1]["x"], last["obstacles_avoid"][1]["yaw"]) == (0.0, 0.0)
-        assert not any(server.avoid.values())  # the remote control has its robot back
-
-
-def test_a_stale_command_is_zero_within_a_quarter_of_a_second(driven):
-    driver, peer = driven
-
-    def once():
-        bring_to_speed(driver, peer)
-        driver.mumbles = True
-        last = driver.guard._said["command"]
-        took = measured(peer, last)
-        driver.mumbles = False
-        return took
-
-    in_time(once, Limits().command_age + 0.05)  # and the way over DDS
-
-
-def test_stopmove_comes_again_and_again_until_it_is_acknowledged(driven):
-    driver, peer = driven
-
-    def once():
-        bring_to_speed(driver, peer)
-        peer.deaf = 4
-        begun = time.monotonic()
-        driver.wrong = {"presence": 0.1}
-        took = measured(peer, begun)
-        driver.wrong = {}
-        assert len([told for told in peer.told if told.api_id == -1003 and told.when > begun]) == 4
-        return took
-
-    in_time(once)
-
-
-CHILD = """
+PROGRAM = """
 import sys, time
 sys.path.insert(0, {tests!r})
 from guard_driving import Driver
-from eagor.robots.safety import Limits
 from eagor.robots.safety.guard import Guard
-QUICK = Limits(acceleration=4.0, turn_acceleration=4.0, settle=0.1)
-guard = Guard(armed=True, deadman="none", domain={domain}, interface="lo", limits=QUICK, patience={patience})
-with guard, Driver(guard):
+with Guard(armed=True, remote=False, domain={domain}, interface="lo", patience={patience}) as guard, Driver(guard):
     print(guard.pid, flush=True)
     time.sleep(120)
 """
-
-
-def program(domain):
-    """A program that drives, and the number of its guard's process."""
-    code = CHILD.format(tests=str(Path(__file__).parents[1]), domain=domain, patience=LONG)
-    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
-    assert child.stdout is not None
-    return child, int(child.stdout.readline())
 
 
 def gone(pid):
@@ -214,29 +132,24 @@ def gone(pid):
 
 
 @pytest.mark.parametrize(("whom", "how"), [
-    ("program", signal.SIGKILL), ("both", signal.SIGINT),
-    *(pytest.param(*each, marks=pytest.mark.slow) for each in [
-        ("guard", signal.SIGTERM), ("program", signal.SIGSTOP), ("program", signal.SIGTERM),
-        ("guard", signal.SIGINT), ("guard", signal.SIGHUP),
-    ]),
+    ("program", signal.SIGKILL), ("both", signal.SIGINT), ("program", signal.SIGSTOP),
+    *(pytest.param("guard", how, marks=pytest.mark.slow) for how in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)),
 ])  # fmt: skip
 def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_process(whom, how):
     def once():
-        domain = free_domain()
-        with Peer(domain=domain) as peer:
-            child, guard = program(domain)
+        with Peer(domain=free_domain()) as peer:
+            code = PROGRAM.format(tests=str(Path(__file__).parents[1]), domain=peer.domain, patience=LONG)
+            words = [sys.executable, "-c", code]
+            child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True)
             try:
-                until(lambda: peer.moves)
-                time.sleep(0.5)
-                until(lambda: any(peer.commanded(time.monotonic())))  # a busy machine may have stopped it just now
+                guard = int(child.stdout.readline())
+                fast_enough(peer, Driver.velocity)
                 begun = time.monotonic()
                 if whom == "both":
                     os.killpg(child.pid, how)
                 else:
                     os.kill(child.pid if whom == "program" else guard, how)
                 took = measured(peer, begun)
-                with suppress(AssertionError):
-                    until(lambda: stops_since(peer, begun), 5.0)
                 if not stops_since(peer, begun):  # or was about to
                     took = Time(math.inf, math.inf)
             finally:
@@ -249,116 +162,95 @@ def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_proc
     in_time(once)
 
 
-@pytest.fixture(
-    params=[
-        pytest.param((0.15, 0.0, 0.2), marks=pytest.mark.slow, id="slow"),
-        pytest.param((0.5, 0.0, 0.4), id="quick"),
-    ]
-)
-def driving(request):
-    """A robot that walks, the guard and the program that walk it."""
-    domain = free_domain()
-    with (
-        Peer(domain=domain) as peer,
-        Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG) as guard,
-        Driver(guard, request.param) as driver,
-    ):
-        bring_to_speed(driver, peer)
-        yield driver, peer
+def test_a_guard_that_is_killed_is_stood_in_for_and_told():
+    def once():
+        with Peer(domain=free_domain()) as peer, driven(peer, armed=True) as driver:
+            fast_enough(peer, driver.velocity)
+            begun = time.monotonic()
+            os.kill(driver.guard.pid, signal.SIGKILL)
+            took = measured(peer, begun)
+            assert stops_since(peer, begun)
+            with pytest.raises(DeviceError, match="the guard has ended; this program sent StopMove itself, and the ro"):
+                _ = driver.guard.state
+            return took
+
+    in_time(once, GUARD)
 
 
-def stops_since(peer, begun):
-    return [told for told in peer.told if told.api_id == 1003 and told.when > begun]
-
-
-def test_a_guard_that_is_killed_is_stood_in_for_by_the_program_which_hears_of_it(driving):
-    driver, peer = driving
-    begun = time.monotonic()
-    os.kill(driver.guard.pid, signal.SIGKILL)
-    measured(peer, begun)  # it comes to stand
-    assert stops_since(peer, begun)
-    with pytest.raises(DeviceError, match="the guard has ended; this program sent StopMove itself, and the robot ack"):
-        driver.say(time.monotonic())
-    with pytest.raises(DeviceError, match="the guard has ended; this program sent StopMove itself, and the robot ack"):
-        _ = driver.guard.state
-
-
-def test_a_guard_that_is_killed_and_a_robot_that_does_not_listen_is_said(driving):
-    driver, peer = driving
-    peer.deaf = 1000
-    os.kill(driver.guard.pid, signal.SIGKILL)
-
-    def say_until_the_pipe_is_closed():
-        for _ in range(500):
-            driver.say(time.monotonic())
-            time.sleep(0.01)
-
-    with pytest.raises(DeviceError, match="the robot acknowledged none: if none came, it walks on until its last Move"):
-        say_until_the_pipe_is_closed()
-
-
-@pytest.mark.slow
-def test_a_guard_that_is_frozen_is_stood_in_for_and_goes_on_afterwards(driving):
-    driver, peer = driving
-    guard, begun = driver.guard, time.monotonic()
-    os.kill(guard.pid, signal.SIGSTOP)
-    try:
-        measured(peer, begun)
-        assert stops_since(peer, begun)
-        with suppress(DeviceError):  # on a busy machine it may have been silent for too long by now
-            state = guard.state
-            assert state.mode == "stopping"
-            assert "this program sent StopMove itself, and the robot acknowledged it" in state.reasons[0]
-        for _ in range(200):  # more than a pipe holds: a guard that hangs holds up nobody
-            driver.say(time.monotonic())
-        time.sleep(max(0.0, begun + 3.0 - time.monotonic()))
-        with pytest.raises(DeviceError, match="has not said a word for "):
-            _ = guard.state
-    finally:
-        thawed = time.monotonic()
-        os.kill(guard.pid, signal.SIGCONT)
-    until(lambda: any(told.velocity and any(told.velocity) for told in peer.told if told.when > thawed))
-
-    def since():
-        return [told.api_id for told in peer.told if told.when > thawed and told.api_id in (1003, 1008)]
-
-    until(lambda: len(since()) >= 2)
-    assert 1003 in since()[:2]  # before anything else, except for what was just being sent
+def test_a_guard_that_is_frozen_is_stood_in_for_holds_up_nobody_and_goes_on_afterwards():
+    with Peer(domain=free_domain()) as peer, driven(peer, armed=True) as driver:
+        fast_enough(peer, driver.velocity)
+        guard, begun = driver.guard, time.monotonic()
+        os.kill(guard.pid, signal.SIGSTOP)
+        try:
+            measured(peer, begun)
+            assert stops_since(peer, begun)
+            for _ in range(2000):  # more than a pipe holds
+                driver.say(time.monotonic())
+            until(lambda: time.monotonic() > begun + 3.0)
+            with pytest.raises(DeviceError, match=r"has not said a word for .* StopMove itself, and the robot ackno"):
+                _ = guard.state
+        finally:
+            thawed = time.monotonic()
+            os.kill(guard.pid, signal.SIGCONT)
+        until(lambda: any(any(told.velocity or ()) for told in peer.told if told.when > thawed))
+        since = [told.api_id for told in peer.told if told.when > thawed and told.api_id in (1003, 1008)]
+        assert 1003 in since[:2]  # before anything else, except for what was just being sent
 
 
 def test_a_dry_run_says_what_it_would_do_and_has_no_voice():
-    domain, seen = free_domain(), []
-    with (
-        Peer(domain=domain) as peer,
-        Guard(deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG, watch=seen.append) as guard,
-        Driver(guard),
-    ):
-        until(lambda: guard.state.would is not None and guard.state.would.forward > 0.4)
-        assert guard.state.mode == "dry run"
+    with Peer(domain=free_domain()) as peer, driven(peer) as driver:
+        until(lambda: (driver.guard.state.velocity or (0.0,))[0] > 0.4)
+        assert driver.guard.state.mode == "dry run"
     assert peer.told == []
-    assert all(isinstance(state, GuardState) and state.sent is None and state.stops == 0 for state in seen)
+
+
+def test_a_robot_moves_while_l1_of_its_remote_control_is_held_and_b_latches():
+    with Peer(domain=free_domain()) as peer, driven(peer, armed=True, remote=True) as driver:
+        peer.pressed = frozenset({"R2"})
+        until(lambda: any("dead-man" in reason for reason in driver.guard.state.reasons))
+        time.sleep(0.7)
+        assert not peer.moves
+        peer.pressed = frozenset({"L1"})
+        until(lambda: peer.moves)
+        for released in (frozenset(), None):  # or the remote control is out of reach
+            begun, peer.pressed = time.monotonic(), released
+            measured(peer, begun)
+            peer.pressed = frozenset({"L1"})
+            until(lambda: peer.moves)
+        peer.pressed = frozenset({"L1", "B"})
+        until(lambda: driver.guard.state.mode == "latched")
+        peer.pressed = frozenset({"L1"})
+        time.sleep(0.7)
+        assert driver.guard.state.mode == "latched"
+        peer.pressed = frozenset({"L1", "start"})
+        until(lambda: peer.moves)
+
+
+def test_no_robot_no_interface_and_no_switch_are_said():
+    for interface in ("eth0", None):
+        with pytest.raises(DeviceError, match="may lead to a real robot"):
+            Guard(armed=True, remote=False, interface=interface)
+    for words, options in (("no robot is heard", {"interface": "lo"}), ("no network interface", {"interface": "eth7"})):
+        with pytest.raises(DeviceError, match=words), Guard(domain=free_domain(), patience=0.5, **options):
+            pass
 
 
 @pytest.mark.slow
-def test_a_robot_that_ignores_move_is_told_little():
-    domain = free_domain()
-    with (
-        Peer(domain=domain, stuck=True) as peer,
-        Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG) as guard,
-        Driver(guard),
-    ):
-        until(lambda: any("does not move" in reason for reason in guard.state.reasons))
-        until(lambda: peer.told[-1].velocity == (Limits().creep, 0.0, Limits().creep_turn))
-
-
-@pytest.mark.slow
-def test_a_robot_that_lies_is_not_told_to_walk():
-    domain = free_domain()
-    with (
-        Peer(domain=domain, mode=5) as peer,
-        Guard(armed=True, deadman="none", domain=domain, interface="lo", limits=QUICK, patience=LONG) as guard,
-        Driver(guard),
-    ):
-        until(lambda: any("lying" in reason for reason in guard.state.reasons))
-        time.sleep(1.0)
-        assert not [told for told in peer.told if told.api_id == 1008]
+@pytest.mark.parametrize("killed", [False, True])
+def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself(killed):
+    with Simulated(domain=free_domain()) as robot:
+        server = robot.server
+        with driven(robot, armed=True, avoid=True) as driver:
+            until(lambda: robot.moves)
+            assert all(server.avoid.values())
+            begun = time.monotonic()
+            if killed:
+                os.kill(driver.guard.pid, signal.SIGKILL)
+            else:
+                driver.wrong = {"presence": 0.1}
+            until(lambda: robot.still_since(begun))
+            last = {service: (api_id, asked) for service, api_id, asked in server.requests}
+            assert last["sport"][0] == last["obstacles_avoid"][0] == 1003
+            assert (last["obstacles_avoid"][1]["x"], last["obstacles_avoid"][1]["yaw"]) == (0.0, 0.0)
+        assert not any(server.avoid.values())  # the remote control has its robot back

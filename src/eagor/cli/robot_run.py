@@ -1,25 +1,23 @@
-"""``eagor robot run``: walk a Go2 to an object, through the safety gate, and leave a report."""
+"""``eagor robot run``: walk a Go2 to an object, through the safety gate."""
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from eagor._version import __version__
 from eagor.cli import terminal
 from eagor.cli.checks import (
     check_looks,
-    checked_folder,
     checked_latency,
     checked_query,
+    checked_record,
     checked_seconds,
     mask_of,
     perception_for,
@@ -28,16 +26,14 @@ from eagor.cli.checks import (
     wants_panoramas,
 )
 from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Static, Whole, bare
-from eagor.errors import DeviceError, EagorError
+from eagor.errors import DeviceError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from eagor.live.loop import LiveLoop
     from eagor.media import CameraSource
-    from eagor.robots.run_page import Plan, RobotPage, Sample
-    from eagor.robots.safety.limits import Limits
-    from eagor.robots.safety.walking import Step, WalkSettings
+    from eagor.robots.safety.walking import Step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,11 +51,10 @@ class RobotRun(Common):
     """A simulated Go2 in a built-in apartment, on this machine alone (interface lo, a free DDS domain)."""
     arm: Flag = False
     """Let the robot move. Somebody has to hold the dead-man switch."""
-    deadman: Annotated[Literal["key", "remote", "none"] | None, bare("SWITCH")] = None
+    deadman: Annotated[Literal["remote", "none"] | None, bare("SWITCH")] = None
     (
-        "What is held while it may move: key (the space bar of this terminal; x stops for good, r releases that), "
-        "remote (L1 of the robot's remote control; B stops for good, start releases that), none (only with --sim). "
-        "Default: key; with --sim none."
+        "What is held while it may move: remote (L1 of the robot's remote control; B stops for good, start releases "
+        "that), none (only for simulated robots). Default: remote; with --sim none."
     )
     source: Annotated[str | None, bare("SOURCE")] = None
     """The camera, as for `eagor live`: /dev/video0, rtsp://HOST/PATH, ros:/image_topic, ...; with --sim its own."""
@@ -77,17 +72,12 @@ class RobotRun(Common):
     """How far to walk while the distance is not known."""
     calm: Annotated[tuple[int, ...], bare("CODE ...")] = ()
     """Error codes of the robot that are no error: some firmware tells its mode there."""
-    belief_age: Annotated[float, arg(metavar="SECONDS")] = 3.0
-    (
-        "Age of the newest look beyond which it stands, at most: three usual intervals between looks are less for a "
-        "quick detector. A detector needs less than half of that per look."
-    )
     seconds: Annotated[float | None, bare("SECONDS")] = None
-    """Stop after this time (default: 120 with --sim, else at Ctrl-C)."""
+    """Stop after this time (default: 240 with --sim, else at Ctrl-C)."""
     stay: Flag = False
     """Go on when it has arrived: follow the thing if it moves (default: end 2 s after it has arrived)."""
-    report: Annotated[Path | None, bare("DIR")] = None
-    """Folder for report.html and run.json (default: eagor-walk with --sim, else none)."""
+    record: Annotated[Path | None, bare("DIR")] = None
+    """A new folder for a bag of all that happens: pictures, poses, answers (as for `eagor live`)."""
     perception: Annotated[str | None, bare("NAME")] = None
     """The detector: colour, coco, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
     patience: Annotated[float, arg(metavar="SECONDS")] = 10.0
@@ -119,12 +109,16 @@ class RobotRun(Common):
 
 
 ROS, INTERFACE = "ros:", "lo"
+DEADMEN = {
+    "remote": "hold L1 on the robot's remote control; B stops for good, start releases that",
+    "none": "nobody holds anything: only for a simulated robot",
+}
 RATE = 20.0  # answers, and so commands, per second
 THERE = 2.0  # seconds for which it has to have arrived
 QUIET, LOUD = 1.0, ("stopping", "latched")  # seconds between two lines; modes that are told at once
-HELD = 0.2  # of the time: a gate that held the robot for longer is named as a cause
-LONGEST = 120.0  # seconds of a simulated walk
-PICTURE, PICTURES = 128, 5.0  # rows of a simulated picture, and pictures per second
+LONGEST = 240.0  # seconds of a simulated walk: a busy machine needs many
+SWAY = 0.1  # metres: a robot that walks sways, so only what adds up is a way
+PICTURE, PICTURES = 128, 8.0  # rows of a simulated picture, and pictures per second
 REACH = 2.0  # metres from the body's centre at which no camera is any more: a Go2 is 0.7 m long
 FLOOR = 0.0  # metres: the odometry of a Go2 begins on the floor
 
@@ -142,17 +136,60 @@ class Place:
     camera: Callable[[], CameraSource]
     truth: Callable[[], tuple[np.ndarray, np.ndarray] | None] = lambda: None
     targets: Callable[[], np.ndarray | tuple[()]] = tuple
-    plan: Plan | None = None
+
+
+@dataclass
+class Summary:
+    """What is told at the end: why it ended, what the policy said last, seconds, metres by odometry, StopMove sent.
+
+    `errors`: angles between answer and truth while it was tracking, where the truth is known, degrees.
+    """
+
+    ended: str = "interrupted"
+    doing: str = ""
+    words: str = "there was no answer"
+    seconds: float = 0.0
+    metres: float = 0.0
+    stops: int = 0
+    errors: list[float] = field(default_factory=list)
+    mark: tuple[float, float] | None = None
+
+    def add(self, step: Step, seconds: float, place: Place) -> None:
+        """One answer, `seconds` after the start."""
+        import numpy as np
+
+        estimate, xy = step.answer.estimate, step.view.xy
+        self.doing, self.words, self.seconds, self.stops = (
+            step.command.doing, step.command.words, seconds, step.state.stops,
+        )  # fmt: skip
+        if xy is not None and (self.mark is None or math.dist(xy, self.mark) >= SWAY):
+            self.metres += 0.0 if self.mark is None else math.dist(xy, self.mark)
+            self.mark = xy
+        if (truth := place.truth()) is None or estimate.direction is None or estimate.status != "tracking":
+            return
+        (at, world_R_body), targets = truth, np.asarray(place.targets())
+        if len(targets):
+            ways = (targets - at) / np.linalg.norm(targets - at, axis=1, keepdims=True)
+            angles = np.arccos(np.clip(ways @ (world_R_body @ estimate.direction), -1, 1))
+            self.errors.append(math.degrees(float(angles.min())))
+
+    def tell(self, query: str, as_json: bool) -> None:
+        """Say it on stdout."""
+        from statistics import median
+
+        if as_json:
+            found = {"query": query, "ended": self.ended, "doing": self.doing, "words": self.words}
+            found |= {"seconds": self.seconds, "metres": self.metres, "stops": self.stops}
+            terminal.emit(found | {"median_error_deg": median(self.errors) if self.errors else None})
+        else:
+            print(f"{self.ended}: {self.words}; {self.metres:.2f} m in {self.seconds:.1f} s")
 
 
 def robot_run(options: RobotRun) -> int:
     """Run the command; returns its exit code."""
     from eagor.live.loop import LiveLoop
     from eagor.robots import Go2Poses
-    from eagor.robots.run_page import RobotPage
     from eagor.robots.safety.guard import Guard
-    from eagor.robots.safety.limits import Limits
-    from eagor.robots.safety.messages import DEADMEN
     from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 
     query = checked_query(options.query)
@@ -163,20 +200,17 @@ def robot_run(options: RobotRun) -> int:
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=FLOOR)
     mask = mask_of(options.mask)
-    folder = options.report or (Path("eagor-walk") if options.sim else None)
-    if folder is not None:
-        checked_folder(folder, "--report")
-    deadman = options.deadman or ("none" if options.sim or not options.arm else "key")
-    limits = replace(Limits(), belief_age=options.belief_age, calm_codes=(0, *options.calm))
+    deadman = options.deadman or ("none" if options.sim or not options.arm else "remote")
     walking = WalkSettings(distance=options.distance, speed=options.speed, blind=options.blind)
     loops: list[LiveLoop] = []
-    # As soon as the loop ends, nothing stops the cleanup and the report any more.
+    summary = Summary()
+    # As soon as the loop ends, nothing stops the cleanup any more.
     with terminal.unhurried(lambda: any(each.stopped for each in loops)), ExitStack() as stack:
         place = stack.enter_context(_simulated(options, query, spec) if options.sim else _real(options, spec))
         guard = stack.enter_context(
             Guard(
-                armed=options.arm, deadman=deadman, limits=limits, domain=place.domain, interface=place.interface,
-                avoid=options.avoid,
+                armed=options.arm, remote=deadman == "remote", domain=place.domain, interface=place.interface,
+                avoid=options.avoid, ignored_codes=(0, *options.calm),
             )
         )  # fmt: skip
         loop: LiveLoop
@@ -184,41 +218,32 @@ def robot_run(options: RobotRun) -> int:
         loop = LiveLoop(
             place.camera, spec, [query], config=config, rate=RATE, patience=options.patience, mask=mask,
             poses=lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount),
-            watchers=[odometer],
+            record=options.record, watchers=[odometer],
         )  # fmt: skip
         loops.append(loop)
-        used = {
-            "robot": "simulated Go2" if options.sim else "Go2", "perception": spec,
-            "dead-man switch": f"{deadman}: {DEADMEN[deadman]}", "armed": "yes" if options.arm else "no (dry run)",
-            "distance": f"{options.distance:g} m", "version": f"eagor {__version__}",
-        }  # fmt: skip
-        page = RobotPage(query, used, place.plan)
-        terminal.log("armed: " + DEADMEN[deadman] if options.arm else "dry run: nothing is commanded (--arm moves it)")
-        why, report = None, None
+        terminal.log(f"armed: {DEADMEN[deadman]}" if options.arm else "dry run: nothing is commanded (--arm moves it)")
         try:
-            why = _walk(options, steer(loop, guard, odometer, walking), page, place)
-        except KeyboardInterrupt:
-            why = "interrupted"
-            raise
+            _walk(options, steer(loop, guard, odometer, walking), summary, place)
         except DeviceError as error:  # the guard has ended, or hangs: it was there, so no option is wrong
+            summary.ended = "failed"
             raise terminal.RunError(str(error)) from error
         finally:
             with suppress(DeviceError):  # Ctrl-C in a terminal ends the guard as well
-                guard.stop()
+                guard.set_velocity(0.0, 0.0, 0.0)
             loop.stop()
-            if folder is not None and page.samples:
-                if why == "interrupted":
-                    terminal.log("interrupted; writing the report")
-                report = _leave(folder, page, options, walking, limits, why)
-            if why is not None:
-                _tell(options, page, report, why)
-    return _end(options, page, why, lost=folder is not None and report is None)
+            summary.tell(query, options.json)
+    if not summary.seconds:
+        raise terminal.RunError("there was no answer")
+    if summary.ended == "time" and options.sim and options.arm and summary.doing != "arrived":
+        raise terminal.RunError(f"it did not get there in {summary.seconds:.0f} s: {summary.words}")
+    return terminal.INCOMPLETE if loop.recording_problem else terminal.OK
 
 
 def _check(options: RobotRun) -> None:
     """Raise `UsageError` for what cannot be, before anything is started."""
     from eagor.robots.safety.limits import Limits
 
+    checked_record(options.record)
     if options.sim:
         if options.source is not None or options.interface is not None:
             raise terminal.UsageError("--sim brings its own camera and network: leave out --source and --interface")
@@ -261,11 +286,10 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
     lenses: dict[str, Any] = {"rows": rows_for(spec, options.rows), "rig": rig, "stitched": stitched}
 
     def camera() -> CameraSource:
-        if source.startswith(ROS):  # on the robot's network, not on that of the environment
+        if source.startswith(ROS):
             from eagor.robots.ros import RosCamera
 
-            network = {"domain": options.domain, "interface": options.interface}
-            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, **lenses, **network)
+            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, **lenses)
         found = open_camera(source, latency=options.latency, **lenses)
         if not found.live:
             found.close()
@@ -277,158 +301,42 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 
 @contextmanager
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
-    import numpy as np
-
-    from eagor.robots.go2.house import CameraSettings
-    from eagor.robots.go2.sim import CAMERA, Rehearsal, SimSettings, SimulatedGo2, clear_start
-    from eagor.robots.ros import RosCamera
-    from eagor.robots.run_page import Plan
+    from eagor.robots.go2.camera import DdsCamera
+    from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings
+    from eagor.robots.go2.sim import Rehearsal, SimSettings
 
     rows = rows_for(spec, options.rows, PICTURE)
     camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)
     start = options.start and (*options.start[:2], math.radians(options.start[2]))
-    settings = SimSettings(options.world, options.seed, query, start=start, camera=camera)
-    twin = SimulatedGo2(settings)  # knows where things are before the robot starts
-    house = twin.house
-    assert house is not None
-    if settings.start is None:
-        settings = replace(settings, start=clear_start(house, twin.targets, np.random.default_rng(options.seed)))
     terminal.log("the simulated robot starts")
-    with Rehearsal(settings) as robot:
+    with Rehearsal(SimSettings(options.world, options.seed, query, start=start, camera=camera)) as robot:
         terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
-        ground = house.ground
-        places = [(float(thing.centre[0]), float(thing.centre[1])) for thing in twin.targets]
-        plan = Plan(
-            ground.free, ground.structure, (float(ground.origin[0]), float(ground.origin[1])), ground.cell, places
-        )
         # Its stamps are those of capture.
         yield Place(
-            robot.domain,
-            INTERFACE,
-            lambda: RosCamera(CAMERA.partition(":")[2], domain=robot.domain, interface=INTERFACE, rows=rows),
-            robot.truth,
+            robot.domain, INTERFACE, lambda: DdsCamera(CAMERA_TOPIC, robot.domain, INTERFACE, rows), robot.truth,
             robot.targets,
-            plan,
-        )
+        )  # fmt: skip
 
 
-def _walk(options: RobotRun, steps: Iterator[Step], page: RobotPage, place: Place) -> str:
-    """Walk until it is over; why it is."""
-    from eagor.robots.safety.gate import ZERO
-
+def _walk(options: RobotRun, steps: Iterator[Step], summary: Summary, place: Place) -> None:
+    """Walk until it is over."""
     begun, there, said, spoke = time.monotonic(), None, None, -math.inf
     longest = options.seconds or (LONGEST if options.sim else math.inf)
     for step in steps:
         now = time.monotonic()
-        sample = _sample(step, now - begun, place)
-        frame = step.frame
-        picture, grid = (None, None) if frame is None else (frame.picture, frame.grid)
-        page.add(sample, picture, step.answer.estimate, grid)
+        summary.add(step, now - begun, place)
+        mode, command = step.state.mode, step.command
         # Where the gate has no objection, why it stands is what the policy says.
-        why = (sample.words,) if sample.reasons == (ZERO,) else sample.reasons
-        words = f"{sample.mode}, {sample.doing}: {'; '.join(why) or sample.words}"
-        told = sample.mode, sample.doing, why[:1] and why[0][:12]  # no numbers, which change all the time
-        if told != said and (now - spoke >= QUIET or sample.mode in LOUD):
+        why = step.state.reasons or (command.words,)
+        told = mode, command.doing, why[0].partition(":")[0][:16]  # no numbers, which change all the time
+        if told != said and (now - spoke >= QUIET or mode in LOUD):
             said, spoke = told, now
-            terminal.log(f"{sample.time:6.2f} s  {words}")
-        there = (there or now) if sample.doing == "arrived" else None
+            terminal.log(f"{now - begun:6.2f} s  {mode}, {command.doing}: {'; '.join(why)}")
+        there = (there or now) if command.doing == "arrived" else None
         if there is not None and now - there >= THERE and not options.stay:
-            return "arrived"
+            summary.ended = "arrived"
+            return
         if now - begun >= longest:
-            return "time"
-    return "ended"
-
-
-def _sample(step: Step, seconds: float, place: Place) -> Sample:
-    import numpy as np
-
-    from eagor.robots.run_page import Sample
-
-    estimate, state = step.answer.estimate, step.state
-    known = estimate.direction is not None
-    far = step.sight.distance if step.sight.distance is not None and math.isfinite(step.sight.distance) else None
-    error, true_xy = None, None
-    if (truth := place.truth()) is not None:
-        at, world_R_body = truth
-        true_xy = float(at[0]), float(at[1])
-        targets = np.asarray(place.targets())
-        if estimate.direction is not None and len(targets):
-            ways = (targets - at) / np.linalg.norm(targets - at, axis=1, keepdims=True)
-            error = float(np.arccos(np.clip(ways @ (world_R_body @ estimate.direction), -1, 1)).min())
-    return Sample(
-        seconds, estimate.status, estimate.presence, estimate.azimuth, estimate.credible_angle if known else None,
-        far, step.wish.doing, step.wish.words, step.wish.velocity.parts,
-        None if state.sent is None else state.sent.parts, state.stops, state.mode, state.reasons, state.speed,
-        state.turn, step.sight.xy, step.sight.yaw or 0.0, true_xy, error,
-    )  # fmt: skip
-
-
-def _leave(
-    folder: Path, page: RobotPage, options: RobotRun, walking: WalkSettings, limits: Limits, why: str | None
-) -> Path | None:
-    """The report: report.html and run.json. None if they cannot be written, which is said.
-
-    That raises nothing: what ended the walk matters more.
-    """
-    from eagor._files import written
-    from eagor.robots.run_page import summary
-
-    record = {
-        "query": options.query, "ended": why, "armed": options.arm, "simulated": options.sim, "used": page.used,
-        "summary": summary(page.samples), "walking": asdict(walking), "limits": asdict(limits),
-        "samples": [_plain(asdict(sample)) for sample in page.samples],
-    }  # fmt: skip
-    try:
-        written(folder / "run.json", json.dumps(record, ensure_ascii=False, allow_nan=False))
-        report = page.write(folder / "report.html")
-    except (EagorError, OSError) as error:
-        terminal.error(f"no report: {error}")
-        return None
-    terminal.log(f"report: {report}")
-    return report
-
-
-def _plain(value: Any) -> Any:
-    """Numbers that are not finite as None, and none longer than it needs to be."""
-    if isinstance(value, float):
-        return round(value, 5) if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value
-
-
-def _held(page: RobotPage) -> str:
-    """For how long the gate did not let it go, and why at last; nothing if that was short."""
-    samples = page.samples
-    held = [each for each in samples if any(each.wanted) and each.mode != "armed" and each.reasons]
-    if len(held) < HELD * len(samples):
-        return ""
-    share, why = len(held) / len(samples), held[-1].reasons[0]
-    return (
-        f"; for {100 * share:.0f} % of the time the gate held it, last because {why}. "
-        "Where ages are too high, this machine is too slow or too busy for the simulation"
-    )
-
-
-def _tell(options: RobotRun, page: RobotPage, report: Path | None, why: str) -> None:
-    """Say on stdout how it ended."""
-    from eagor.robots.run_page import summary
-
-    facts, last = summary(page.samples), page.samples[-1].words if page.samples else "there was no answer"
-    if options.json:
-        where = None if report is None else str(report)
-        terminal.emit({"query": options.query, "ended": why, "report": where, "at_the_end": last} | facts)
-    elif facts:
-        print(f"{why}: {last}; {facts['metres']:.2f} m in {facts['seconds']:.1f} s")
-
-
-def _end(options: RobotRun, page: RobotPage, why: str | None, lost: bool) -> int:
-    """The exit code; `lost`: there should be a report, and is none."""
-    if not page.samples:
-        raise terminal.RunError("there was no answer")
-    seconds, last = page.samples[-1].time - page.samples[0].time, page.samples[-1]
-    if why == "time" and options.sim and options.arm and last.doing != "arrived":
-        raise terminal.RunError(f"it did not get there in {seconds:.0f} s: {last.words}{_held(page)}")
-    return terminal.FAILED if lost else terminal.OK
+            summary.ended = "time"
+            return
+    summary.ended = "ended"

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from eagor.robots.safety.gate import Gate, Mode, Output, State
-from eagor.robots.safety.limits import Body, Fault, Inputs, Limits, Velocity
+from eagor.robots.safety.limits import Inputs, Limits, RobotState, Velocity
 
-__all__ = ["Body", "Fault", "Gate", "Inputs", "Limits", "Mode", "Output", "State", "Velocity"]
+__all__ = ["Gate", "Inputs", "Limits", "Mode", "Output", "RobotState", "State", "Velocity"]

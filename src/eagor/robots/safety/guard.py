@@ -2,78 +2,79 @@
 
 That process, ``python -m eagor.robots.safety.guard``, alone sends velocities. It steps the gate on the monotonic clock,
 reads the robot's state itself, and ends by StopMove when it is interrupted, when its parent ends however that happens,
-and on errors of its own. What speaks to the robot (`eagor.robots.safety.body`) is imported when it is needed: a process
-starts quickly, and one that only watches holds little.
+and on errors of its own. Over a pipe the program says all that it knows, as plain data, and the process answers each
+word with what the gate did: so none waits for one that is frozen, and each notices when the other is.
 """
 
 from __future__ import annotations
 
-import itertools
-import os
-import select
+import math
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
-from dataclasses import replace
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any, Self
 
 from eagor import errors
 from eagor.errors import DeviceError, EagorError
-from eagor.robots.safety.gate import Gate, Mode, Output, State, Stop
-from eagor.robots.safety.limits import Inputs, Limits
-from eagor.robots.safety.messages import (
-    EMERGENCY,
-    HOLD,
-    REASONS,
-    RELEASE,
-    WORDS,
-    Deadman,
-    GateClient,
-    GuardSettings,
-    GuardState,
-    HeldKey,
-    Keys,
-    LineReader,
-    Terminal,
-    as_line,
-    checked_deadman,
-    cut,
-    inputs_from,
-    read_now,
-    write_now,
-)
+from eagor.media.clocks import Lateness
+from eagor.robots.dds import Link
+from eagor.robots.go2.sport import OK, AvoidClient, ForeignCommands, SportClient, in_words
+from eagor.robots.go2.state import MODES, BodyState, Go2Low, Go2State
+from eagor.robots.safety.gate import PERIOD, SILENCE, Gate, Mode, State, Stop
+from eagor.robots.safety.limits import Inputs, Limits, RobotState, Velocity
 
-if TYPE_CHECKING:
-    from eagor.robots.safety.body import Go2Body, Standby
-
-__all__ = ["Guard", "Watch", "main"]
+__all__ = ["GateStatus", "Guard", "main"]
 
 STARTING = 60.0  # seconds beyond its patience for the process to start, on a busy machine
 ENDING = 6.0  # seconds for it to end: it stops the robot first
 HANGS = 2.0  # seconds without a word from it after which it is given up
-STANDING_IN = 3.0  # seconds for which this process sends StopMove to a robot that acknowledges none
+STANDING_IN = 3.0  # seconds for which StopMove is sent to a robot that acknowledges none
+PATIENCE = 0.1  # seconds until a StopMove counts as not acknowledged; others follow at once, or are on their way
+AT_ONCE = 4  # StopMove that may wait for their answers
+READY = 5.0  # seconds that commands before the first move may take
+FOREIGN = 2.0  # seconds for which the robot stands after a command of somebody else
+HELD, EMERGENCY, RELEASE, UNHEARD = "L1", "B", "start", 0.2  # of the remote control; seconds for which it counts
+
+# The modes (`MODES`) in which a Go2 stands on its feet or walks, and heeds Move: idle (its default stand), standing,
+# walking. In all others it lies, sits, is limp, gets up, poses, or has its joints locked; 9 and those that Unitree
+# documents as jumps and flips (11 to 13) are no ground to walk from.
+LOCKED, ABLE = 6, (0, 1, 3)
 
 
-class Guard(GateClient):
+@dataclass(frozen=True)
+class GateStatus:
+    """What the gate did at its last step.
+
+    `velocity`: what was sent (m/s forward, m/s left, rad/s), in a dry run what would have been; None: none. `stops`:
+    StopMove sent so far. `reasons`: why the robot does not do what is wanted, in words.
+    """
+
+    mode: Mode
+    velocity: tuple[float, float, float] | None = None
+    stops: int = 0
+    reasons: tuple[str, ...] = ()
+
+
+class Guard:
     """The only way from a program to a Go2's legs; a context manager, which stops the robot when it is left.
 
     - `armed`: False is a dry run: the guard says what it would do, and never commands.
-    - `deadman`: what somebody holds while the robot may move: "key" (the space bar of this terminal), "remote" (L1 of
-      the robot's remote control), or "none", which only a simulated robot on the interface "lo" allows.
-    - `limits`: see there. `domain`, `interface`: of DDS. `avoid`: the robot walks around obstacles by itself.
-    - `watch(state)`: called after every step of the gate, 50 times a second, in a thread.
+    - `remote`: the robot moves only while somebody holds L1 of its remote control; B stops for good, start releases
+      that. False is for a simulated robot on the interface "lo".
+    - `limits`, `ignored_codes`: of the `Gate`; `domain`, `interface`: of DDS; `avoid`: the robot walks around obstacles
+      by itself; `patience`: seconds for the robot to be heard at first.
 
-    Call `command` and `status` again and again: the robot stands as soon as they are older than the limits. A program
-    that hangs, or is killed, leaves a robot that stands. The other way round a thread of the program watches the
-    guard's process: if that ends, or says nothing for `Limits.silence`, the thread sends StopMove itself, over a
-    connection that was opened beforehand (`eagor.robots.safety.body`). If both processes are gone or frozen, nobody
-    sends anything any more; a Go2 then walks on until its last Move expires, which takes 1 to 2 s.
-
+    Call `set_velocity` and `report` again and again: the robot stands as soon as they are older than the limits. If the
+    process ends, or says nothing for `SILENCE`, a thread of the program sends StopMove itself. If both are gone or
+    frozen, nobody sends anything; a Go2 then walks on until its last Move expires, which takes 1 to 2 s.
     Raises `DeviceError` if there is no robot or no switch.
     """
 
@@ -81,345 +82,330 @@ class Guard(GateClient):
         self,
         *,
         armed: bool = False,
-        deadman: Deadman = "key",
+        remote: bool = True,
         limits: Limits | None = None,
         domain: int = 0,
         interface: str | None = None,
         avoid: bool = False,
+        ignored_codes: tuple[int, ...] = (0,),
         patience: float = 10.0,
-        watch: Callable[[GuardState], Any] | None = None,
     ) -> None:
-        self.armed, self.limits = armed, limits or Limits()
-        deadman = checked_deadman(deadman, armed, interface)
-        if not armed and deadman == "key" and not sys.stdin.isatty():
-            deadman = "none"  # a dry run needs no switch
-        self._settings = GuardSettings(armed, deadman, domain, interface, avoid, patience, self.limits)
-        self._watch = watch
+        if armed and not remote and interface != "lo":
+            raise DeviceError(
+                f"without a dead-man switch, but {interface or 'an automatic interface'} may lead to a real robot: "
+                "somebody has to hold L1 of its remote control (a simulated robot is on the interface lo)"
+            )
+        self._settings: dict[str, Any] = {
+            "armed": armed, "remote": remote, "network": (domain, interface), "avoid": avoid,
+            "ignored_codes": ignored_codes, "patience": patience, "limits": asdict(limits or Limits()),
+        }  # fmt: skip
         # All that this program knows now: every message says all of it, so that none is missed.
         self._said: dict[str, Any] = {}
-        self._resets = itertools.count(1)
-        self._turn = threading.Lock()
+        self._turn, self._leaving = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="guard", daemon=True)
         self._process: subprocess.Popen[bytes] | None = None
-        self._out = -1
-        self._state: GuardState | None = None
+        self._link: Link | None = None  # a dry run has no voice, not even for StopMove
+        self._stood_in = False  # whether the robot acknowledged a StopMove of this program
+        self._state: GateStatus | None = None
         self._error: EagorError | None = None
-        self._heard = threading.Event()
-        self._standby: Standby | None = None
+        self._silent: float | None = None  # since when nothing was heard, if that is too long
 
     def __enter__(self) -> Self:
-        if self.armed:  # a dry run has no voice, not even for StopMove
-            from eagor.robots.safety.body import Standby
-
-            settings = self._settings
-            self._standby = Standby(settings.domain, settings.interface, avoid=settings.avoid)
-        self._terminal = Terminal() if self._settings.deadman == "key" else None
-        inlet, self._out = os.pipe()
-        there, outlet = os.pipe()
-        os.set_blocking(inlet, False)
-        os.set_blocking(self._out, False)
-        os.set_blocking(outlet, False)
-        command = [sys.executable, "-m", "eagor.robots.safety.guard", self._settings.to_json()]
+        settings, patience = self._settings, self._settings["patience"]
+        self._line, there = Pipe()
+        command = [sys.executable, "-m", "eagor.robots.safety.guard", str(there.fileno())]
         try:
-            self._process = subprocess.Popen(
-                [*command, str(inlet), str(outlet)], pass_fds=(inlet, outlet), stdin=subprocess.DEVNULL
-            )
-        finally:
-            os.close(inlet)
-            os.close(outlet)
-        self._thread = threading.Thread(target=self._listen, args=(there,), name="guard", daemon=True)
-        self._thread.start()
-        self._heard.wait(self._settings.patience + STARTING)
-        if self._state is None:
-            code = self._process.poll()
-            code = "it does not answer" if code is None else f"exit code {code}"
-            self.close()
-            raise self._error or DeviceError(
-                f"the guard's process ended before its first step ({code}); its words, if any, are above"
-            )
-        if self._standby is not None:
-            try:
-                self._standby.wait(self._settings.patience)
-            except DeviceError:
-                self.close()
-                raise
+            if settings["armed"]:
+                self._link = Link(*settings["network"])
+                self._voice = Voice(self._link, settings["avoid"])
+            self._process = subprocess.Popen(command, pass_fds=[there.fileno()], stdin=subprocess.DEVNULL)
+            self.pid = self._process.pid
+            there.close()
+            with suppress(OSError, EOFError):
+                self._line.send(settings)
+                self._line.send(self._said)
+                if self._line.poll(patience + STARTING):
+                    self._take(self._line.recv())
+            if self._state is None:
+                raise self._error or DeviceError("the guard's process ended before its first step; its words are above")
+            if self._link is not None and not self._voice.sport.wait(patience):
+                raise DeviceError("the robot does not listen to this program, which sends StopMove if the guard ends")
+            self._thread.start()
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    def __exit__(self, *_: object) -> None:
+        """Stop the robot and end the process."""
+        self._leaving.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._line.close()  # which tells the process to end
+        process, self._process = self._process, None
+        if process is not None:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(ENDING)
+            process.kill()
+            process.wait()
+        if self._link is not None:
+            if self._stood_in:  # whoever turned the avoidance of obstacles on may be gone
+                self._voice.end()
+            self._link.close()
 
     @property
-    def state(self) -> GuardState:
-        """What the guard did at its last step; while it says nothing, that and what this process does instead.
+    def state(self) -> GateStatus:
+        """What the gate did at its last step; while it says nothing, that and what this process does instead.
 
         Raises `DeviceError` if it has ended, or hangs.
         """
-        if self._state is None or self._process is None or self._process.poll() is not None:
-            raise self._end()
-        if (silent := time.monotonic() - self._state.time) <= self.limits.silence:
+        doing = "this program sent StopMove itself, " + (
+            "and the robot acknowledged it" if self._stood_in else "not acknowledged yet: Move expires after 1 to 2 s"
+        )
+        if self._state is None or not self._thread.is_alive():
+            raise self._error or DeviceError(f"the guard has ended; {doing}. Start the program again")
+        if self._silent is None:
             return self._state
-        words = f"the guard has not said a word for {silent:.1f} s; {self._instead()}"
+        silent = time.monotonic() - self._silent
+        words = f"the guard has not said a word for {silent:.1f} s; {doing}"
         if silent > HANGS:
             raise DeviceError(f"{words}. This machine may be too busy. Start the program again")
-        mode = Mode.STOPPING if self.armed else self._state.mode
-        return replace(self._state, mode=mode, sent=None, faults=(("guard", words),), remarks=())
+        mode = self._state.mode if self._link is None else Mode.STOPPING
+        return replace(self._state, mode=mode, velocity=None, reasons=(words,))
 
-    def _end(self) -> EagorError:
-        """Why there is no guard any more, and what stops the robot."""
-        if self._process is not None and threading.current_thread() is not self._thread:
-            self._thread.join(STANDING_IN)
-        return self._error or DeviceError(f"the guard has ended; {self._instead()}. Start the program again")
+    def set_velocity(self, forward: float, left: float, turn: float) -> None:
+        """The wanted velocity from now on, for `Limits.command_age` seconds: m/s, m/s, rad/s (left is positive)."""
+        self._say(wanted=(float(forward), float(left), float(turn)), command=time.monotonic())
 
-    def _instead(self) -> str:
-        """What stops the robot while the guard does not, in words."""
-        if (standby := self._standby) is None:
-            return "it was a dry run, which commanded nothing"
-        if standby.acknowledged:
-            return "this program sent StopMove itself, and the robot acknowledged it"
-        return (
-            f"this program sent StopMove itself {standby.sent} times, and the robot acknowledged none: if none came, "
-            "it walks on until its last Move expires, 1 to 2 s after it was sent"
-        )
+    def report(
+        self,
+        *,
+        image_age: float | None,
+        pose_age: float | None,
+        look_age: float | None,
+        presence: float | None,
+        faults: tuple[str, ...] = (),
+    ) -> None:
+        """What the program knows now; ages in seconds since capture, None or infinite: nothing came yet.
 
-    @property
-    def pid(self) -> int:
-        """The number of the guard's process."""
-        assert self._process is not None
-        return self._process.pid
+        `faults`: what is wrong, in words; the robot stands while there are any.
+        """
+        self._say(
+            image=_stamp_of(image_age), pose=_stamp_of(pose_age), look=_stamp_of(look_age),
+            presence=None if presence is None else float(presence), stated=tuple(map(str, faults)),
+        )  # fmt: skip
 
-    def stop(self) -> None:
-        """Stand, until the next `command`."""
-        self._say(wanted=None, command=None)
-
-    def emergency(self) -> None:
-        """The emergency stop: nothing but `reset` leads out."""
-        self._say(emergency=True)
-
-    def reset(self) -> None:
-        """Release the emergency stop. The robot moves again after `Limits.settle` seconds, if it is commanded."""
-        self._say(emergency=False, resets=next(self._resets))
-
-    def close(self) -> None:
-        """Stop the robot and end the process. May be called twice."""
-        process, self._process = self._process, None
-        if process is None:
-            self._let_go()
-            return
-        with suppress(BrokenPipeError):
-            write_now(self._out, as_line({"end": "the program ends"}))
-        os.close(self._out)  # the end of the pipe says it too
-        try:
-            process.wait(ENDING)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        self._thread.join(STANDING_IN)
-        self._let_go()
-        if self._terminal is not None:
-            self._terminal.restore()
-
-    def _let_go(self) -> None:
-        standby, self._standby = self._standby, None
-        if standby is not None:
-            with standby:
-                pass
+    def pose(self, age: float) -> None:
+        """A pose that was true `age` seconds ago has come; between two calls of `report`."""
+        self._say(pose=_stamp_of(age))
 
     def _say(self, **news: Any) -> None:
-        """Write all that is known, with these news. A guard that does not read hangs, which the thread notices."""
+        """Let the thread tell this at once, beside all that was said before."""
         with self._turn:
-            if self._process is None:
-                raise DeviceError("the guard is not running: use it in a with statement")
-            self._said |= news
-            try:
-                stated = [cut(text, WORDS) for text in self._said.get("stated", ())[:REASONS]]
-                write_now(self._out, as_line(self._said | {"stated": stated, "heartbeat": time.monotonic()}))
-            except BrokenPipeError:
-                raise self._end() from None
+            self._said = self._said | news
 
-    def _listen(self, there: int) -> None:
-        """Take what the process says, in a thread, until it ends; stop the robot while it says nothing."""
-        reader, ended = LineReader(), False
-        try:
-            while not ended:
-                if select.select([there], [], [], self._left())[0]:
-                    data = os.read(there, 65536)
-                    ended = not data
-                    for message in reader.feed(data):
-                        self._take(message)
-                elif self._stand_in():
-                    select.select([there], [], [])  # until it has a word again
-        finally:
-            os.close(there)
-            self._heard.set()
-            if self._state is not None and self._process is not None:  # it was not told to end
-                end = time.monotonic() + STANDING_IN
-                while not self._stand_in() and time.monotonic() < end:
-                    pass
-
-    def _left(self) -> float | None:
-        """Seconds until the guard has been silent for too long; None before its first word.
-
-        At least two steps of the gate: this process may have been away itself, and the pipe may hold old words.
-        """
-        if self._state is None:
-            return None
-        return max(2 * self.limits.period, self._state.time + self.limits.silence - time.monotonic())
-
-    def _stand_in(self) -> bool:
-        """Send StopMove in the guard's stead; whether the robot acknowledged it, or was never commanded."""
-        return self._standby is None or self._standby.stop()
+    def _listen(self) -> None:
+        """Tell the process what is known, and hear what it does, in a thread; stop the robot when it is silent."""
+        with suppress(OSError, EOFError):
+            while not self._leaving.is_set():
+                self._line.send(self._said)
+                asked = time.monotonic()
+                while not self._line.poll(SILENCE):
+                    if self._leaving.is_set():
+                        return
+                    self._silent = asked
+                    self._stood_in = self._link is not None and self._voice.stop()
+                self._take(self._line.recv())
+        if self._link is not None and not self._leaving.is_set():
+            self._silent = time.monotonic()
+            self._stood_in = self._voice.insist()
 
     def _take(self, message: dict[str, Any]) -> None:
         if "error" in message:
             self._error = getattr(errors, message["kind"], DeviceError)(message["error"])
-            return
-        self._state = GuardState.from_message(message)
-        self._heard.set()
-        if self._watch is not None:
-            self._watch(self._state)
+            raise EOFError
+        self._state = GateStatus(Mode(message.pop("mode")), **message)
+        self._silent = None
+
+
+def _stamp_of(age: float | None) -> float | None:
+    """The stamp of what is `age` seconds old; None if nothing came yet."""
+    return None if age is None or age == math.inf else time.monotonic() - float(age)
+
+
+class Voice:
+    """What is said to a Go2 on `link`, without ever waiting long. `avoid`: it walks around obstacles by itself."""
+
+    def __init__(self, link: Link, avoid: bool) -> None:
+        self.sport = SportClient(link, timeout=PATIENCE)
+        self.avoid = AvoidClient(link, timeout=READY) if avoid else None
+
+    def stop(self) -> bool:
+        """Send StopMove; whether the robot acknowledged it, for which it has `PATIENCE`."""
+        if self.avoid is not None:
+            self.avoid.stop()
+        return self.sport.stop() == OK
+
+    def insist(self) -> bool:
+        """Send StopMove until the robot acknowledges one; whether it did."""
+        end = time.monotonic() + STANDING_IN
+        while not (done := self.stop()) and time.monotonic() < end:
+            pass
+        return done
+
+    def end(self) -> None:
+        """Give velocities back to the remote control."""
+        if self.avoid is not None:
+            self.avoid.end()
 
 
 # --- in the process ---------------------------------------------------------------------------------------------------
 
-LAST_STOP = 3.0  # seconds that the last stop may take
-REMOTE_HOLD, REMOTE_EMERGENCY, REMOTE_RELEASE = "L1", "B", "start"
 
+class GateProcess:
+    """One step after another: what the parent says and the robot's state go into the gate, its output to the robot.
 
-class Watch:
-    """One step after another: what the parent says and the robot's state go into the gate, its output to the robot."""
+    One that is not armed never has a writer, so it cannot command anything. `settings`: those of `Guard`. Raises
+    `DeviceError`, `MissingExtraError`.
+    """
 
-    def __init__(self, settings: GuardSettings, robot: Go2Body, keys: Keys | None = None) -> None:
-        self.settings, self.robot, self._keys = settings, robot, keys
-        self.gate, self.state = Gate(settings.limits, settings.armed, obeys=not settings.avoid), State()
+    def __init__(self, line: Connection, settings: dict[str, Any]) -> None:
+        self._line, self._settings, armed, avoid = line, settings, settings["armed"], settings["avoid"]
+        self._gate, self._state = Gate(Limits(**settings["limits"]), armed, settings["ignored_codes"]), State()
         self.ending: str | None = None  # why it ends
         self._said: dict[str, Any] = {}
-        self._held = HeldKey()
-        self._resets = 0
-        self._release = False
+        self._acknowledged: int | None = None
+        self._robot: RobotState | None = None
+        self._mode: int | None = None
+        self._lateness = Lateness()
+        self._link = Link(*settings["network"])
+        # A robot that avoids obstacles may command its own walking.
+        topics = ["obstacles_avoid"] if avoid else ["sport", "obstacles_avoid"]
+        self._others = ForeignCommands(self._link, topics)
+        self._states = Go2State(self._link, received=self._received)
+        self._low = Go2Low(self._link) if settings["remote"] else None
+        self._voice = Voice(self._link, avoid) if armed else None
+        self._stoppers = ThreadPoolExecutor(AT_ONCE, "StopMove")
 
-    def hear(self, message: dict[str, Any]) -> None:
-        """A message of the parent: all that it knows now."""
-        self._said = message
+    def run(self) -> None:
+        """Step after step, until the robot stands after the end."""
+        try:
+            self._start()
+            end = math.inf
+            while not (self.ending and self._state.latched and self._state.mode is Mode.STANDING):
+                asked = self.ending is None and self._hear()
+                now = time.monotonic()
+                end = min(end, now + STANDING_IN) if self.ending else end
+                if now > end:
+                    return
+                self._state, output = self._gate.step(self._state, now, self._inputs())
+                if isinstance(output.send, Stop):
+                    self._stoppers.submit(self._stop, output.send.number)
+                elif output.send is not None and self._voice is not None:
+                    (self._voice.avoid or self._voice.sport).move(*output.send.parts)
+                if asked:
+                    with suppress(OSError):  # nobody listens; the robot matters more
+                        self._line.send({
+                            "mode": str(output.mode), "stops": 0 if self._voice is None else self._state.stops,
+                            "velocity": output.would.parts if isinstance(output.would, Velocity) else None,
+                            "reasons": output.faults + output.remarks,
+                        })  # fmt: skip
+                time.sleep(max(0.0, now + PERIOD - time.monotonic()))
+        except BaseException:  # the gate itself cannot be trusted any more
+            if self._voice is not None and self._state.time is not None:
+                self._voice.insist()
+            raise
+        finally:
+            self._stoppers.shutdown(cancel_futures=True)
+            if self._voice is not None:
+                self._voice.end()
+            self._states.close()
+            self._link.close()
 
-    def step(self, now: float) -> Output:
-        """One step at `now`."""
-        inputs = self._inputs(now)
-        self.state, output = self.gate.step(self.state, now, inputs)
-        if isinstance(output.send, Stop):
-            self.robot.stop(output.send.number)
-        elif output.send is not None:
-            self.robot.move(output.send)
-        return output
+    def _start(self) -> None:
+        """Wait for the robot, and make it ready to walk if it may. Raises `DeviceError`."""
+        patience, voice, told = self._settings["patience"], self._voice, {}
+        self._states.wait(patience)
+        if voice is not None and not voice.sport.wait(patience):
+            raise DeviceError(
+                "the robot tells its state, but nobody takes commands (rt/api/sport/request): its walking service is "
+                "off, or another program holds it; switch to sport mode in the robot's app"
+            )
+        if voice is not None and self._mode == LOCKED:
+            told["BalanceStand"] = SportClient(self._link, timeout=READY).balance_stand()
+        if voice is not None and voice.avoid is not None:
+            told["obstacle avoidance"] = voice.avoid.start()
+        for what, code in told.items():
+            if code != OK:
+                raise DeviceError(f"{what}: {in_words(code)}; look at the robot, then try again")
 
-    @property
-    def over(self) -> bool:
-        """Whether the last stop has done its work: the robot stands."""
-        return self.ending is not None and self.state.mode is Mode.STANDING and self.state.latched
+    def _hear(self) -> bool:
+        """Whether the parent has a word; notices its end."""
+        heard = False
+        try:
+            while self._line.poll():
+                self._said, heard = self._line.recv(), True
+        except (EOFError, OSError):
+            self.ending = "the program that steers has ended"
+        return heard
 
-    def _inputs(self, now: float) -> Inputs:
-        deadman, emergency = self._deadman(now)
-        inputs = inputs_from(self._said)
-        resets = self._said.get("resets", 0)
-        released, self._resets, self._release = self._release or resets > self._resets, resets, False
-        return replace(
-            inputs, gone=self.ending is not None, stated=inputs.stated + self.robot.faults(), body=self.robot.body,
-            deadman=deadman, acknowledged=self.robot.acknowledged,
-            emergency=inputs.emergency or emergency or self.ending is not None, reset=released,
+    def _stop(self, number: int) -> None:
+        assert self._voice is not None
+        if self._voice.stop():
+            self._acknowledged = max(self._acknowledged or 0, number)
+
+    def _inputs(self) -> Inputs:
+        """What the parent said, and what this process knows of the robot and of its remote control."""
+        said = {"wanted": None, "stated": ()} | self._said
+        wanted, stated = said.pop("wanted"), (*said.pop("stated"), *self._faults())
+        pressed: frozenset[str] = frozenset()
+        if self._low is not None and (reading := self._low.newest) is not None:
+            pressed = reading.remote.pressed if abs(time.time() - reading.received) <= UNHEARD else pressed
+        return Inputs(
+            wanted and Velocity(*wanted), **said, stated=stated, robot=self._robot,
+            deadman=None if self._low is None else HELD in pressed, acknowledged=self._acknowledged,
+            emergency=EMERGENCY in pressed or self.ending is not None, reset=RELEASE in pressed,
         )  # fmt: skip
 
-    def _deadman(self, now: float) -> tuple[bool | None, bool]:
-        """Whether the switch is held (None: there is none), and whether somebody stops for good."""
-        if self.settings.deadman == "remote":
-            pressed = self.robot.pressed or frozenset()
-            self._release |= REMOTE_RELEASE in pressed
-            return REMOTE_HOLD in pressed, REMOTE_EMERGENCY in pressed
-        emergency = False
-        if self._keys is not None:
-            for key in self._keys.read():
-                if key in HOLD:
-                    self._held.press(now)
-                emergency |= key in EMERGENCY
-                self._release |= key in RELEASE
-        return (self._held.held(now) if self.settings.deadman == "key" else None), emergency
+    def _faults(self) -> Iterator[str]:
+        """What is wrong beside what the gate finds itself, in words."""
+        yield from filter(None, (self._states.fault, self.ending))
+        if self._mode is not None and self._mode not in ABLE:
+            words = MODES.get(self._mode, f"in mode {self._mode}")
+            yield f"the robot cannot walk: it is {words}; let it stand first"
+        other = self._others.newest
+        if other is not None and (ago := time.monotonic() - other.when) < FOREIGN:
+            yield f"somebody else commands the robot ({other.words}, {ago:.1f} s ago): end that program or app"
 
-    def report(self, now: float, output: Output) -> dict[str, Any]:
-        """What the parent is told about this step."""
-        robot, stops = self.robot, self.state.stops if self.settings.armed else 0
-        state = GuardState.of(now, output, robot.body, stops=stops, posture=robot.mode, problem=robot.problem)
-        return state.as_message()
+    def _received(self, state: BodyState) -> None:
+        """A state of the robot, in a thread."""
+        now, up = time.monotonic(), state.world_R_body[2]
+        self._mode = state.mode
+        stamp = now - self._lateness.of(state.robot_stamp, now)
+        roll, pitch = math.atan2(up[1], up[2]), math.asin(min(max(-up[0], -1.0), 1.0))  # REP-103: the nose down is +
+        self._robot = RobotState(stamp, roll, pitch, state.speed, state.yaw_rate, state.error_code)
 
 
-def main(arguments: list[str]) -> int:
-    """Run until the parent ends; `arguments`: the settings as JSON, the pipes to read from and to write to."""
-    settings, inlet, outlet = GuardSettings.from_json(arguments[0]), int(arguments[1]), int(arguments[2])
-    told: list[int] = []
+def main(handle: int) -> int:
+    """Run until the parent ends; `handle`: of the pipe."""
+    line, process = Connection(handle), None
 
-    def interrupted(number: int, _: FrameType | None) -> None:
-        told.append(number)
+    def interrupted(number: int, _: Any) -> None:
+        if process is None:
+            sys.exit(1)
+        process.ending = f"the guard was interrupted ({signal.Signals(number).name})"
 
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(name, interrupted)
     try:
-        with ExitStack() as stack:
-            keys = stack.enter_context(Keys()) if settings.deadman == "key" else None
-            from eagor.robots.safety.body import Go2Body
-
-            robot = stack.enter_context(Go2Body(settings))
-            robot.start(settings.patience)
-            _watch(Watch(settings, robot, keys), inlet, outlet, told)
+        process = GateProcess(line, line.recv())
+        process.run()
     except EagorError as error:
-        _tell(outlet, {"error": cut(str(error), 1500), "kind": type(error).__name__})
+        with suppress(OSError):
+            line.send({"error": str(error), "kind": type(error).__name__})
         return 2
     return 0
 
 
-def _watch(watch: Watch, inlet: int, outlet: int, told: list[int]) -> None:
-    """Step after step, until the robot stands after the end."""
-    reader, period = LineReader(), watch.settings.limits.period
-    end = None
-    try:
-        due = time.monotonic()
-        while not watch.over:
-            data = None if watch.ending else read_now(inlet)
-            if data is not None:
-                for message in reader.feed(data):
-                    watch.hear(message)
-                    watch.ending = message.get("end") or watch.ending
-            elif watch.ending is None:
-                watch.ending = "the program that steers has ended"
-            if told and watch.ending is None:
-                watch.ending = f"it was interrupted ({signal.Signals(told[0]).name})"
-            now = time.monotonic()
-            if watch.ending is not None:
-                end = end or now + LAST_STOP
-                if now > end:
-                    return
-            output = watch.step(now)
-            _tell(outlet, watch.report(now, output))
-            due = max(due + period, now)
-            time.sleep(max(0.0, due - time.monotonic()))
-    except BaseException:
-        _stop_at_any_price(watch)
-        raise
-
-
-def _stop_at_any_price(watch: Watch) -> None:
-    """StopMove until it is acknowledged; the gate itself cannot be trusted any more."""
-    if not watch.settings.armed:
-        return
-    first, end = watch.state.stops + 1, time.monotonic() + LAST_STOP
-    for number in range(first, first + 1000):
-        if (watch.robot.acknowledged or 0) >= first or time.monotonic() > end:
-            return
-        watch.robot.stop(number)
-        time.sleep(watch.settings.limits.retry)
-
-
-def _tell(outlet: int, message: dict[str, Any]) -> None:
-    with suppress(BrokenPipeError, ValueError):  # nobody listens; the robot matters more
-        write_now(outlet, as_line(message))
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(int(sys.argv[1])))
