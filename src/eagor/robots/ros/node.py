@@ -51,7 +51,7 @@ AGAIN, FIRST_TIME = 2.0, 10.0  # seconds before sources are opened again; in whi
 GRAVE = 5.0  # seconds after which a fault is an error rather than a warning
 LASTING = Duration(nanoseconds=NANO // 2)  # of markers
 DIAGNOSED = ("azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "look_age", "image_age")
-TURNS = np.linspace(0, 2 * np.pi, 37)
+TURNS = np.linspace(0, 2 * np.pi, 25)
 
 
 def queries_after(now: Sequence[str], text: str) -> list[str]:
@@ -122,7 +122,6 @@ class EagorNode(LifecycleNode):
         back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
         self.jumps = self.get_clock().create_jump_callback(back, post_callback=lambda _: self.begin_anew())
         self.create_timer(1.0, self.diagnose)
-        self.create_timer(1.0, self.ask_who_asked_before)
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
@@ -138,7 +137,7 @@ class EagorNode(LifecycleNode):
     def on_cleanup(self, state: Any) -> TransitionCallbackReturn:
         self.remove_on_set_parameters_callback(self.on_set)
         self.jumps.unregister()
-        for each in [*self.subscriptions]:
+        for each in [each for each in self.subscriptions if each.topic_name != "/clock"]:  # that is rclpy's own
             self.destroy_subscription(each)
         for each in [*self.timers]:
             self.destroy_timer(each)
@@ -273,11 +272,6 @@ class EagorNode(LifecycleNode):
             told.transform.rotation = quaternion(world_R_body(yaw, pitch, roll) @ optical(self.frame).T)
             with self.ears.news:
                 self.ears.tree.add(SimpleNamespace(transforms=[told]), True)
-        elif self.frame != self.base and not self.ears.has_transforms:
-            self.get_logger().warning(
-                f"tf2_msgs is not installed, so nothing tells where {self.frame} is on {self.base}: it is taken to "
-                "look ahead along it; set mount_xyz and mount_rpy_deg"
-            )
         return named
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
@@ -335,6 +329,12 @@ class EagorNode(LifecycleNode):
     def wrong(self) -> list[Fault]:
         """What is wrong now."""
         problem = None if self.reader is None else self.reader.problem
+        if not self.placed:
+            needs = "" if self.ears.has_transforms else ", for which tf2_msgs is missing"
+            problem = (
+                f"nothing tells where {self.frame} is on {self.base}, so it is taken to look ahead along it: publish "
+                f"/tf_static{needs}, or set mount_xyz"
+            )
         return [*self.faults, *([] if problem is None else [Fault("poses", problem, self.ears.now())])]
 
     def publish(self, topic: str, message: Any) -> None:
@@ -348,6 +348,7 @@ class EagorNode(LifecycleNode):
 
     def diagnose(self) -> None:
         """Once a second: a status of the node, and one of each query."""
+        self.ask_who_asked_before()
         loop, now, level = self.loop, self.get_clock().now(), DiagnosticStatus
         faults, told = (self.wrong(), self.told) if loop is not None else ([], [])
         waits = "starting" if self.queries else "waiting for a query on ~/query (std_msgs/String), or in queries"
