@@ -70,7 +70,7 @@ REGIONS = 5  # answers from one check of the region to the next
 NEAR, GONE = math.radians(15), 2.0
 CAMERA = CameraSettings(rows=128, rate=5.0)
 PLANT = PlantSettings(deaf=(0.0, 0.0))
-CLOCK = {"clock_offset": 12.5, "clock_drift": 2e-5}  # of the robot
+AHEAD, GAINS = 12.5, 2e-5  # seconds by which the robot's clock is ahead, and seconds per second
 EYES = PlantSettings().height + CAMERA.mount[2]  # metres
 IMAGE, ODOMETRY, TRUTH, BALL = "/image/compressed", "/odom", "/truth", "/ball"
 
@@ -141,7 +141,9 @@ class Steering:
 def settings(seed: int, scene: str) -> SimSettings:
     """The robot, its house and its ball. It starts with the ball in sight, 1.5 to 5 m away, with any heading."""
     speed = 0.0 if "lying" in scene else SPEED
-    found = SimSettings(seed=seed, target=QUERY, speed=speed, camera=CAMERA, plant=PLANT, **CLOCK)
+    found = SimSettings(
+        seed=seed, target=QUERY, speed=speed, camera=CAMERA, plant=PLANT, clock_offset=AHEAD, clock_drift=GAINS
+    )
     house, rng = SimulatedGo2(found).house, np.random.default_rng([seed, SCENES.index(scene)])
     assert house is not None
     ball, rays = house.targets()[0].centre, Renderer(house.scene).raycaster

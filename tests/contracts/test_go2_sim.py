@@ -17,7 +17,7 @@ from eagor.lab.worlds.render import Ball, Renderer
 from eagor.metrics import angular_error_deg
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.camera import DdsCamera
-from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings, RenderRequest, SimWorld, clear_start, panorama
+from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings, SimWorld, clear_start, panorama
 from eagor.robots.go2.sim import Rehearsal, SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import Go2State
@@ -50,7 +50,7 @@ def test_its_camera_sees_the_ball_where_it_is():
         spot = house.ground.sample(np.random.default_rng(seed), 0.3)
         ball = Ball(np.array([*spot, height]), 0.25, "red")
         turned = world_R_body(0.7 * seed, 0.03, -0.04)
-        pictures = [panorama(renderer, RenderRequest(0.0, at, turned, each), 128) for each in (ball, None)]
+        pictures = [panorama(renderer, 128, at, turned, each) for each in (ball, None)]
         change = np.abs(pictures[0].astype(int) - pictures[1]).sum(axis=-1) > 150
         if change.sum() < 20:
             continue  # hidden, or far away
@@ -63,7 +63,7 @@ def test_its_camera_sees_the_ball_where_it_is():
 
 
 def test_the_ball_rolls_over_the_floor_and_a_start_has_a_straight_way():
-    house = SimWorld("apartment", 3, "green ball", 0.5, np.random.default_rng(0))
+    house = SimWorld("apartment", 3, "green ball", 0.5)
     path = np.array([house.ball_at(t).centre[:2] for t in np.arange(0, 20, 0.1)])
     assert all(house.ground.is_free(xy) for xy in path)
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)

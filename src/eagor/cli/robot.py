@@ -227,16 +227,10 @@ def _until(seconds: float | None, live: LiveGo2) -> None:
     waiting = threading.Event()
     while (left := end - time.monotonic()) > 0:
         waiting.wait(min(0.5, left))
-        if live.pictures is not None and not live.pictures.alive:
+        if not live.alive:
             raise terminal.RunError("the camera's process has ended; start the robot again")
 
 
 def _sum_up(live: LiveGo2, seconds: float) -> None:
-    pictures = live.pictures
-    drawn = (
-        "" if pictures is None else f", {pictures.drawn} pictures ({pictures.skipped} that could not be drawn in time)"
-    )
     skipped = f", {live.skipped} steps late" if live.skipped else ""
-    terminal.log(
-        f"after {seconds:.0f} s: walked {live.robot.plant.walked:.2f} m, {live.asked} commands{drawn}{skipped}"
-    )
+    terminal.log(f"after {seconds:.0f} s: walked {live.robot.plant.walked:.2f} m, {live.asked} commands{skipped}")

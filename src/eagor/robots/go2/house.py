@@ -8,31 +8,30 @@ from __future__ import annotations
 
 import math
 import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from eagor._checks import require, whole, within
-from eagor._processes import Worker, WorkerEnded, WorkerSilent
-from eagor.errors import DeviceError, EagorError, QueryError, WorldError
+from eagor.conventions import rotation_from_xyzw
+from eagor.errors import DeviceError, QueryError, WorldError
 from eagor.lab import worlds
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.navmesh import stroll
 from eagor.lab.worlds.render import PAINTS, Ball, Renderer, with_ball
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Scene
 from eagor.queries import matching, parse_query
-from eagor.robots.dds import Link, Raw
+from eagor.robots.dds import Link
 from eagor.robots.go2.camera import PICTURE, picture_message
+from eagor.robots.go2.state import Odometry
 
-__all__ = [
-    "CAMERA_FRAME", "CAMERA_TOPIC", "CameraSettings", "PictureProcess", "RenderRequest", "SimWorld", "clear_start",
-    "panorama",
-]  # fmt: skip
+__all__ = ["CAMERA_FRAME", "CAMERA_TOPIC", "TRUTH", "CameraSettings", "SimWorld", "clear_start", "film", "panorama"]
 
 RADIUS = 0.22  # metres: half the width of a Go2 with its legs, and some; it is longer, but turns through doors
 TALL = 0.9  # metres from the floor to the top of the camera
@@ -47,13 +46,13 @@ class SimWorld:
     """A `scene` and its `ground` for a body as wide as a Go2: the one of this seed in a world of `eagor.lab.worlds`.
 
     `target`: what is to be found there, in words, if anything: a "red ball" is brought along, and rolls from one random
-    place to another at `speed` metres per second, as `rng` draws them. Raises `WorldError` if there is no such world,
+    place to another at `speed` metres per second, as `draws` has them. Raises `WorldError` if there is no such world,
     or no room in it; `QueryError` for a target that is not there, which lists what is.
     """
 
     def __init__(
         self, world: str, seed: int, target: str | None = None, speed: float = 0.0,
-        rng: np.random.Generator | None = None,
+        draws: np.random.SeedSequence | None = None,
     ) -> None:  # fmt: skip
         if seed < 0:
             raise WorldError(f"seed = {seed}; wanted 0 or a positive whole number")
@@ -70,7 +69,7 @@ class SimWorld:
         self.scene, self.target, self.speed = scene, target, speed
         self.ground = Ground.from_scene(scene, radius=RADIUS, height=TALL)
         if self.ball is not None:
-            rng = rng or np.random.default_rng(seed)
+            rng = np.random.default_rng(draws or seed)
             self._points = stroll(self.ground, self.ground.sample(rng, BALL), max(speed, 1e-3) * TICK, rng)
             self._way = [next(self._points)]
         self.targets()
@@ -134,8 +133,7 @@ def clear_start(
 CAMERA_TOPIC = "rt/x3/image/compressed"  # /x3/image/compressed in ROS
 CAMERA_FRAME = "x3_link"
 MOUNT = (0.0, 0.0, 0.40)  # metres from the body's centre to the camera, body frame: a short stick on its back
-LOADING = 300.0  # seconds for the scene and its light
-ENDING = 5.0  # seconds for the process to leave by itself
+TRUTH = "rt/eagor/truth"  # the true pose of the body (nav_msgs/Odometry), which no robot tells
 
 
 @dataclass(frozen=True)
@@ -160,85 +158,45 @@ class CameraSettings:
         require(self, fields, DeviceError)
 
 
-class RenderRequest(NamedTuple):
-    """When and where a picture is taken: the host's clock, the camera's place and rotation, the ball."""
-
-    stamp: float
-    position: np.ndarray
-    world_R_body: np.ndarray
-    ball: Ball | None = None
-
-
-def panorama(renderer: Renderer, request: RenderRequest, rows: int) -> np.ndarray:
-    """The panorama ``(rows, 2 rows, 3)`` uint8 that the camera takes, with the ball where there is one."""
-    _, at, turned, ball = request
-    seen = renderer.panorama(at, turned, rows, range=ball is not None, ids=False)
+def panorama(
+    renderer: Renderer, rows: int, position: np.ndarray, world_R_body: np.ndarray, ball: Ball | None = None
+) -> np.ndarray:
+    """The panorama ``(rows, 2 rows, 3)`` uint8 that the camera takes there, with the ball where there is one."""
+    seen = renderer.panorama(position, world_R_body, rows, range=ball is not None, ids=False)
     if ball is not None:
-        seen = with_ball(seen, at, turned, ball, BALL_ID)
+        seen = with_ball(seen, position, world_R_body, ball, BALL_ID)
     assert seen.rgb is not None
     return seen.rgb
 
 
-class PictureProcess:
-    """A process with a renderer of its own, which writes `CAMERA_TOPIC`; it ends with this one.
+def film(line: Connection, house: Sequence[Any], camera: CameraSettings, domain: int, interface: str | None) -> None:
+    """The life of the camera's process: pictures of `house` (as `SimWorld`), from where the robot truly is.
 
-    Raises `DeviceError` if it cannot draw.
+    On the `line`: it says when it can draw, and hears when the robot began, seconds of this machine's clock.
     """
-
-    def __init__(self, world: str, seed: int, camera: CameraSettings, domain: int, interface: str | None) -> None:
-        self.skipped = self.drawn = 0
-        self._worker = Worker(_draw, world, seed, camera, domain, interface)
-        self._idle = True
-
-    def wait(self) -> None:
-        """Wait until it can draw."""
-        try:
-            self._worker.receive(LOADING)
-        except WorkerEnded:
-            code = self._worker.close(ENDING)
-            raise DeviceError(f"the camera's process ended by itself (exit code {code})") from None
-        except WorkerSilent:
-            raise DeviceError(f"the camera is not ready after {LOADING:g} s") from None
-
-    def offer(self, request: RenderRequest) -> None:
-        """Have this picture drawn, unless another one still is: then it is `skipped`. Never waits."""
-        try:
-            while self._worker.line.poll():
-                self.drawn += self._worker.receive()
-                self._idle = True
-            if self._idle:
-                self._worker.send(request)
-        except (WorkerEnded, OSError, EagorError):
-            pass  # nothing more comes; `alive` says so
-        self.skipped += not self._idle
-        self._idle = False
-
-    @property
-    def alive(self) -> bool:
-        """Whether it still draws."""
-        return self._worker.alive
-
-    def close(self) -> None:
-        """End the process."""
-        self._worker.close(ENDING)
-
-
-def _draw(line: Connection, world: str, seed: int, camera: CameraSettings, domain: int, interface: str | None) -> None:
-    """The life of the process."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
-    scene = worlds.load(world)(seed)
-    assert isinstance(scene, Scene)  # `SimWorld` takes no other
-    renderer = Renderer(scene)
-    panorama(renderer, RenderRequest(0.0, np.zeros(3), np.eye(3)), camera.rows)  # the light, and what else comes first
+    world, newest = SimWorld(*house), deque[Any](maxlen=1)
+    renderer = Renderer(world.scene)
+    panorama(renderer, camera.rows, np.zeros(3), np.eye(3))  # the light, and what else comes first
     with Link(domain, interface) as link:
         writer = link.publish(CAMERA_TOPIC, PICTURE, reliable=False)
-        waiting: deque[tuple[float, Raw]] = deque()  # pictures on their way: when they arrive
-        line.send(0)
-        while True:
-            if line.poll(max(0.0, waiting[0][0] - time.time()) if waiting else None):
-                request: RenderRequest = line.recv()
-                message = picture_message(panorama(renderer, request, camera.rows), request.stamp, CAMERA_FRAME)
-                waiting.append((request.stamp + camera.latency, message))
-                line.send(1)
-            while waiting and waiting[0][0] <= time.time():
-                writer.write(waiting.popleft()[1])
+        link.subscribe(TRUTH, Odometry, lambda message, _: newest.append(message))
+        line.send(None)
+        begun, due = line.recv(), time.time()
+        while not line.poll(max(0.0, due - time.time())):
+            if not newest:
+                due = time.time() + 0.01
+                continue
+            stamp, at, turned = pose_of(newest.pop())
+            ball = world.ball_at(stamp - begun)
+            picture = panorama(renderer, camera.rows, at + turned @ np.asarray(camera.mount), turned, ball)
+            message = picture_message(picture, stamp, CAMERA_FRAME)
+            threading.Timer(max(0.0, stamp + camera.latency - time.time()), writer.write, (message,)).start()
+            due = max(due + 1 / camera.rate, time.time())
+
+
+def pose_of(message: Any) -> tuple[float, np.ndarray, np.ndarray]:
+    """Seconds, place ``(3,)`` and rotation ``(3, 3)`` of a nav_msgs/Odometry."""
+    stamp, at, q = message.header.stamp, message.pose.pose.position, message.pose.pose.orientation
+    turned = rotation_from_xyzw(np.array([q.x, q.y, q.z, q.w]))
+    return stamp.sec + 1e-9 * stamp.nanosec, np.array([at.x, at.y, at.z]), turned

@@ -22,25 +22,16 @@ import numpy as np
 
 from eagor._checks import require, within
 from eagor._processes import Worker, WorkerEnded, WorkerSilent
-from eagor.conventions import rotation_from_xyzw
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link, Writer, free_domain, raw
 from eagor.robots.go2 import state as idl
-from eagor.robots.go2.house import (
-    CAMERA_TOPIC,
-    CameraSettings,
-    PictureProcess,
-    RenderRequest,
-    SimWorld,
-    clear_start,
-)
+from eagor.robots.go2.house import CAMERA_TOPIC, TRUTH, CameraSettings, SimWorld, clear_start, film, pose_of
 from eagor.robots.go2.plant import GRAVITY, Motion, Plant, PlantSettings
 from eagor.robots.go2.sport import API_VERSION, OK, Avoid, Sport, checked_velocity
 from eagor.robots.go2.state import SOURCES, Remote, low_state, split_time, sport_state
 
 __all__ = ["INTERFACE", "TRUTH", "LiveGo2", "Rehearsal", "SimSettings", "SimulatedGo2", "clear_start"]
 
-TRUTH = "rt/eagor/truth"  # the true pose (nav_msgs/Odometry), which no robot tells
 LISTENING = 1.0  # seconds to hear whether another robot is there
 SLOW = 10  # steps between messages of the slow topics: 20 Hz at 200 Hz
 LATEST = 0.1  # seconds by which the simulation may lag behind before it skips
@@ -85,17 +76,16 @@ class SimulatedGo2:
 
     def __init__(self, settings: SimSettings | None = None) -> None:
         self.settings = settings = settings or SimSettings()
-        draws = [np.random.default_rng(part) for part in np.random.SeedSequence(settings.seed).spawn(3)]
+        self.draws, _, body = np.random.SeedSequence(settings.seed).spawn(3)  # of the ball's way, and of the body
         self.house: SimWorld | None = None
         start, slide = settings.start or (0.0, 0.0, 0.0), None
         if settings.world is not None:
-            self.house = SimWorld(settings.world, settings.seed, settings.target, settings.speed, draws[0])
+            self.house = SimWorld(settings.world, settings.seed, settings.target, settings.speed, self.draws)
             start, slide = self._start(self.house), self.house.move_and_slide
         elif settings.target is not None:
             raise DeviceError("a robot on an empty floor has no target; give a world, or no target")
         self.targets = [] if self.house is None else self.house.targets()
-        self.plant = Plant(settings.plant, draws[2], start, slide)
-        self._pictures = 0
+        self.plant = Plant(settings.plant, np.random.default_rng(body), start, slide)
 
     def _start(self, house: SimWorld) -> tuple[float, float, float]:
         rng = np.random.default_rng(self.settings.seed)
@@ -104,16 +94,6 @@ class SimulatedGo2:
         if (spot := house.ground.snap(np.array(start[:2]))) is None:
             raise DeviceError(f"start = {start}; wanted x, y (metres) and heading (radians), finite")
         return float(spot[0]), float(spot[1]), float(start[2])
-
-    def picture_due(self, host: float) -> RenderRequest | None:
-        """The picture that the camera takes at this step, if any; asking counts it as taken."""
-        camera, seconds = self.settings.camera, self.plant.seconds
-        if camera is None or self.house is None or seconds < self._pictures / camera.rate:
-            return None
-        self._pictures = math.floor(seconds * camera.rate) + 1
-        body = self.plant.truth.pose
-        at = body.position + body.world_R_body @ np.asarray(camera.mount)
-        return RenderRequest(host, at, body.world_R_body, self.house.ball_at(seconds))
 
 
 def _odometry(motion: Motion, stamp: float, frame: str) -> Any:
@@ -149,7 +129,7 @@ class LiveGo2:
         self.asked = self.skipped = 0
         self.requests: deque[tuple[str, int, dict[str, Any]]] = deque(maxlen=1000)
         self.avoid = {"enable": False, "is_remote_commands_from_api": False}
-        self.pictures: PictureProcess | None = None
+        self._camera: Worker | None = None
         self._turn, self._ended = threading.RLock(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulated Go2", daemon=True)
         self._state = raw(idl.ShortSportModeState if settings.short else idl.SportModeState)
@@ -161,7 +141,8 @@ class LiveGo2:
                     "take another --domain, or end the other one if it is simulated"
                 )
             if settings.world is not None and settings.camera is not None:
-                self.pictures = PictureProcess(settings.world, settings.seed, settings.camera, domain, interface)
+                house = settings.world, settings.seed, settings.target, settings.speed, robot.draws
+                self._camera = Worker(film, house, settings.camera, domain, interface)
             kinds = {
                 "rt/sportmodestate": self._state, "rt/lf/sportmodestate": self._state, "rt/lf/lowstate": idl.LowState,
                 "rt/utlidar/robot_odom": idl.Odometry, TRUTH: idl.Odometry,
@@ -172,17 +153,22 @@ class LiveGo2:
         except BaseException:
             self.close()
             raise
-        requests, camera = [f"rt/api/{name}/request" for name in VERSIONS], [CAMERA_TOPIC] if self.pictures else []
+        requests, camera = [f"rt/api/{name}/request" for name in VERSIONS], [CAMERA_TOPIC] if self._camera else []
         self.topics = [*kinds, *requests, *camera]
 
     def __enter__(self) -> Self:
         try:
-            if self.pictures is not None:
-                self.pictures.wait()
+            if self._camera is not None:
+                self._camera.receive(STARTING)
+            self.begun = time.time() - self.plant.seconds
+            if self._camera is not None:
+                self._camera.send(self.begun)
+        except (WorkerEnded, WorkerSilent):
+            self.close()
+            raise DeviceError("the simulated camera's process ended by itself, or is not ready in time") from None
         except BaseException:
             self.close()
             raise
-        self.begun = time.time() - self.plant.seconds
         self._thread.start()
         return self
 
@@ -194,9 +180,14 @@ class LiveGo2:
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
-        if self.pictures is not None:
-            self.pictures.close()
+        if self._camera is not None:
+            self._camera.close(ENDING)
         self.link.close()
+
+    @property
+    def alive(self) -> bool:
+        """Whether all its processes run."""
+        return self._camera is None or self._camera.alive
 
     @property
     def truth(self) -> Motion:
@@ -244,8 +235,6 @@ class LiveGo2:
             write[TRUTH].write(_odometry(plant.truth, host, "world"))
             battery = settings.battery - int(plant.seconds / 60)  # a full one lasts for an hour and a half or so
             write["rt/lf/lowstate"].write(low_state(self.remote, max(0, battery), seconds=plant.seconds))
-        if self.pictures is not None and (request := self.robot.picture_due(host)) is not None:
-            self.pictures.offer(request)
 
     # --- requests ---
 
@@ -340,10 +329,9 @@ class Rehearsal:
         return self._targets
 
     def _received_pose(self, message: Any, _: float) -> None:
-        at, q = message.pose.pose.position, message.pose.pose.orientation
-        world_R_body = rotation_from_xyzw(np.array([q.x, q.y, q.z, q.w]))
+        _, at, world_R_body = pose_of(message)
         mount = (0.0, 0.0, 0.0) if self.settings.camera is None else self.settings.camera.mount
-        self._pose = np.array([at.x, at.y, at.z]) + world_R_body @ np.asarray(mount), world_R_body
+        self._pose = at + world_R_body @ np.asarray(mount), world_R_body
 
 
 def _rehearse(line: Connection, settings: SimSettings, domain: int) -> None:

@@ -17,7 +17,7 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -371,9 +371,8 @@ class Go2Low:
 
 
 def sport_state(
-    stamp: float, wxyz: Sequence[float] = (1, 0, 0, 0), gyroscope: Sequence[float] = (0, 0, 0),
-    accelerometer: Sequence[float] = (0, 0, 0), rpy: Sequence[float] = (0, 0, 0), mode: int = 1,
-    position: Sequence[float] = (0, 0, 0), velocity: Sequence[float] = (0, 0, 0), yaw_speed: float = 0.0,
+    stamp: float, wxyz: Any = (1, 0, 0, 0), gyroscope: Any = (0, 0, 0), accelerometer: Any = (0, 0, 0),
+    rpy: Any = (0, 0, 0), mode: int = 1, position: Any = (0, 0, 0), velocity: Any = (0, 0, 0), yaw_speed: float = 0.0,
     error_code: int = 0, *, short: bool = False,
 ) -> bytes:  # fmt: skip
     """A ``SportModeState`` at `stamp` seconds of the robot's clock, as bytes; all that is not here is 0."""
