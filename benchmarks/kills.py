@@ -13,8 +13,8 @@ things took and, where a worker was killed, the number of the attempt. Benchmark
 --data. Linux.
 
 --robot: whole processes walk a simulated Go2 in a circle over DDS at 0.5 m/s and 0.3 rad/s: the program (the live loop
-with its odometry, and the steering), the guard, the detector (`colour`), and a camera with ten pictures per
-second, which arrive 0.1 s after their capture. Each is killed (SIGKILL), and frozen for 4 s (SIGSTOP); then there is a
+with its odometry, and the steering), the guard, the detector (`colour`), and a camera with ten pictures per second,
+which arrive 0.1 s after their capture. Each is killed (SIGKILL), and frozen for 4 s (SIGSTOP); then there is a
 recording, and the disk is full. The table has the seconds from then until nothing is commanded any more, and until the
 body is below 0.05 m/s and 0.05 rad/s, by this machine's monotonic clock; the body has the dead time and the lag of a
 real Go2.

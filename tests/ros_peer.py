@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Quaternion
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Quaternion, TransformStamped
 from nav_msgs.msg import Odometry
 from PIL import Image as Picture
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -22,13 +22,14 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 from std_msgs.msg import Header
 
-from eagor.conventions import xyzw_from_rotation
+from eagor.conventions import OPTICAL_R_BODY, xyzw_from_rotation
 from eagor.sphere import world_R_body
 
 BALL = 0.6  # radians: its azimuth in the world
 SETTINGS = {
     "seconds": 20.0, "rate": 10.0, "rows": 128, "transport": "raw", "reliable": True, "poses": "odom", "turn": 0.5,
     "sim_time": False, "frame": "base_link", "namespace": "", "delay": 0.0, "start": 0.0, "hfov_deg": 0.0,
+    "tf": False, "static_after": 0.0,
 }  # fmt: skip
 
 
@@ -55,6 +56,7 @@ def main() -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     infos = node.create_publisher(CameraInfo, "x3/camera_info", latched) if s.hfov_deg else None
     clock = node.create_publisher(Clock, "/clock", 10) if s.sim_time else None
+    transforms = Transforms(node, s.static_after) if s.tf else None
     begun, sent, base = time.time(), 0, room(s.rows)
     zero = 1000.0 if s.sim_time else begun
     while (gone := time.time() - begun) < s.seconds:
@@ -64,8 +66,11 @@ def main() -> None:
             clock.publish(Clock(clock=stamp))
         if poses is not None:
             poses.publish(posed(kind[s.poses], stamp, yaw))
+        if transforms is not None:
+            transforms.publish(stamp, yaw, gone)
         if gone * s.rate >= sent:
-            seen = np.roll(base, round(yaw / math.tau * base.shape[1]), axis=1)
+            ahead = yaw + math.pi / 2 * s.tf  # with transforms, the camera looks to the left
+            seen = np.roll(base, round(ahead / math.tau * base.shape[1]), axis=1)
             if infos is not None:
                 seen = cut(seen, s.hfov_deg)
                 infos.publish(lens(seen, s.hfov_deg, stamp, s.frame))
@@ -76,6 +81,34 @@ def main() -> None:
     print(json.dumps({"sent": sent}))
     node.destroy_node()
     rclpy.shutdown()
+
+
+class Transforms:
+    """/tf of the odometry, and after some seconds /tf_static: a camera on the left of the robot, of optical axes."""
+
+    def __init__(self, node, after: float) -> None:
+        from tf2_msgs.msg import TFMessage
+
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.kind, self.after, self.moving = TFMessage, after, node.create_publisher(TFMessage, "/tf", 10)
+        self.fixed = node.create_publisher(TFMessage, "/tf_static", latched)
+
+    def publish(self, stamp, yaw: float, gone: float) -> None:
+        self.moving.publish(self.told("odom", "base_link", stamp, world_R_body(yaw, 0, 0), (0.0, 0.0, 0.0)))
+        if gone > self.after:
+            turn = world_R_body(math.pi / 2, 0, 0) @ OPTICAL_R_BODY.T
+            self.fixed.publish(self.told("base_link", "x3_optical_frame", stamp, turn, (0.2, 0.0, 0.5)))
+            self.after = math.inf
+
+    def told(self, parent: str, child: str, stamp, turn, place):
+        one = TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child)
+        one.transform.translation.x, one.transform.translation.y, one.transform.translation.z = place
+        one.transform.rotation = quaternion(turn)
+        return self.kind(transforms=[one])
+
+
+def quaternion(turn) -> Quaternion:
+    return Quaternion(**dict(zip("xyzw", map(float, xyzw_from_rotation(turn)), strict=True)))
 
 
 def cut(panorama: np.ndarray, hfov_deg: float) -> np.ndarray:
@@ -111,7 +144,7 @@ def picture(seen: np.ndarray, stamp, frame: str, compressed: bool):
 
 
 def posed(kind, stamp, yaw: float):
-    turn = Quaternion(**dict(zip("xyzw", map(float, xyzw_from_rotation(world_R_body(yaw, 0, 0))), strict=True)))
+    turn = quaternion(world_R_body(yaw, 0, 0))
     made = kind(header=Header(stamp=stamp, frame_id="base_link" if kind is Imu else "odom"))
     if kind is Imu:
         made.orientation = turn

@@ -154,11 +154,11 @@ def test_a_guard_that_ended_is_no_usage_error_and_further_interrupts_stop_no_cle
 
 
 def test_why_it_stands_is_said_where_the_gate_has_no_objection(monkeypatch, capsys):
-    estimate = SimpleNamespace(direction=None, status="searching")
+    answer = SimpleNamespace(estimate=SimpleNamespace(direction=None, status="searching"), faults=())
 
     def step(mode, doing, words, *reasons):
         view, status = TargetView(0.0, "tracking"), GateStatus(mode, reasons=reasons)
-        return Step(SimpleNamespace(estimate=estimate), view, Command(STILL, doing, words), status)
+        return Step(answer, view, Command(STILL, doing, words), status)
 
     monkeypatch.setattr(robot_run, "QUIET", 0.0)
     steps = [

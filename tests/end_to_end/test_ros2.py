@@ -121,6 +121,20 @@ def listener(domain):
     found.context.try_shutdown()
 
 
+def _yaws(listener):
+    """How far the robot has turned, by stamps in nanoseconds, as its odometry will tell."""
+    from nav_msgs.msg import Odometry
+
+    found = {}
+
+    def moved(told):
+        turn = told.pose.pose.orientation
+        found[told.header.stamp.sec * 10**9 + told.header.stamp.nanosec] = 2 * math.atan2(turn.z, turn.w)
+
+    listener.hear(Odometry, "/wheels", moved)
+    return found
+
+
 def off(answer, yaw):
     """Degrees between an answer and the ball, of a robot that has turned so far."""
     there = BALL - yaw
@@ -130,16 +144,9 @@ def off(answer, yaw):
 
 def test_a_turning_robot_two_queries_and_a_camera_that_dies_and_comes_back(start, listener):
     from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
-    from nav_msgs.msg import Odometry
     from std_msgs.msg import String
 
-    yaws, directions, poses = {}, {}, {}
-
-    def moved(told):
-        turn = told.pose.pose.orientation
-        yaws[told.header.stamp.sec * 10**9 + told.header.stamp.nanosec] = 2 * math.atan2(turn.z, turn.w)
-
-    listener.hear(Odometry, "/wheels", moved)
+    yaws, directions, poses = _yaws(listener), {}, {}
     listener.hear(Vector3Stamped, "/eagor/direction", lambda told: directions.update({told.header.stamp.nanosec: told}))
     listener.hear(PoseStamped, "/eagor/pose", lambda told: poses.update({told.header.stamp.nanosec: told}))
     robot = start(transport="compressed")
@@ -224,6 +231,26 @@ def test_sim_time_an_ordinary_camera_and_a_query_from_before(start, listener):
     listener.until(lambda: listener.tracks() and listener.query()["stamp"] < answer["stamp"])
     node.send_signal(signal.SIGTERM)
     node.wait(20)
+
+
+@pytest.mark.parametrize("source", ["tf", "odom"])
+def test_transforms_that_come_late(start, listener, source):
+    """The camera looks to the left, with optical axes; before that is known, another answer is not kept."""
+    pytest.importorskip("tf2_msgs", reason="tf2_msgs comes with a ROS installation, and with no wheel")
+    from geometry_msgs.msg import PoseStamped
+
+    places = []
+    listener.hear(PoseStamped, "/eagor/pose", lambda told: places.append(told.pose.position))
+    start(tf=True, static_after=12.0, frame="x3_optical_frame", turn=0.3)
+    start(*CAMERA, *RED, "-p", f"pose_source:={source}")
+    yaw = _yaws(listener)
+    listener.until(lambda: places and places[-1].z == pytest.approx(0.5), 120.0)
+    answers = len(listener.answers)
+    listener.until(lambda: len(listener.answers) > answers + 60 and listener.tracks())
+    told = [
+        each for tick in listener.answers[answers:] for each in tick if each["stamp_ns"] in yaw and each["direction"]
+    ]
+    assert np.median([off(each, yaw[each["stamp_ns"]]) for each in told]) < 1.5
 
 
 def test_the_life_of_a_node_and_what_it_refuses(start, listener, domain):

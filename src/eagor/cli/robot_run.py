@@ -320,7 +320,7 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
 
 def _walk(options: RobotRun, steps: Iterator[Step], summary: Summary, place: Place) -> None:
     """Walk until it is over."""
-    begun, there, said, spoke = time.monotonic(), None, None, -math.inf
+    begun, there, said, spoke, lost = time.monotonic(), None, None, -math.inf, False
     longest = options.seconds or (LONGEST if options.sim else math.inf)
     for step in steps:
         now = time.monotonic()
@@ -332,6 +332,9 @@ def _walk(options: RobotRun, steps: Iterator[Step], summary: Summary, place: Pla
         if told != said and (now - spoke >= QUIET or mode in LOUD):
             said, spoke = told, now
             terminal.log(f"{now - begun:6.2f} s  {mode}, {command.doing}: {'; '.join(why)}")
+        if not lost and (faults := [each.text for each in step.answer.faults if each.part == "recording"]):
+            lost = True
+            terminal.warning(faults[0])
         there = (there or now) if command.doing == "arrived" else None
         if there is not None and now - there >= THERE and not options.stay:
             summary.ended = "arrived"
