@@ -9,8 +9,8 @@ it knows by what is in them:
 
 - ROS ``camera_info`` (camera_calibration, or ``ros2 topic echo``): ``image_width``, ``image_height``,
   ``camera_matrix``, ``distortion_model``, ``distortion_coefficients``; or ``width``, ``height``, ``K``, ``D``.
-- OpenCV's FileStorage: ``image_width``, ``image_height``, ``camera_matrix``, ``distortion_coefficients``, with its own
-  first line; ``fisheye_model: 1`` for the module fisheye.
+- OpenCV's FileStorage (YAML with its own first line, JSON, XML): ``image_width``, ``image_height``, ``camera_matrix``,
+  ``distortion_coefficients``; ``fisheye_model: 1`` for the module fisheye.
 - Kalibr's camchain: ``cam0`` with ``camera_model``, ``intrinsics``, ``distortion_model``, ``distortion_coeffs``,
   ``resolution``. Its extrinsics are not used.
 - COLMAP's ``cameras.txt``: CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS.
