@@ -57,7 +57,7 @@ class FrameCheck:
 
     def read(self, path: Path) -> Picture:
         """The picture in a file, and what the file says of it; raises `ImageError`, and as the check of a frame."""
-        found = read_photograph(path, warn=False)
+        found = read_photograph(path, warn=False, force=self.force)
         return self(found, str(path), told_by_photograph(path) if self._is_ordinary(found) else NOTHING)
 
     def __call__(self, frame: Picture, name: str, told: Told = NOTHING) -> Picture:

@@ -326,23 +326,23 @@ def _natural(name: str) -> list[tuple[int, str | int]]:
     return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
-def read_photograph(path: str | os.PathLike[str], warn: bool = True) -> Picture:
+def read_photograph(path: str | os.PathLike[str], warn: bool = True, force: bool = False) -> Picture:
     """The photograph in the file at `path` (JPEG, PNG, WebP, ...).
 
     As `eagor.media.panorama.read_panorama` where the file says nothing of itself, with its warning about pictures that
     are not 2:1, unless `warn` is False: for who knows the camera, or says it otherwise. Raises `ImageError` if there is
-    no readable image, or if it says that it is not equirectangular.
+    no readable image, or if it says that it is not equirectangular, or (unless `force`) an area that does not add up.
     """
     name = os.fspath(path)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         image = read_panorama(name)
-    found = None if _is_hdr(name) else of_photograph(properties(_xmp(name), GPANO))
+    found = None if _is_hdr(name) else of_photograph(properties(_xmp(name), GPANO), image.shape[1::-1])
     if found is None:
         for warning in warned if warn else ():
             warnings.warn(str(warning.message), UserWarning, stacklevel=2)
         return Picture(image, facts=(TONE_MAPPED,) if _is_hdr(name) else ())
-    found.check(name)
+    found.check(name, force)
     return _placed(image, found)
 
 
