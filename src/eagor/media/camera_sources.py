@@ -21,6 +21,7 @@ from eagor import plugins
 from eagor.errors import DeviceError, EagorError, TimeError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media import CameraSource, Frame
+from eagor.media.animations import Animation
 from eagor.media.bags import is_bag, split_bag
 from eagor.media.footage import lens_folders
 from eagor.media.intrinsics import Camera
@@ -167,7 +168,9 @@ class VideoCamera:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed = False
         self._panoramas: Panoramas | None = None  # of a video without a rig: checks its pictures
-        self.video: Video | StitchedVideo | LensVideos = open_video(paths, rig, stitched=stitched, rate=rate, rows=rows)
+        self.video: Video | Animation | StitchedVideo | LensVideos = open_video(
+            paths, rig, stitched=stitched, rate=rate, rows=rows
+        )
         height, width = self.video.shape
         self.grid: ErpGrid | PerspectiveGrid = ErpGrid(height, width)
         self.unseen, self.motion = self.video.unseen, self.video.motion

@@ -20,19 +20,21 @@ import numpy as np
 from eagor._checks import is_twice_as_wide
 from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
+from eagor.media.animations import is_animation
 from eagor.media.defects import fisheye_circles, problems
 from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, in_words, ordinary_grid, told_by_photograph
-from eagor.media.panorama import Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
+from eagor.media.panorama import IMAGES, Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
 from eagor.media.rig_videos import are_ordinary, ordinary_cameras
 from eagor.media.rigs import Rig, sizes_of
 from eagor.media.stitching import Panoramas
+from eagor.media.video import plays
 
 __all__ = [
     "LEAST_ROWS", "VIDEOS", "BagFrames", "FrameCheck", "Frames", "ImageFrames", "LensPictures", "Read",
     "ShapeError", "VideoFrames", "images", "is_video", "lens_folders",
 ]  # fmt: skip
 
-VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
+VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")  # without a look
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 
 NOTHING = Told()
@@ -86,7 +88,7 @@ class FrameCheck:
         self._said.add("pixels")  # not before: who reads a frame again that was refused is told again
         for fact in frame.facts:
             self.say(f"{name}: {fact}")
-        for problem in found:
+        for problem in found if frame.unseen is None else ():  # a part has no seam
             self.say(f"warning: {name}: {problem}")
         return frame
 
@@ -95,7 +97,8 @@ class FrameCheck:
         return self.camera is not None and (self.camera.known or not (self.force or is_twice_as_wide(height, width)))
 
     def _is_ordinary(self, frame: Picture) -> bool:
-        return frame.unseen is None and self.takes_as_ordinary(*frame.picture.shape[:2])  # else its file says where
+        placed = frame.unseen is not None and is_whole(frame.picture)  # its file says where, or it is a panorama
+        return not placed and self.takes_as_ordinary(*frame.picture.shape[:2])
 
     def _ordinary(self, frame: Picture, name: str, told: Told) -> Picture:
         """An ordinary picture with its grid; that of a fisheye as a panorama, with what it does not see."""
@@ -208,7 +211,9 @@ Frames = ImageFrames | VideoFrames | BagFrames
 
 
 def is_video(places: Sequence[Path], rig: bool = False) -> bool:
-    """Whether the one place is a video, by its name; with a `rig` there may be one for each lens."""
+    """Whether the one place is a video, or a picture that moves; with a `rig` there may be a video for each lens."""
+    if len(places) == 1 and is_animation(places[0]):
+        return True
     many = len(places) > 1 and not rig
     return not many and all(map(_is_film, places))
 
@@ -267,7 +272,11 @@ def lens_folders(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
 
 
 def _is_film(place: Path) -> bool:
-    return place.suffix.lower() in VIDEOS and not place.is_dir()
+    """Whether it is a video: by its name, or where that tells nothing, by what is in it."""
+    suffix = place.suffix.lower()
+    if suffix in VIDEOS:
+        return not place.is_dir()
+    return suffix not in IMAGES and os.path.isfile(place) and plays(place)
 
 
 class LensPictures:

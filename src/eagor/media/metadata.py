@@ -47,6 +47,13 @@ EXPORT = (
     "FFmpeg's filter v360"
 )
 
+GOPRO = (
+    "{0} is a GoPro recording that is not put together yet: its two tracks are the two strips of an equi-angular "
+    "cubemap (EAC), which no rig of lenses describes. Export it as an equirectangular MP4 with GoPro's Player or Quik. "
+    "Or with FFmpeg, some degrees off where the strips overlap: ffmpeg -i {0} -filter_complex "
+    "'[0:v:0][0:v:1]vstack,v360=eac:e' -map 0:a? whole.mp4"
+)
+
 GPANO = "http://ns.google.com/photos/1.0/panorama/"
 GSPHERICAL = "http://ns.google.com/videos/1.0/spherical/"
 LONGEST_XMP = 1 << 22  # bytes
@@ -117,6 +124,8 @@ def _of_movie(path: str, movie: Movie, file: BinaryIO, wanted: bool) -> VideoMet
     if motion is not None:
         facts += ("the motion track is the camera's: where its app steadied the pictures, they turn otherwise",)
     lenses = len(movie.pictures)
+    if lenses > 1 and not wanted and (path.lower().endswith(".360") or any(t.entry == "gpmd" for t in movie.tracks)):
+        raise ImageError(GOPRO.format(os.path.basename(path)))
     if raw and lenses > 1 and not wanted:
         raise ImageError(
             f"{os.path.basename(path)} holds {lenses} tracks of pictures, one for each lens. Give the lenses with "
