@@ -39,6 +39,7 @@ from eagor.cli.checks import (
     wants_panoramas,
 )
 from eagor.cli.options import (
+    Axes,
     CameraFile,
     Common,
     Detector,
@@ -83,6 +84,7 @@ class Live(Common):
         "level: the same for a camera that keeps its pictures level; still: it stands; ros:/odom: a ROS 2 topic, also "
         "of a bag; go2: the robot's odometry; CSV: a file, as for track, for a recorded source."
     )
+    axes: Axes = "auto"
     rate: Annotated[float, arg(metavar="HZ")] = 20.0
     """Answers per second."""
     perception: Annotated[str | None, bare("NAME")] = None
@@ -247,7 +249,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
 def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
     from eagor.live.threads import GivenPoses, MotionPoses
-    from eagor.media.pose_files import odometry_of_file
+    from eagor.media.pose_axes import odometry_of_file
     from eagor.robots import GO2, ROS, open_poses
     from eagor.robots.ros.pose_sources import bag_odometry
     from eagor.robots.ros.sources import BagCamera
@@ -272,7 +274,7 @@ def _poses(options: Live, camera: CameraSource) -> Any:
         raise terminal.UsageError(
             f"--poses {text}: a live camera needs live poses; wanted auto, level, still, ros:/TOPIC or go2"
         )
-    return GivenPoses(odometry_of_file(text))
+    return GivenPoses(odometry_of_file(text, options.axes))
 
 
 class _Told:

@@ -31,6 +31,7 @@ from eagor.media.rig_videos import LensVideos, StitchedVideo, made_of, makers, o
 from eagor.media.rigs import Rig, read_rig, sizes_of
 from eagor.media.stitching import Panoramas
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
+from eagor.media.times import times_of
 from eagor.media.video import Video
 
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_camera"]
@@ -47,7 +48,6 @@ _ADDRESS = re.compile(rf"(?:{'|'.join(SCHEMES)})://", re.IGNORECASE)
 _NAME = re.compile(r"([A-Za-z][\w-]+):(.*)", re.DOTALL)
 
 RATE = 1.0  # pictures per second of a folder whose files do not tell times
-_TIME = re.compile(r"\d+\.\d+")  # a file's name without its ending that is a time: 12.350.png
 
 
 # --- what a source is ---
@@ -201,7 +201,7 @@ class VideoCamera:
 class FolderCamera:
     """A `CameraSource` of folders of pictures, one per picture of the `rig`, in order of their names.
 
-    Stamps: the names, where all are times in seconds with a point (12.350.png); otherwise `rate` pictures per second
+    Stamps: the names, where all are times (`eagor.media.times`: 12.350.png); otherwise `rate` pictures per second
     (default: 1), from 0. Pictures that cannot be read or have another shape are left out, counted in `dropped`.
     """
 
@@ -264,12 +264,11 @@ def _after(last: float, stamp: float) -> float:
 
 
 def _stamps(paths: Sequence[Path], rate: float) -> list[float]:
-    names = [path.stem for path in paths]
-    if len(names) > 1 and all(_TIME.fullmatch(name) for name in names):
-        stamps = [float(name) for name in names]
+    stamps = times_of([path.stem for path in paths])
+    if len(paths) > 1 and stamps is not None:
         if any(later <= earlier for earlier, later in pairwise(stamps)):
             raise TimeError(f"{paths[0].parent}: its names are times, and do not increase; rename the pictures")
         return stamps
     if not (math.isfinite(rate) and rate > 0):
         raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
-    return [number / rate for number in range(len(names))]
+    return [number / rate for number in range(len(paths))]

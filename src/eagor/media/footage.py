@@ -126,7 +126,8 @@ class FrameCheck:
 class ImageFrames:
     """Pictures in files, `rate` per second; `read` gives one of them.
 
-    `beside`: of each path, the pictures that further cameras of a rig took at the same moment.
+    `beside`: of each path, the pictures that further cameras of a rig took at the same moment. `stamps`: when the
+    pictures were taken, if that is known.
     """
 
     paths: tuple[Path, ...]
@@ -134,6 +135,7 @@ class ImageFrames:
     read: Callable[[Path], Picture]
     level_R_body: np.ndarray | None = None
     beside: Mapping[Path, tuple[Path, ...]] = field(default_factory=dict)
+    stamps: tuple[float, ...] = ()
 
     @property
     def count(self) -> int:
@@ -148,7 +150,7 @@ class ImageFrames:
     def frames(self) -> Iterator[tuple[float, str, Read]]:
         for number, path in enumerate(self.paths):
             for name, read in self.moment(path):
-                yield number / self.rate, name, read
+                yield self.stamps[number] if self.stamps else number / self.rate, name, read
 
 
 @dataclass(frozen=True)

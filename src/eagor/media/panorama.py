@@ -371,10 +371,11 @@ def pictures_in(folder: Path) -> tuple[Path, ...]:
 
 def in_order(paths: Sequence[Path]) -> tuple[Path, ...]:
     """`paths` sorted by name; numbers in names sort by value."""
-    return tuple(sorted(paths, key=lambda path: (_natural(path.name), str(path))))
+    return tuple(sorted(paths, key=lambda path: (natural(path.name), str(path))))
 
 
-def _natural(name: str) -> list[tuple[int, str | int]]:
+def natural(name: str) -> list[tuple[int, str | int]]:
+    """A key to sort names by, numbers in them by value."""
     return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
