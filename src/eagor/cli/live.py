@@ -44,6 +44,7 @@ from eagor.cli.options import (
     Common,
     Detector,
     Drift,
+    Eyes,
     Flag,
     Floor,
     Force,
@@ -108,6 +109,7 @@ class Live(Common):
     """The lenses, if the pictures are those of fisheye or ordinary lenses."""
     hfov: Hfov = None
     camera: CameraFile = None
+    eyes: Eyes = None
     rows: Annotated[int | None, bare("N")] = None
     """Rows of the pictures at most (default: 960, or what the detector wants)."""
     domain: Annotated[int | None, bare("N")] = None
@@ -208,6 +210,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
 
     Raises `UsageError`, and as `LiveLoop`.
     """
+    from eagor.evidence import BodyMask
     from eagor.live.loop import LiveLoop
     from eagor.live.threads import already_open
     from eagor.media.camera_sources import open_camera
@@ -219,7 +222,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=options.floor, drift=checked_drift(options.drift))
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
-    told = ordinary(options.hfov, options.camera, options.rig)
+    told = ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)
     lenses = rig_of(options.rig)
     several = "," in source if lenses is None else are_ordinary(lenses)  # topics of ROS tell their lenses
     stitched = several and wants_panoramas(spec)
@@ -231,6 +234,8 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
         network = {"domain": options.domain, "interface": options.interface}
         opens = partial(RosCamera, source.removeprefix(ROS), stitched=stitched, **network, **how)
     camera = opens()
+    if options.eyes is not None and mask is None and (unseen := getattr(camera, "unseen", None)) is not None:
+        mask = BodyMask(~unseen)
     try:
         loop = LiveLoop(
             already_open(camera, opens) if camera.live else camera, spec, queries, poses=_poses(options, camera),

@@ -106,6 +106,15 @@ CameraInfo = Annotated[
         "of several cameras, with commas between.",
     ),
 ]
+Eyes = Annotated[
+    Literal["mono", "left-right", "right-left", "top-bottom", "bottom-top", "vr180", "vr180-top-bottom"] | None,
+    bare(
+        "LAYOUT",
+        "Two eyes in a panorama's picture (3D 360, VR180; default: as its file says; alike halves are refused): "
+        "left-right or top-bottom (the left eye's first), right-left, bottom-top, vr180 (half spheres side by side), "
+        "vr180-top-bottom; mono: one.",
+    ),
+]
 Mask = Annotated[
     Path | None,
     bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),
@@ -165,6 +174,7 @@ class Footage(Common):
     """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
     hfov: Hfov = None
     camera: CameraFile = None
+    eyes: Eyes = None
     rig: RigFile = None
     force: Force = False
 

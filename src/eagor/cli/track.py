@@ -268,6 +268,7 @@ def _of_bag(
 
     lens = checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info)
     bag, rig = Bag(place), checks.rig_of(options.rig)
+    eyes = None if options.eyes is None else lens
     camera = BagCamera(
         bag, options.image_topic, rows=rows, rig=rig, camera=lens, info=options.camera_info, stitched=stitched
     )
@@ -278,7 +279,7 @@ def _of_bag(
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera.frame)
     if camera.views[0] is not None and not poses and odometry is None:
         shown = max(shown, BY_SIGHT)
-    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
+    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log, camera=eyes))
     poses = _in_our_axes(options, source, poses)
     lost: list[str] = []
     if odometry is not None:
@@ -304,7 +305,9 @@ def _check(options: Footage) -> FrameCheck:
     """What is asked of each frame: a whole panorama, or a lens that the options or its file tell."""
     from eagor.media.footage import FrameCheck
 
-    return FrameCheck(options.force, terminal.log, checks.ordinary(options.hfov, options.camera, options.rig))
+    return FrameCheck(
+        options.force, terminal.log, checks.ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)
+    )
 
 
 def _in_our_axes(options: Footage, source: Frames, poses: Sequence[FramePose]) -> Sequence[FramePose]:

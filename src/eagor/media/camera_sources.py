@@ -82,7 +82,9 @@ def open_camera(
         parts = text.split(",")
     kinds = [_kind(part) for part in parts]
     settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
-    if camera is not None and camera.known:  # else not given: cameras of other packages need not know of it
+    if camera is not None and (
+        camera.known or camera.eyes
+    ):  # else not given: cameras of other packages need not know of it
         settings["camera"] = camera
     if len(set(kinds)) > 1:
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")

@@ -21,9 +21,19 @@ from eagor._checks import is_twice_as_wide
 from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.media.animations import is_animation
-from eagor.media.defects import fisheye_circles, problems
+from eagor.media.defects import TWICE, fisheye_circles, problems, two_eyes
 from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, in_words, ordinary_grid, told_by_photograph
-from eagor.media.panorama import IMAGES, Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
+from eagor.media.metadata import Projection
+from eagor.media.panorama import (
+    IMAGES,
+    Picture,
+    in_order,
+    is_whole,
+    pictures_in,
+    placed,
+    read_panorama,
+    read_photograph,
+)
 from eagor.media.rig_videos import are_ordinary, ordinary_cameras
 from eagor.media.rigs import Rig, sizes_of
 from eagor.media.stitching import Panoramas
@@ -70,6 +80,15 @@ class FrameCheck:
         """
         if frame.grid is not None:
             return frame
+        eyes = None if self.camera is None else self.camera.eyes
+        if eyes not in (None, "mono"):
+            frame = replace(
+                placed(frame.picture, Projection.of_eyes(eyes), frame.unseen), level_R_body=frame.level_R_body
+            )
+        elif eyes is None and not self.force and frame.unseen is None and "eyes" not in self._said:
+            if (self.camera is None or not self.camera.known) and (twice := two_eyes(frame.picture)):
+                raise ShapeError(f"{name} {TWICE[twice]}")
+            self._said.add("eyes")
         if self._is_ordinary(frame):
             return self._ordinary(frame, name, told)
         if not is_whole(frame.picture):
@@ -94,7 +113,9 @@ class FrameCheck:
 
     def takes_as_ordinary(self, height: int, width: int) -> bool:
         """Whether pictures of this size, of which a file says nothing, are those of an ordinary camera."""
-        return self.camera is not None and (self.camera.known or not (self.force or is_twice_as_wide(height, width)))
+        if self.camera is None or self.camera.eyes is not None:
+            return False
+        return self.camera.known or not (self.force or is_twice_as_wide(height, width))
 
     def _is_ordinary(self, frame: Picture) -> bool:
         placed = frame.unseen is not None and is_whole(frame.picture)  # its file says where, or it is a panorama

@@ -73,11 +73,13 @@ class Camera:
     """What the user knows of an ordinary camera; without anything, files may tell.
 
     `rig`: a calibration, of one lens; `hfov`: the field of an ideal lens, radians; `name`: where it is from, for texts.
+    `eyes`: None, or what of `eagor.media.metadata.LAYOUTS` a panorama's pictures are.
     """
 
     rig: Rig | None = None
     hfov: float | None = None
     name: str = ""
+    eyes: str | None = None
 
     @property
     def known(self) -> bool:
@@ -106,8 +108,12 @@ class Told:
     facts: tuple[str, ...] = ()
 
 
-def camera_of(hfov: float | None, path: Path | None) -> Camera:
-    """The camera of ``--hfov`` (degrees) and ``--camera``. Raises `ImageError`, `FormatError`."""
+def camera_of(hfov: float | None, path: Path | None, eyes: str | None = None) -> Camera:
+    """The camera of ``--hfov`` (degrees), ``--camera`` and ``--eyes``. Raises `ImageError`, `FormatError`."""
+    if eyes is not None:
+        if hfov is not None or path is not None:
+            raise ImageError(f"--eyes {eyes} is for panoramas; leave out --hfov and --camera")
+        return Camera(eyes=eyes)
     if hfov is not None and path is not None:
         raise ImageError(f"--hfov {hfov:g} and --camera {path}: wanted one of them; a calibration has the field")
     if path is not None:

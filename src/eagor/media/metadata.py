@@ -25,7 +25,7 @@ from eagor.media.motion import MotionTrack, read_camm, read_insta360
 from eagor.sphere import world_R_body
 
 __all__ = [
-    "GPANO", "GSPHERICAL", "Layout", "Projection", "VideoMetadata", "of_head", "of_photograph", "of_track",
+    "GPANO", "GSPHERICAL", "LAYOUTS", "Layout", "Projection", "VideoMetadata", "of_head", "of_photograph", "of_track",
     "properties", "read_metadata",
 ]  # fmt: skip
 
@@ -38,6 +38,16 @@ EYES = {  # where in the picture the left eye's is: first row, first column, row
     "bottom-top": (0.5, 0.0, 0.5, 1.0),
     "left-right": (0.0, 0.0, 1.0, 0.5),
     "right-left": (0.0, 0.5, 1.0, 0.5),
+}
+HALF = (0.0, 0.0, 0.25, 0.25)  # what half a sphere lacks
+LAYOUTS = {  # what --eyes says of a picture: how the eyes share it, what of the sphere each lacks, in words
+    "mono": ("mono", (0.0,) * 4, "one panorama"),
+    "left-right": ("left-right", (0.0,) * 4, "two whole panoramas side by side"),
+    "right-left": ("right-left", (0.0,) * 4, "the same, the left eye's on the right"),
+    "top-bottom": ("top-bottom", (0.0,) * 4, "two whole panoramas, the left eye's above"),
+    "bottom-top": ("bottom-top", (0.0,) * 4, "the same, the left eye's below"),
+    "vr180": ("left-right", HALF, "two half spheres side by side"),
+    "vr180-top-bottom": ("top-bottom", HALF, "two half spheres, the left eye's above"),
 }
 ST3D = {0: "mono", 1: "top-bottom", 2: "left-right", 3: "custom", 4: "right-left"}
 MATROSKA_STEREO = {0: "mono", 1: "left-right", 2: "bottom-top", 3: "top-bottom", 11: "right-left"}
@@ -172,6 +182,12 @@ class Projection:
     def level_R_body(self) -> np.ndarray:
         """As `world_R_body`, without the heading: forward stays the picture's centre."""
         return world_R_body(0.0, self.pitch, self.roll)
+
+    @classmethod
+    def of_eyes(cls, layout: str) -> Projection:
+        """What ``--eyes`` says, one of `LAYOUTS`."""
+        stereo, cropped, _ = LAYOUTS[layout]
+        return cls(f"--eyes {layout}", stereo=stereo, cropped=cropped)  # type: ignore[arg-type]
 
     def check(self, name: str, force: bool = False) -> None:
         """Raise `ImageError`, about the file `name`, unless it is an equirectangular panorama; `force`: of any area."""

@@ -415,7 +415,7 @@ def _told(image: np.ndarray, unseen: np.ndarray | None, file: Image.Image, name:
     if found is None:
         return Picture(image, unseen)
     found.check(name, force)
-    return _placed(image, found, unseen)
+    return placed(image, found, unseen)
 
 
 def is_whole(panorama: np.ndarray) -> bool:
@@ -423,7 +423,8 @@ def is_whole(panorama: np.ndarray) -> bool:
     return is_twice_as_wide(*panorama.shape[:2])
 
 
-def _placed(image: np.ndarray, found: Projection, hidden: np.ndarray | None) -> Picture:
+def placed(image: np.ndarray, found: Projection, hidden: np.ndarray | None = None) -> Picture:
+    """A picture where `found` says that it belongs; `hidden`: what of it is not seen, or None."""
     height, width = image.shape[:2]
     layout = found.layout(height, width)
     panorama, unseen = layout.place(resized(image, layout.size)), layout.unseen
