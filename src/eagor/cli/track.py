@@ -268,7 +268,7 @@ def _of_bag(
 
     lens = checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info)
     bag, rig = Bag(place), checks.rig_of(options.rig)
-    eyes = None if options.eyes is None else lens
+    one = None if options.eyes is None else replace(lens, eyes="mono")  # the source takes one of them
     camera = BagCamera(
         bag, options.image_topic, rows=rows, rig=rig, camera=lens, info=options.camera_info, stitched=stitched
     )
@@ -279,7 +279,7 @@ def _of_bag(
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera.frame)
     if camera.views[0] is not None and not poses and odometry is None:
         shown = max(shown, BY_SIGHT)
-    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log, camera=eyes))
+    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log, camera=one))
     poses = _in_our_axes(options, source, poses)
     lost: list[str] = []
     if odometry is not None:

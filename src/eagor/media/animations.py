@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 
-import numpy as np
 from PIL import Image
 
 from eagor.errors import ImageError, TimeError
 from eagor.media import Frame
 from eagor.media.intrinsics import Told
-from eagor.media.panorama import Picture, decoded_bytes, opened, photograph_of, resized
+from eagor.media.panorama import Picture, decoded_bytes, opened, photograph_of, resized, resized_mask
 
 __all__ = ["Animation", "is_animation"]
 
@@ -68,7 +68,7 @@ class Animation:
         for last, _, found in self._all():
             if self._end is not None and last >= self._end - 1e-6:
                 return
-            at = math.floor((last - self._start + 1e-6) * (self._rate or math.inf)) if self._rate else tick + 1
+            at = math.floor((last - self._start + 1e-6) * self._rate) if self._rate else tick + 1
             if last < self._start - 1e-6 or at <= tick:
                 continue
             tick = at
@@ -104,9 +104,5 @@ class Animation:
         if rows == height:
             return found
         size = rows, max(1, round(width * rows / height))
-        unseen = found.unseen
-        if unseen is not None:
-            unseen = resized(np.repeat(np.uint8(255) * unseen[..., None], 3, axis=2), size)[..., 0] > 127
-        return Picture(
-            resized(found.picture, size, wrap=width == 2 * height), unseen, found.level_R_body, None, found.facts
-        )
+        unseen = None if found.unseen is None else resized_mask(found.unseen, size)
+        return replace(found, picture=resized(found.picture, size, wrap=width == 2 * height), unseen=unseen)

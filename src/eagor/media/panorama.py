@@ -336,6 +336,11 @@ def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.
     return np.asarray(picture.resize((size[1], size[0]), Image.Resampling.BICUBIC, box))
 
 
+def resized_mask(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A mask ``(H, W)`` at `size` (height, width)."""
+    return resized(np.repeat(np.uint8(255) * mask[..., None], 3, axis=2), size)[..., 0] > 127
+
+
 # --- photographs with what their files say ---
 
 
@@ -429,7 +434,7 @@ def placed(image: np.ndarray, found: Projection, hidden: np.ndarray | None = Non
     layout = found.layout(height, width)
     panorama, unseen = layout.place(resized(image, layout.size)), layout.unseen
     if hidden is not None:
-        own = layout.place(resized(np.repeat(np.uint8(255) * hidden[..., None], 3, axis=2), layout.size))[..., 0] > 127
+        own = layout.place(resized_mask(hidden, layout.size))
         unseen = own if unseen is None else own | unseen
     tilted, turned = bool(found.pitch or found.roll), bool(found.yaw)
     return Picture(

@@ -113,19 +113,24 @@ def _relative(poses: Sequence[FramePose]) -> np.ndarray:
 
 
 def _is_odd(poses: Sequence[FramePose]) -> bool:
-    """Whether a camera with our axes would turn about its vertical least of all, or lie on its side or back."""
-    bent = _relative(poses)
+    """Whether a camera with our axes would hardly turn about its vertical, lie on its side or back, or fly up."""
+    bent, gone = _relative(poses), _gone(poses)
     squares = (bent**2).sum(axis=0)
     turned = np.linalg.norm(bent, axis=1).max() > LEAST
     ups = np.array([pose.world_R_body[2, 2] for pose in poses[:: 1 + len(poses) // 1000]])
-    return bool((turned and squares[2] < 0.5 * squares.sum()) or ups.mean() < 0.5)
+    rises = gone[2] > max(STILL, LEVEL * float(np.linalg.norm(gone)))
+    return bool((turned and squares[2] < 0.5 * squares.sum()) or ups.mean() < 0.5 or rises)
+
+
+def _gone(poses: Sequence[FramePose]) -> np.ndarray:
+    """How far it went along each axis of its world ``(3,)``, metres."""
+    places = np.array([pose.position for pose in poses if pose.position is not None and pose.near]).reshape(-1, 3)
+    return np.ptp(places, axis=0) if len(places) else np.zeros(3)
 
 
 def _tells(poses: Sequence[FramePose]) -> bool:
     """Whether how it turns and stands tells axes at all: it turned, or does not move, or has a heading."""
-    bent = _relative(poses)
-    places = np.array([pose.position for pose in poses if pose.position is not None and pose.near]).reshape(-1, 3)
-    moved = len(places) > 0 and float(np.ptp(places, axis=0).max()) > STILL
+    bent, moved = _relative(poses), float(_gone(poses).max()) > STILL
     turned = np.linalg.norm(bent, axis=1).max() > LEAST
     return bool(turned or not moved or np.arccos(np.clip((np.trace(poses[0].world_R_body) - 1) / 2, -1, 1)) > LEAST)
 

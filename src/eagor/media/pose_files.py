@@ -41,7 +41,7 @@ ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 POSITION = ("x", "y", "z")
 HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
 COUNTS = ((1e4, ("milliseconds", "ms")), (1e7, ("microseconds", "us")), (math.inf, ("nanoseconds", "ns")))
-APART = 10.0  # seconds between poses from which on whole numbers are rather counts of something shorter
+APART = 10.0  # seconds between poses from which on they are rather counts of something shorter
 _NORM_TOLERANCE = 0.01  # a quaternion printed with three digits is still one
 BEYOND = 0.05  # seconds: what lies so far outside of the poses still takes the nearest one
 
@@ -131,7 +131,7 @@ def _say_units(path: str | Path, table: Table, poses: Poses) -> None:
     """Warn of stamps and angles that are hardly seconds and degrees; keeps whether the latter are small."""
     stamps = np.array([pose.stamp for pose in poses])
     apart = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    if table.unit == 1 and apart > APART and (stamps == stamps.round()).all():
+    if table.unit == 1 and apart >= APART:
         what, short = next(names for most, names in COUNTS if apart < most)
         text = f"{path}: its poses are {apart:g} s apart. Are the stamps {what}? Then call that column stamp_{short}"
         warnings.warn(text, UserWarning, stacklevel=3)
