@@ -86,7 +86,8 @@ class FrameCheck:
                 placed(frame.picture, Projection.of_eyes(eyes), frame.unseen), level_R_body=frame.level_R_body
             )
         elif eyes is None and not self.force and frame.unseen is None and "eyes" not in self._said:
-            if (self.camera is None or not self.camera.known) and (twice := two_eyes(frame.picture)):
+            unknown = (self.camera is None or not self.camera.known) and not fisheye_circles(frame.picture)
+            if unknown and (twice := two_eyes(frame.picture)):
                 raise ShapeError(f"{name} {TWICE[twice]}")
             self._said.add("eyes")
         if self._is_ordinary(frame):

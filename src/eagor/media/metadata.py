@@ -66,6 +66,7 @@ GOPRO = (
 
 GPANO = "http://ns.google.com/photos/1.0/panorama/"
 GSPHERICAL = "http://ns.google.com/videos/1.0/spherical/"
+LARGEST = 1 << 29  # pixels of a sphere of which a picture is a part
 LONGEST_XMP = 1 << 22  # bytes
 AREA = (
     "FullPanoWidthPixels", "FullPanoHeightPixels", "CroppedAreaImageWidthPixels", "CroppedAreaImageHeightPixels",
@@ -359,12 +360,14 @@ def _with_area(found: Projection, said: Mapping[str, str], size: tuple[int, int]
         for start, n, full in ((left, wide, width), (top, high, height))
     )
     fits = all(
-        start >= -slack and n > 0 and start + n <= full + slack < math.inf
+        start >= -slack and n >= 1 and start + n <= full + slack < 1e6 and full >= 1
         for start, n, full in ((left, wide, width), (top, high, height))
     )
     square = abs(width - 2 * height) <= 2 * slack  # and the picture is the part that was cut, in any size
     alike = size is None or abs(size[0] * high - size[1] * wide) <= 0.02 * size[0] * high + ROUNDING * max(wide, high)
     if not (fits and square and alike):  # also where a number is missing
+        return replace(found, wrong=words)
+    if size is not None and size[0] * size[1] / (wide * high) * width * height > LARGEST:
         return replace(found, wrong=words)
     cropped: list[float] = []
     for start, n, full in ((top, high, height), (left, wide, width)):  # a part that juts out by rounding is moved in

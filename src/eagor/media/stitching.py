@@ -263,11 +263,11 @@ class Panoramas:
         """Look at the first pictures ``(H, W, 3)`` uint8. Raises `ImageError` for fisheye circles, or two eyes."""
         if self.rig is not None or self.view is not None or self.settled:
             return
-        if eyes := two_eyes(pictures[0]):
-            raise ImageError(f"{self.name} {TWICE[eyes]}")
         if circles := fisheye_circles(pictures[0]):
             what = "the two circles of a dual fisheye camera, side by side" if circles == 2 else "a fisheye's circle"
             raise ImageError(f"{self.name} shows {what}, and no panorama: directions would be wrong. {MAKE}")
+        if eyes := two_eyes(pictures[0]):
+            raise ImageError(f"{self.name} {TWICE[eyes]}")
 
     def make(self, *pictures: np.ndarray) -> np.ndarray:
         """The panorama ``(*grid.shape, 3)`` uint8 of the pictures of one moment. Raises `ImageError`."""
