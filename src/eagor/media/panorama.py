@@ -36,9 +36,14 @@ from eagor.sphere import check_rotation, direction, world_R_body
 
 # Pillow starts no other program for any of these; AVIF since its version 11.3.
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", *(("AVIF",) if find_spec("PIL.AvifImagePlugin") else ()))
-BOXED: dict[bytes, str] = dict.fromkeys((b"avif", b"avis"), "Pillow from version 11.3 on") | dict.fromkeys(
-    (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"), "the package pillow-heif"
-)  # brands of pictures in MP4's boxes (ISO/IEC 23008-12), and what reads them
+BOXED = {  # brands of pictures in MP4's boxes (ISO/IEC 23008-12), and what reads them
+    brand.encode(): reader
+    for reader, brands in (
+        ("Pillow from version 11.3 on", "avif avis"),
+        ("the package pillow-heif", "heic heix heim heis hevc hevx mif1 msf1"),
+    )
+    for brand in brands.split()
+}
 ORIENTATION = 0x0112  # the tag in Exif
 _SMALL = 1 << 26  # bytes: 4096 x 4096 in colour
 _DENSEST = 600  # decoded bytes per byte of the file; blank pictures reach up to a thousand
