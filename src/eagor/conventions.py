@@ -70,7 +70,7 @@ def _from_quaternion(quaternion: np.ndarray, scalar_first: bool) -> np.ndarray:
 def hstar_from_direction(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """H*Bench (yaw, pitch) in degrees, yaw in [0, 360), of directions ``(..., 3)``."""
     azimuth, elevation = azimuth_elevation(directions)
-    return np.degrees(-azimuth) % 360.0, np.degrees(elevation)
+    return np.degrees(-azimuth) % 360.0 % 360.0, np.degrees(elevation)  # the first rounds a hair below 0 to 360
 
 
 def direction_from_hstar(yaw_deg: np.ndarray, pitch_deg: np.ndarray) -> np.ndarray:

@@ -130,7 +130,7 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def wrap(angle: Array) -> Array:
     """`angle` (radians) brought to [-pi, pi)."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
+    return (angle + math.pi) % (2 * math.pi) % (2 * math.pi) - math.pi  # the first rounds a hair below 0 to 2 pi
 
 
 def rotation(axis: Array, angle: float) -> np.ndarray:

@@ -204,6 +204,7 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
     assert {"waypoint", "hstar-hos", "hstar-hps"} <= found.keys()
     assert "oracle" in found["hstar-hos"]["agents"]
     (told,) = answer("info", folder).values()
+    assert answer("info", "hstar-hos", "--data", folder)["hstar-hos"] == told  # as docs/benchmarks.md has it
     assert (told["scenes"], told["targets"], told["episodes"]) == (2, 4, {"hos": 16, "hps": 0})
     lines = bench("info", folder).stdout.splitlines()
     at = lines.index("episodes")

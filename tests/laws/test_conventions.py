@@ -10,7 +10,7 @@ from strategies import rotations
 from eagor import conventions as conv
 from eagor.errors import EagorError, RotationError
 from eagor.grids import ErpGrid
-from eagor.sphere import azimuth_elevation, direction, rotation, world_R_body
+from eagor.sphere import azimuth_elevation, direction, rotation, world_R_body, wrap
 
 CHAIR, LAMP, BED = (direction(math.radians(a), math.radians(e)) for a, e in [(40, -10), (-75, 35), (170, -5)])
 
@@ -24,6 +24,13 @@ def test_hstar_yaw_grows_to_the_right_of_the_image_centre():
         x, y, _ = ErpGrid(512, 1024).project(target)
         assert (x / 1024 * 360 - 180) % 360 == pytest.approx(yaw)
         assert 90 - y / 512 * 180 == pytest.approx(pitch)
+
+
+def test_yaw_is_below_360_and_wrapped_angles_below_pi_for_a_hair_to_the_left():
+    hairs = np.array([1e-18, -1e-18, 1e-300, 0.0, -0.0])
+    yaws, _ = conv.hstar_from_direction(np.stack([np.ones(5), hairs, np.zeros(5)], axis=-1))
+    assert ((yaws >= 0) & (yaws < 360)).all()
+    assert -math.pi <= wrap(np.nextafter(-math.pi, -4)) < math.pi
 
 
 def test_habitat_looks_along_minus_z_with_x_to_the_right():

@@ -113,17 +113,60 @@ def test_other_projections(tmp_path, kind):
         read_photograph(saved(tmp_path, marked(0, 0), xmp(ProjectionType=kind)))
 
 
+FULL = {"FullPanoWidthPixels": 256, "FullPanoHeightPixels": 128}
+
+
+def area(wide, high, left=None, top=None, **full):
+    said = {"ImageWidth": wide, "ImageHeight": high, "Left": left, "Top": top}
+    return full | {f"CroppedArea{name}Pixels": value for name, value in said.items() if value is not None}
+
+
 @pytest.mark.parametrize(
-    "said",
-    [
-        {"FullPanoWidthPixels": 100, "FullPanoHeightPixels": 128, "CroppedAreaImageWidthPixels": 160,
-         "CroppedAreaImageHeightPixels": 64},
-        {"FullPanoWidthPixels": "wide", "FullPanoHeightPixels": 1, "CroppedAreaImageWidthPixels": 1,
-         "CroppedAreaImageHeightPixels": 1},
-        {"PosePitchDegrees": "nan", "PoseRollDegrees": "up"},
+    ("part", "said"),
+    [  # rows and columns that the picture shows of a whole one of 128 x 256, and what it says
+        ((32, 96, 48, 208), area(160, 64, 48, 32, FullPanoWidthPixels=256)),  # the sphere's height is half of that
+        ((32, 96, 48, 208), area(160, 64, 48, 32, FullPanoHeightPixels=128)),
+        ((32, 96, 48, 208), FULL | {"CroppedAreaLeftPixels": 48, "CroppedAreaTopPixels": 32}),  # its own size
+        ((32, 96, 0, 256), area(256, 64, None, 32, **FULL)),  # all around begins at the border
+        ((65, 128, 96, 256), area(160, 64, 97, 65, **FULL)),  # one row and one column too many
+        ((0, 64, 96, 256), area(160, 64, 96, -1, **FULL)),
+        ((32, 96, 200, 250), area(50, 64, 200, 32, **FULL)),  # far from the middle
+        ((0, 128, 0, 256), {}),
+        ((0, 128, 0, 256), FULL),
+        ((0, 128, 0, 256), {"PosePitchDegrees": "nan", "PoseRollDegrees": "up"}),
     ],
-)  # fmt: skip
-def test_what_is_impossible_is_ignored(tmp_path, said):
-    photo = read_photograph(saved(tmp_path, marked(0, 0), xmp(**said)))
-    assert photo.picture.shape == (*SHAPE, 3)
-    assert (photo.unseen, photo.level_R_body) == (None, None)
+)
+def test_a_part_is_placed_where_the_numbers_allow_one_place(tmp_path, part, said):
+    top, bottom, left, right = part
+    at = 180 - (left + right) / 256 * 180, 90 - (top + bottom) / 128 * 90
+    photo = read_photograph(saved(tmp_path, marked(*at)[top:bottom, left:right], xmp(**said)))
+    assert photo.picture.shape[1] == 2 * photo.picture.shape[0]
+    assert off(mark(photo.picture), *at) < 1.5
+    unseen = 0.0 if photo.unseen is None else photo.unseen.mean()
+    assert unseen == pytest.approx(1 - (bottom - top) * (right - left) / 128 / 256, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        ((60, 256), {}),  # the kind alone, and not 2:1
+        ((60, 256), {"FullPanoWidthPixels": 256, "FullPanoHeightPixels": 60}),  # no sphere
+        ((60, 256), area(256, 60, 0, 0, FullPanoWidthPixels=256, FullPanoHeightPixels=60)),
+        ((64, 160), area(160, 64, 48, 32)),  # of what?
+        ((64, 160), area(160, 64, 48, **FULL)),  # at what height?
+        ((64, 160), area(160, 64, 120, 32, **FULL)),  # beyond the border
+        ((64, 160), area(160, 64, 48, 32, FullPanoWidthPixels=256, FullPanoHeightPixels=95)),
+        ((64, 100), area(160, 64, 48, 32, **FULL)),  # cut since
+        ((128, 256), area(160, 64, FullPanoWidthPixels=100, FullPanoHeightPixels=128)),
+        ((128, 256), area("wide", 1, FullPanoWidthPixels=1, FullPanoHeightPixels="nan")),
+        ((64, 160), area(0, 64, 48, 32, **FULL)),
+    ],
+)
+def test_an_area_that_does_not_add_up_is_refused_with_its_numbers(tmp_path, shape, said):
+    path = saved(tmp_path, painted_room(128, 256)[: shape[0], : shape[1]], xmp(**said))
+    with pytest.raises(ImageError, match=f"the picture is {shape[1]} x {shape[0]}.*--force") as refused:
+        read_photograph(path, warn=False)
+    assert all(f"{name} {value}" in str(refused.value) for name, value in said.items())
+    forced = read_photograph(path, warn=False, force=True)
+    assert (forced.unseen, forced.picture.shape[1]) == (None, 2 * shape[0])
+    assert "all columns for 360 degrees" in " ".join(forced.facts)

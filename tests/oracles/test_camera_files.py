@@ -43,6 +43,18 @@ distortion_coefficients: !!opencv-matrix
    dt: d
    data: {values}
 """
+XML = """<?xml version="1.0"?>
+<opencv_storage>
+<calibration_time>"Thu 03 Dec"</calibration_time>
+<image_width>640</image_width>
+<image_height>480</image_height>
+<camera_matrix type_id="opencv-matrix">
+  <rows>3</rows> <cols>3</cols> <dt>d</dt> <data>{matrix}</data></camera_matrix>
+<distortion_coefficients type_id="opencv-matrix">
+  <rows>{count}</rows> <cols>1</cols> <dt>d</dt> <data>
+    {values}</data></distortion_coefficients>
+</opencv_storage>
+"""
 ECHO = "height: 480\nwidth: 640\ndistortion_model: {model}\nd: {values}\nk: {matrix}\n"
 KALIBR = f"""cam0:
   camera_model: pinhole
@@ -56,7 +68,8 @@ KALIBR = f"""cam0:
 
 def read(tmp_path, text, name="camera.yaml", **values):
     path = tmp_path / name
-    path.write_text(text.format(matrix=MATRIX, **values) if values else text)
+    text = text.format(matrix=MATRIX, **values) if values else text
+    path.write_text(text.translate(str.maketrans("[],", "   ")) if text.startswith("<") else text)
     rig = read_camera(path)
     assert rig.sizes == (SIZE,)
     return rig.lenses[0]
@@ -73,6 +86,7 @@ def rays(lens, count=200):
     ("text", "model", "values"),
     [
         (ROS, "plumb_bob", PLUMB), (ROS, "rational_polynomial", RATIONAL), (OPENCV, "", PLUMB), (OPENCV, "", RATIONAL),
+        (XML, "", PLUMB), (XML, "", RATIONAL),
         (ECHO, "plumb_bob", PLUMB), (KALIBR, "radtan", PLUMB[:4]), (KALIBR, "none", ()),
     ],
 )  # fmt: skip
@@ -214,3 +228,33 @@ def test_what_is_no_camera_of_colmap_is_refused(tmp_path, text, told):
     with pytest.raises(FormatError, match=r"cameras\.txt") as error:
         read_camera(tmp_path / "cameras.txt")
     assert told in str(error.value)
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".yml", ".json"])
+def test_what_opencv_itself_writes_is_read(tmp_path, suffix):
+    path, matrix = tmp_path / f"camera{suffix}", np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]])
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("calibration_time", "Thu: 3 Dec <2026>")
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    storage.write("camera_matrix", matrix)
+    storage.write("distortion_coefficients", np.array(PLUMB)[:, None])
+    storage.write("img_points", np.zeros((2, 3, 2), np.float32))
+    storage.release()
+    lens = read_camera(path).lenses[0]
+    assert (lens.focal, lens.distortion) == (pytest.approx((FX, FY)), pytest.approx(PLUMB))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<opencv_storage><image_width>640", "is not XML"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "is not XML"),
+        ("<a>" * 200 + "</a>" * 200, "is not XML"),
+        ("<a>\n<image_width>640</image_width>\n<image_height>no</image_height>\n<K>1 2</K></a>", "image_height is"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_an_xml_is_said(tmp_path, text, words):
+    (tmp_path / "camera.xml").write_text(text)
+    with pytest.raises(FormatError, match=words):
+        read_camera(tmp_path / "camera.xml")

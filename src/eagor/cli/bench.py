@@ -132,10 +132,12 @@ class BenchInfo(Common):
 
     runs: ClassVar[str] = "info"
 
-    data: Annotated[Path, Positional, arg(metavar="DATA")]
-    """The folder."""
+    place: Annotated[str, Positional, arg(metavar="DATA|TASK")]
+    """The folder (all benchmarks that can read it tell of it), or a benchmark whose folder is --data."""
+    data: Annotated[Path | None, bare("DIR")] = None
+    """The folder, where TASK is named first."""
     task: Annotated[str | None, bare("NAME")] = None
-    """The benchmark (default: all that can read the folder)."""
+    """The benchmark, as TASK."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,12 +264,13 @@ def info(options: BenchInfo) -> int:
 
     found: dict[str, dict[str, Any]] = {}
     refused: dict[str, list[str]] = {}
-    for name, broken in ({options.task: ""} if options.task else _known()).items():
+    task_named, data = (options.task, Path(options.place)) if options.data is None else (options.place, options.data)
+    for name, broken in ({task_named: ""} if task_named else _known()).items():
         try:
             if broken:
                 raise EagorError(broken)
             task = load(name)
-            content = task.info(options.data) if hasattr(task, "info") else None  # type: ignore[attr-defined]
+            content = task.info(data) if hasattr(task, "info") else None  # type: ignore[attr-defined]
         except EagorError as error:
             refused.setdefault(str(error), []).append(name)
             continue
@@ -275,7 +278,7 @@ def info(options: BenchInfo) -> int:
             found[name] = content
     if not found:
         reasons = "; ".join(f"as {', '.join(names)}: {why}" for why, names in refused.items())
-        raise FormatError(f"{options.data} holds the data of no known task; {reasons or 'name one that has data'}")
+        raise FormatError(f"{data} holds the data of no known task; {reasons or 'name one that has data'}")
     if options.json:
         terminal.emit(found)
     else:

@@ -347,17 +347,19 @@ def rig_of(path: Path | None) -> Rig | None:
     return None if path is None else read_rig(path)
 
 
-def ordinary(hfov: float | None, path: Path | None, rig: Path | None, info: str | None = None) -> Camera:
-    """``--hfov`` and ``--camera``, beside ``--rig`` and ``--camera-info``. Raises `UsageError`, `FormatError`."""
+def ordinary(
+    hfov: float | None, path: Path | None, rig: Path | None, info: str | None = None, eyes: str | None = None
+) -> Camera:
+    """``--hfov``, ``--camera`` and ``--eyes``, beside others that tell the lens. Raises `UsageError`, `FormatError`."""
     from eagor.errors import FormatError, ImageError
     from eagor.media.intrinsics import camera_of
 
-    if rig is not None and not (hfov is None and path is None):
-        raise UsageError(f"--rig {rig} has the lenses of its pictures; leave out --hfov and --camera")
+    if rig is not None and not (hfov is None and path is None and eyes is None):
+        raise UsageError(f"--rig {rig} has the lenses of its pictures; leave out --hfov, --camera and --eyes")
     if info is not None and (other := next((each for each in (rig, path, hfov) if each is not None), None)) is not None:
         raise UsageError(f"--camera-info {info} and {other}: both tell the lens of the pictures; wanted one of them")
     try:
-        return camera_of(hfov, path)
+        return camera_of(hfov, path, eyes)
     except FormatError:
         raise
     except ImageError as error:

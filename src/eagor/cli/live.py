@@ -39,10 +39,12 @@ from eagor.cli.checks import (
     wants_panoramas,
 )
 from eagor.cli.options import (
+    Axes,
     CameraFile,
     Common,
     Detector,
     Drift,
+    Eyes,
     Flag,
     Floor,
     Force,
@@ -83,6 +85,7 @@ class Live(Common):
         "level: the same for a camera that keeps its pictures level; still: it stands; ros:/odom: a ROS 2 topic, also "
         "of a bag; go2: the robot's odometry; CSV: a file, as for track, for a recorded source."
     )
+    axes: Axes = "auto"
     rate: Annotated[float, arg(metavar="HZ")] = 20.0
     """Answers per second."""
     perception: Annotated[str | None, bare("NAME")] = None
@@ -106,6 +109,7 @@ class Live(Common):
     """The lenses, if the pictures are those of fisheye or ordinary lenses."""
     hfov: Hfov = None
     camera: CameraFile = None
+    eyes: Eyes = None
     rows: Annotated[int | None, bare("N")] = None
     """Rows of the pictures at most (default: 960, or what the detector wants)."""
     domain: Annotated[int | None, bare("N")] = None
@@ -206,6 +210,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
 
     Raises `UsageError`, and as `LiveLoop`.
     """
+    from eagor.evidence import BodyMask
     from eagor.live.loop import LiveLoop
     from eagor.live.threads import already_open
     from eagor.media.camera_sources import open_camera
@@ -216,13 +221,15 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=options.floor, drift=checked_drift(options.drift))
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
-    told = ordinary(options.hfov, options.camera, options.rig)
+    told = ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)
     lenses = rig_of(options.rig)
     several = "," in source if lenses is None else are_ordinary(lenses)  # topics of ROS tell their lenses
     stitched = several and wants_panoramas(spec)
     how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
     opens = partial(open_camera, source, stitched=stitched, **how)
     camera = opens()
+    if options.eyes is not None and mask is None and (unseen := getattr(camera, "unseen", None)) is not None:
+        mask = BodyMask(~unseen)
     try:
         loop = LiveLoop(
             already_open(camera, opens) if camera.live else camera, spec, queries, poses=_poses(options, camera),
@@ -242,7 +249,7 @@ def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
     from eagor.live.threads import GivenPoses, MotionPoses
     from eagor.media.bag_sources import BagCamera, bag_odometry
-    from eagor.media.pose_files import odometry_of_file
+    from eagor.media.pose_axes import odometry_of_file
     from eagor.robots import GO2, ROS, open_poses
 
     text = options.poses
@@ -265,7 +272,7 @@ def _poses(options: Live, camera: CameraSource) -> Any:
         raise terminal.UsageError(
             f"--poses {text}: a live camera needs live poses; wanted auto, level, still, ros:/TOPIC or go2"
         )
-    return GivenPoses(odometry_of_file(text))
+    return GivenPoses(odometry_of_file(text, options.axes))
 
 
 class _Told:

@@ -30,7 +30,21 @@ from eagor.cli.checks import (
     tracker_config,
     warn_of_detector,
 )
-from eagor.cli.options import CameraFile, Common, Detector, Floor, Force, Hfov, Mask, Modes, Out, RigFile, Whole, bare
+from eagor.cli.options import (
+    CameraFile,
+    Common,
+    Detector,
+    Eyes,
+    Floor,
+    Force,
+    Hfov,
+    Mask,
+    Modes,
+    Out,
+    RigFile,
+    Whole,
+    bare,
+)
 
 if TYPE_CHECKING:
     from eagor.media.panorama import Picture
@@ -74,6 +88,7 @@ class Locate(Common):
     out: Out = None
     hfov: Hfov = None
     camera: CameraFile = None
+    eyes: Eyes = None
     mask: Mask = None
     rig: RigFile = None
     force: Force = False
@@ -148,7 +163,9 @@ def _frames(options: Locate, places: Sequence[Path], perception: Perception) -> 
     from eagor.perception import rows_of
     from eagor.perception.replay import takes_pictures
 
-    check = FrameCheck(options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig))
+    check = FrameCheck(
+        options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)
+    )
     rig, stitched = rig_of(options.rig), not takes_pictures(perception)
     if not is_video(places, rig is not None):
         return (check.read(places[0]),) if rig is None else LensPictures(rig, stitched).moment(places)

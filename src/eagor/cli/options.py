@@ -57,6 +57,14 @@ Drift = Annotated[
         "Heading drift of the poses in the first second, degrees (default: learnt); it grows with the root of time.",
     ),
 ]
+Axes = Annotated[
+    Literal["auto", "body", "optical", "opengl", "euroc"],
+    arg(
+        help="The camera's axes in a file of --poses. auto: as its form tells, or as the pictures turn; body: x ahead, "
+        "y left, z up; optical: x right, y down, z ahead (SLAM, COLMAP); opengl: x right, y up, z back (nerfstudio); "
+        "euroc: x up, y right, z ahead."
+    ),
+]
 Modes = Annotated[int, arg(metavar="K", help="Maximum number of candidate directions in the output.")]
 Floor = Annotated[
     float | None,
@@ -98,6 +106,15 @@ CameraInfo = Annotated[
         "of several cameras, with commas between.",
     ),
 ]
+Eyes = Annotated[
+    Literal["mono", "left-right", "right-left", "top-bottom", "bottom-top", "vr180", "vr180-top-bottom"] | None,
+    bare(
+        "LAYOUT",
+        "Two eyes in a panorama's picture (3D 360, VR180; default: as its file says; alike halves are refused): "
+        "left-right or top-bottom (the left eye's first), right-left, bottom-top, vr180 (half spheres side by side), "
+        "vr180-top-bottom; mono: one.",
+    ),
+]
 Mask = Annotated[
     Path | None,
     bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),
@@ -137,8 +154,10 @@ class Footage(Common):
         "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
         "themselves (rotation only). level: from pictures that the camera keeps level; only the heading turns. CSV: a "
         "file with the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch "
-        "nose DOWN); also x,y,z (metres) and frame (file name)."
+        "nose DOWN); also x,y,z (metres) and frame (file name). Or a trajectory of TUM, EuRoC, COLMAP (images.txt) or "
+        "nerfstudio (transforms.json)."
     )
+    axes: Axes = "auto"
     rate: Annotated[float | None, bare("HZ")] = None
     (
         "Looks per second of a video or bag (default: 2). For images with --poses auto or level: how many per second "
@@ -155,6 +174,7 @@ class Footage(Common):
     """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
     hfov: Hfov = None
     camera: CameraFile = None
+    eyes: Eyes = None
     rig: RigFile = None
     force: Force = False
 

@@ -228,6 +228,7 @@ def _of_video(
         video = opened(rate=shown)
     checks.say_of_video(places[0].name, video.facts, video.duration)
     source = VideoFrames(video, check)
+    poses = _in_our_axes(options, source, poses)
     frames, told = _posed(options, source, poses, video.motion)
     terminal.log(f"{checks.looks_in_words(looks, video.frame_rate)}, {told}")
     end = options.end or video.duration
@@ -246,6 +247,7 @@ def _of_images(
         raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
     rate = options.rate or 1.0
     source = images(places, rate, _check(options), rig, stitched)
+    poses = _in_our_axes(options, source, poses)
     frames, told = _posed(options, source, poses)
     if poses:
         return Journey(frames, source.count, told, poses, None, poses[-1].stamp - poses[0].stamp)
@@ -265,6 +267,7 @@ def _of_bag(
 
     lens = checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info)
     bag, rig = Bag(place), checks.rig_of(options.rig)
+    one = None if options.eyes is None else replace(lens, eyes="mono")  # the source takes one of them
     camera = BagCamera(
         bag, options.image_topic, rows=rows, rig=rig, camera=lens, info=options.camera_info, stitched=stitched
     )
@@ -275,7 +278,8 @@ def _of_bag(
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera.frame)
     if camera.views[0] is not None and not poses and odometry is None:
         shown = max(shown, BY_SIGHT)
-    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log))
+    source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log, camera=one))
+    poses = _in_our_axes(options, source, poses)
     lost: list[str] = []
     if odometry is not None:
         frames = posed_by_odometry(source, odometry, terminal.log, lost.append)
@@ -300,7 +304,26 @@ def _check(options: Footage) -> FrameCheck:
     """What is asked of each frame: a whole panorama, or a lens that the options or its file tell."""
     from eagor.media.footage import FrameCheck
 
-    return FrameCheck(options.force, terminal.log, checks.ordinary(options.hfov, options.camera, options.rig))
+    return FrameCheck(
+        options.force, terminal.log, checks.ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)
+    )
+
+
+def _in_our_axes(options: Footage, source: Frames, poses: Sequence[FramePose]) -> Sequence[FramePose]:
+    """The poses of a file as a camera with our axes has them."""
+    from eagor.media.pose_axes import settled
+    from eagor.media.pose_files import Poses
+    from eagor.media.posed_frames import posed_by_file
+
+    if not isinstance(poses, Poses):
+        if options.axes != "auto":
+            raise terminal.UsageError(f"--axes {options.axes} is for a file of poses; give one with --poses")
+        return poses
+    name = Path(options.poses)
+    return settled(
+        poses, options.axes, options.poses, lambda: ((at.pose, at.read) for at in posed_by_file(source, poses, name)),
+        terminal.log,
+    )  # fmt: skip
 
 
 def _posed(

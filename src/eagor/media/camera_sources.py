@@ -21,6 +21,7 @@ from eagor import plugins
 from eagor.errors import DeviceError, EagorError, TimeError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media import CameraSource, Frame
+from eagor.media.animations import Animation
 from eagor.media.bags import is_bag, split_bag
 from eagor.media.footage import lens_folders
 from eagor.media.intrinsics import Camera
@@ -30,6 +31,7 @@ from eagor.media.rig_videos import LensVideos, StitchedVideo, made_of, makers, o
 from eagor.media.rigs import Rig, read_rig, sizes_of
 from eagor.media.stitching import Panoramas
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
+from eagor.media.times import times_of
 from eagor.media.video import Video
 
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_camera"]
@@ -46,7 +48,6 @@ _ADDRESS = re.compile(rf"(?:{'|'.join(SCHEMES)})://", re.IGNORECASE)
 _NAME = re.compile(r"([A-Za-z][\w-]+):(.*)", re.DOTALL)
 
 RATE = 1.0  # pictures per second of a folder whose files do not tell times
-_TIME = re.compile(r"\d+\.\d+")  # a file's name without its ending that is a time: 12.350.png
 
 
 # --- what a source is ---
@@ -81,7 +82,9 @@ def open_camera(
         parts = text.split(",")
     kinds = [_kind(part) for part in parts]
     settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
-    if camera is not None and camera.known:  # else not given: cameras of other packages need not know of it
+    if camera is not None and (
+        camera.known or camera.eyes
+    ):  # else not given: cameras of other packages need not know of it
         settings["camera"] = camera
     if len(set(kinds)) > 1:
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")
@@ -167,7 +170,9 @@ class VideoCamera:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed = False
         self._panoramas: Panoramas | None = None  # of a video without a rig: checks its pictures
-        self.video: Video | StitchedVideo | LensVideos = open_video(paths, rig, stitched=stitched, rate=rate, rows=rows)
+        self.video: Video | Animation | StitchedVideo | LensVideos = open_video(
+            paths, rig, stitched=stitched, rate=rate, rows=rows
+        )
         height, width = self.video.shape
         self.grid: ErpGrid | PerspectiveGrid = ErpGrid(height, width)
         self.unseen, self.motion = self.video.unseen, self.video.motion
@@ -198,7 +203,7 @@ class VideoCamera:
 class FolderCamera:
     """A `CameraSource` of folders of pictures, one per picture of the `rig`, in order of their names.
 
-    Stamps: the names, where all are times in seconds with a point (12.350.png); otherwise `rate` pictures per second
+    Stamps: the names, where all are times (`eagor.media.times`: 12.350.png); otherwise `rate` pictures per second
     (default: 1), from 0. Pictures that cannot be read or have another shape are left out, counted in `dropped`.
     """
 
@@ -261,12 +266,11 @@ def _after(last: float, stamp: float) -> float:
 
 
 def _stamps(paths: Sequence[Path], rate: float) -> list[float]:
-    names = [path.stem for path in paths]
-    if len(names) > 1 and all(_TIME.fullmatch(name) for name in names):
-        stamps = [float(name) for name in names]
+    stamps = times_of([path.stem for path in paths])
+    if len(paths) > 1 and stamps is not None:
         if any(later <= earlier for earlier, later in pairwise(stamps)):
             raise TimeError(f"{paths[0].parent}: its names are times, and do not increase; rename the pictures")
         return stamps
     if not (math.isfinite(rate) and rate > 0):
         raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
-    return [number / rate for number in range(len(names))]
+    return [number / rate for number in range(len(paths))]

@@ -20,19 +20,31 @@ import numpy as np
 from eagor._checks import is_twice_as_wide
 from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
-from eagor.media.defects import fisheye_circles, problems
+from eagor.media.animations import is_animation
+from eagor.media.defects import TWICE, fisheye_circles, problems, two_eyes
 from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, in_words, ordinary_grid, told_by_photograph
-from eagor.media.panorama import Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
+from eagor.media.metadata import Projection
+from eagor.media.panorama import (
+    IMAGES,
+    Picture,
+    in_order,
+    is_whole,
+    pictures_in,
+    placed,
+    read_panorama,
+    read_photograph,
+)
 from eagor.media.rig_videos import are_ordinary, ordinary_cameras
 from eagor.media.rigs import Rig, sizes_of
 from eagor.media.stitching import Panoramas
+from eagor.media.video import plays
 
 __all__ = [
     "LEAST_ROWS", "VIDEOS", "BagFrames", "FrameCheck", "Frames", "ImageFrames", "LensPictures", "Read",
     "ShapeError", "VideoFrames", "images", "is_video", "lens_folders",
 ]  # fmt: skip
 
-VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")
+VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")  # without a look
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 
 NOTHING = Told()
@@ -57,7 +69,7 @@ class FrameCheck:
 
     def read(self, path: Path) -> Picture:
         """The picture in a file, and what the file says of it; raises `ImageError`, and as the check of a frame."""
-        found = read_photograph(path, warn=False)
+        found = read_photograph(path, warn=False, force=self.force)
         return self(found, str(path), told_by_photograph(path) if self._is_ordinary(found) else NOTHING)
 
     def __call__(self, frame: Picture, name: str, told: Told = NOTHING) -> Picture:
@@ -68,6 +80,16 @@ class FrameCheck:
         """
         if frame.grid is not None:
             return frame
+        eyes = None if self.camera is None else self.camera.eyes
+        if eyes not in (None, "mono"):
+            frame = replace(
+                placed(frame.picture, Projection.of_eyes(eyes), frame.unseen), level_R_body=frame.level_R_body
+            )
+        elif eyes is None and not self.force and frame.unseen is None and "eyes" not in self._said:
+            unknown = (self.camera is None or not self.camera.known) and not fisheye_circles(frame.picture)
+            if unknown and (twice := two_eyes(frame.picture)):
+                raise ShapeError(f"{name} {TWICE[twice]}")
+            self._said.add("eyes")
         if self._is_ordinary(frame):
             return self._ordinary(frame, name, told)
         if not is_whole(frame.picture):
@@ -86,16 +108,19 @@ class FrameCheck:
         self._said.add("pixels")  # not before: who reads a frame again that was refused is told again
         for fact in frame.facts:
             self.say(f"{name}: {fact}")
-        for problem in found:
+        for problem in found if frame.unseen is None else ():  # a part has no seam
             self.say(f"warning: {name}: {problem}")
         return frame
 
     def takes_as_ordinary(self, height: int, width: int) -> bool:
         """Whether pictures of this size, of which a file says nothing, are those of an ordinary camera."""
-        return self.camera is not None and (self.camera.known or not (self.force or is_twice_as_wide(height, width)))
+        if self.camera is None or self.camera.eyes is not None:
+            return False
+        return self.camera.known or not (self.force or is_twice_as_wide(height, width))
 
     def _is_ordinary(self, frame: Picture) -> bool:
-        return frame.unseen is None and self.takes_as_ordinary(*frame.picture.shape[:2])  # else its file says where
+        placed = frame.unseen is not None and is_whole(frame.picture)  # its file says where, or it is a panorama
+        return not placed and self.takes_as_ordinary(*frame.picture.shape[:2])
 
     def _ordinary(self, frame: Picture, name: str, told: Told) -> Picture:
         """An ordinary picture with its grid; that of a fisheye as a panorama, with what it does not see."""
@@ -123,7 +148,8 @@ class FrameCheck:
 class ImageFrames:
     """Pictures in files, `rate` per second; `read` gives one of them.
 
-    `beside`: of each path, the pictures that further cameras of a rig took at the same moment.
+    `beside`: of each path, the pictures that further cameras of a rig took at the same moment. `stamps`: when the
+    pictures were taken, if that is known.
     """
 
     paths: tuple[Path, ...]
@@ -131,6 +157,7 @@ class ImageFrames:
     read: Callable[[Path], Picture]
     level_R_body: np.ndarray | None = None
     beside: Mapping[Path, tuple[Path, ...]] = field(default_factory=dict)
+    stamps: tuple[float, ...] = ()
 
     @property
     def count(self) -> int:
@@ -145,7 +172,7 @@ class ImageFrames:
     def frames(self) -> Iterator[tuple[float, str, Read]]:
         for number, path in enumerate(self.paths):
             for name, read in self.moment(path):
-                yield number / self.rate, name, read
+                yield self.stamps[number] if self.stamps else number / self.rate, name, read
 
 
 @dataclass(frozen=True)
@@ -208,7 +235,9 @@ Frames = ImageFrames | VideoFrames | BagFrames
 
 
 def is_video(places: Sequence[Path], rig: bool = False) -> bool:
-    """Whether the one place is a video, by its name; with a `rig` there may be one for each lens."""
+    """Whether the one place is a video, or a picture that moves; with a `rig` there may be a video for each lens."""
+    if len(places) == 1 and is_animation(places[0]):
+        return True
     many = len(places) > 1 and not rig
     return not many and all(map(_is_film, places))
 
@@ -267,7 +296,11 @@ def lens_folders(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
 
 
 def _is_film(place: Path) -> bool:
-    return place.suffix.lower() in VIDEOS and not place.is_dir()
+    """Whether it is a video: by its name, or where that tells nothing, by what is in it."""
+    suffix = place.suffix.lower()
+    if suffix in VIDEOS:
+        return not place.is_dir()
+    return suffix not in IMAGES and os.path.isfile(place) and plays(place)
 
 
 class LensPictures:

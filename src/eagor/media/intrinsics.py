@@ -9,8 +9,8 @@ it knows by what is in them:
 
 - ROS ``camera_info`` (camera_calibration, or ``ros2 topic echo``): ``image_width``, ``image_height``,
   ``camera_matrix``, ``distortion_model``, ``distortion_coefficients``; or ``width``, ``height``, ``K``, ``D``.
-- OpenCV's FileStorage: ``image_width``, ``image_height``, ``camera_matrix``, ``distortion_coefficients``, with its own
-  first line; ``fisheye_model: 1`` for the module fisheye.
+- OpenCV's FileStorage (YAML with its own first line, JSON, XML): ``image_width``, ``image_height``, ``camera_matrix``,
+  ``distortion_coefficients``; ``fisheye_model: 1`` for the module fisheye.
 - Kalibr's camchain: ``cam0`` with ``camera_model``, ``intrinsics``, ``distortion_model``, ``distortion_coeffs``,
   ``resolution``. Its extrinsics are not used.
 - COLMAP's ``cameras.txt``: CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS.
@@ -73,11 +73,13 @@ class Camera:
     """What the user knows of an ordinary camera; without anything, files may tell.
 
     `rig`: a calibration, of one lens; `hfov`: the field of an ideal lens, radians; `name`: where it is from, for texts.
+    `eyes`: None, or what of `eagor.media.metadata.LAYOUTS` a panorama's pictures are.
     """
 
     rig: Rig | None = None
     hfov: float | None = None
     name: str = ""
+    eyes: str | None = None
 
     @property
     def known(self) -> bool:
@@ -106,8 +108,12 @@ class Told:
     facts: tuple[str, ...] = ()
 
 
-def camera_of(hfov: float | None, path: Path | None) -> Camera:
-    """The camera of ``--hfov`` (degrees) and ``--camera``. Raises `ImageError`, `FormatError`."""
+def camera_of(hfov: float | None, path: Path | None, eyes: str | None = None) -> Camera:
+    """The camera of ``--hfov`` (degrees), ``--camera`` and ``--eyes``. Raises `ImageError`, `FormatError`."""
+    if eyes is not None:
+        if hfov is not None or path is not None:
+            raise ImageError(f"--eyes {eyes} is for panoramas; leave out --hfov and --camera")
+        return Camera(eyes=eyes)
     if hfov is not None and path is not None:
         raise ImageError(f"--hfov {hfov:g} and --camera {path}: wanted one of them; a calibration has the field")
     if path is not None:

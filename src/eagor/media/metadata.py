@@ -18,13 +18,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from eagor._checks import ROUNDING, is_twice_as_wide
 from eagor.errors import FormatError, ImageError
 from eagor.media.containers import Head, Movie, Track, children, find, read_head, read_movie
 from eagor.media.motion import MotionTrack, read_camm, read_insta360
 from eagor.sphere import world_R_body
 
 __all__ = [
-    "GPANO", "GSPHERICAL", "Layout", "Projection", "VideoMetadata", "of_head", "of_photograph", "of_track",
+    "GPANO", "GSPHERICAL", "LAYOUTS", "Layout", "Projection", "VideoMetadata", "of_head", "of_photograph", "of_track",
     "properties", "read_metadata",
 ]  # fmt: skip
 
@@ -38,6 +39,16 @@ EYES = {  # where in the picture the left eye's is: first row, first column, row
     "left-right": (0.0, 0.0, 1.0, 0.5),
     "right-left": (0.0, 0.5, 1.0, 0.5),
 }
+HALF = (0.0, 0.0, 0.25, 0.25)  # what half a sphere lacks
+LAYOUTS = {  # what --eyes says of a picture: how the eyes share it, what of the sphere each lacks, in words
+    "mono": ("mono", (0.0,) * 4, "one panorama"),
+    "left-right": ("left-right", (0.0,) * 4, "two whole panoramas side by side"),
+    "right-left": ("right-left", (0.0,) * 4, "the same, the left eye's on the right"),
+    "top-bottom": ("top-bottom", (0.0,) * 4, "two whole panoramas, the left eye's above"),
+    "bottom-top": ("bottom-top", (0.0,) * 4, "the same, the left eye's below"),
+    "vr180": ("left-right", HALF, "two half spheres side by side"),
+    "vr180-top-bottom": ("top-bottom", HALF, "two half spheres, the left eye's above"),
+}
 ST3D = {0: "mono", 1: "top-bottom", 2: "left-right", 3: "custom", 4: "right-left"}
 MATROSKA_STEREO = {0: "mono", 1: "left-right", 2: "bottom-top", 3: "top-bottom", 11: "right-left"}
 MATROSKA_KINDS = {0: "rectangular", 1: "equirectangular", 2: "cubemap", 3: "mesh"}
@@ -46,9 +57,25 @@ EXPORT = (
     "FFmpeg's filter v360"
 )
 
+GOPRO = (
+    "{0} is a GoPro recording that is not put together yet: its two tracks are the two strips of an equi-angular "
+    "cubemap (EAC), which no rig of lenses describes. Export it as an equirectangular MP4 with GoPro's Player or Quik. "
+    "Or with FFmpeg, some degrees off where the strips overlap: ffmpeg -i {0} -filter_complex "
+    "'[0:v:0][0:v:1]vstack,v360=eac:e' -map 0:a? whole.mp4"
+)
+
 GPANO = "http://ns.google.com/photos/1.0/panorama/"
 GSPHERICAL = "http://ns.google.com/videos/1.0/spherical/"
+LARGEST = 1 << 29  # pixels of a sphere of which a picture is a part
 LONGEST_XMP = 1 << 22  # bytes
+AREA = (
+    "FullPanoWidthPixels", "FullPanoHeightPixels", "CroppedAreaImageWidthPixels", "CroppedAreaImageHeightPixels",
+    "CroppedAreaLeftPixels", "CroppedAreaTopPixels",
+)  # fmt: skip
+AREA_ADVICE = (
+    "Directions would be wrong. Put these numbers right (exiftool writes them), or pad the picture to the whole "
+    "sphere; a photograph all the same: --force (all columns for 360 degrees, all rows for 180)"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +135,8 @@ def _of_movie(path: str, movie: Movie, file: BinaryIO, wanted: bool) -> VideoMet
     if motion is not None:
         facts += ("the motion track is the camera's: where its app steadied the pictures, they turn otherwise",)
     lenses = len(movie.pictures)
+    if lenses > 1 and not wanted and (path.lower().endswith(".360") or any(t.entry == "gpmd" for t in movie.tracks)):
+        raise ImageError(GOPRO.format(os.path.basename(path)))
     if raw and lenses > 1 and not wanted:
         raise ImageError(
             f"{os.path.basename(path)} holds {lenses} tracks of pictures, one for each lens. Give the lenses with "
@@ -132,7 +161,8 @@ class Projection:
 
     `source`: who says so, for texts. `kind`: "equirectangular", "cubemap", ... `stereo`: how two eyes share the
     picture. `yaw` (left), `pitch` (nose DOWN) and `roll` of the camera, as in `eagor.sphere.world_R_body`. `cropped`:
-    shares of the whole sphere's rows and columns that the picture lacks at the top, bottom, left and right.
+    shares of the whole sphere's rows and columns that the picture lacks at the top, bottom, left and right. `wrong`:
+    why that is not known, if so.
     """
 
     source: str
@@ -142,6 +172,7 @@ class Projection:
     pitch: float = 0.0
     roll: float = 0.0
     cropped: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    wrong: str = ""
 
     @property
     def world_R_body(self) -> np.ndarray:
@@ -153,12 +184,20 @@ class Projection:
         """As `world_R_body`, without the heading: forward stays the picture's centre."""
         return world_R_body(0.0, self.pitch, self.roll)
 
-    def check(self, name: str) -> None:
-        """Raise `ImageError`, about the file `name`, unless it is an equirectangular panorama."""
+    @classmethod
+    def of_eyes(cls, layout: str) -> Projection:
+        """What ``--eyes`` says, one of `LAYOUTS`."""
+        stereo, cropped, _ = LAYOUTS[layout]
+        return cls(f"--eyes {layout}", stereo=stereo, cropped=cropped)  # type: ignore[arg-type]
+
+    def check(self, name: str, force: bool = False) -> None:
+        """Raise `ImageError`, about the file `name`, unless it is an equirectangular panorama; `force`: of any area."""
         if self.kind not in ("equirectangular", "rectangular"):
             raise ImageError(f"{name} is a {self.kind} picture, as {self.source} says, not equirectangular. {EXPORT}")
         if self.stereo not in EYES:
             raise ImageError(f"{name} holds two eyes in a way ({self.stereo}) that is not read. {EXPORT}, for one eye")
+        if self.wrong and not force:
+            raise ImageError(f"{name}: {self.wrong}. {AREA_ADVICE}")
         top, bottom, left, right = self.cropped
         if not (top + bottom < 1 and left + right < 1):
             raise ImageError(f"{name} is damaged: {self.source} says that nothing is left of the picture")
@@ -166,6 +205,8 @@ class Projection:
     def facts(self) -> tuple[str, ...]:
         """Sentences for the user."""
         said = [f"{self.source} says: {self.kind}"]
+        if self.wrong:
+            said.append(f"{self.wrong}; ignored, with all columns for 360 degrees and all rows for 180")
         if self.stereo != "mono":
             said.append(f"it holds two eyes ({self.stereo}); the left one is taken")
         if any((self.yaw, self.pitch, self.roll)):
@@ -291,19 +332,48 @@ def _of_xml(track: Track) -> Projection | None:
     return None
 
 
-def _with_area(found: Projection, said: Mapping[str, str]) -> Projection:
-    """With the cropped area; one that is impossible is ignored."""
+def _with_area(found: Projection, said: Mapping[str, str], size: tuple[int, int] | None = None) -> Projection:
+    """With the cropped area, or with what is wrong about it.
+
+    `size`: width and height of the picture, if known. What is not told follows from the rest where there is one way
+    only: the sphere is twice as wide as high, and a part that fills it begins at its border.
+    """
+    told = {name: said[name] for name in AREA if name in said}
+    if not told or (size is None and not told.keys() & set(AREA[2:4])):
+        if size is None or is_twice_as_wide(size[1], size[0]):
+            return found
+        return replace(found, wrong=f"{found.source} says equirectangular, and not which part of the sphere; the "
+                       f"picture is {size[0]} x {size[1]}, not 2:1")  # fmt: skip
+    words = f"{found.source} says an area that does not add up: " + ", ".join(f"{k} {v}" for k, v in told.items())
+    words += f"; the picture is {size[0]} x {size[1]}" if size else ""
     try:
-        full = [float(said[f"FullPano{side}Pixels"]) for side in ("Height", "Width")]
-        seen = [float(said[f"CroppedAreaImage{side}Pixels"]) for side in ("Height", "Width")]
-        start = [float(said.get(f"CroppedArea{side}Pixels", 0)) for side in ("Top", "Left")]
-    except (KeyError, ValueError):
-        return found
-    if not all(s >= 0 and n > 0 and s + n <= f < math.inf for s, n, f in zip(start, seen, full, strict=True)):
-        return found
-    before = [s / f for s, f in zip(start, full, strict=True)]
-    after = [1 - (s + n) / f for s, n, f in zip(start, seen, full, strict=True)]
-    return replace(found, cropped=(before[0], after[0], before[1], after[1]))
+        width, height, wide, high, left, top = (float(told[name]) if name in told else math.nan for name in AREA)
+    except ValueError:
+        return replace(found, wrong=words)
+    shape = size or (math.nan, math.nan)
+    wide, high = (shown if math.isnan(n) else n for n, shown in zip((wide, high), shape, strict=True))
+    height = width / 2 if math.isnan(height) else height
+    width = 2 * height if math.isnan(width) else width
+    slack = max(ROUNDING, 0.002 * width)
+    left, top = (
+        0.0 if math.isnan(start) and (size is None or abs(full - n) <= slack) else start
+        for start, n, full in ((left, wide, width), (top, high, height))
+    )
+    fits = all(
+        start >= -slack and n >= 1 and start + n <= full + slack < 1e6 and full >= 1
+        for start, n, full in ((left, wide, width), (top, high, height))
+    )
+    square = abs(width - 2 * height) <= 2 * slack  # and the picture is the part that was cut, in any size
+    alike = size is None or abs(size[0] * high - size[1] * wide) <= 0.02 * size[0] * high + ROUNDING * max(wide, high)
+    if not (fits and square and alike):  # also where a number is missing
+        return replace(found, wrong=words)
+    if size is not None and size[0] * size[1] / (wide * high) * width * height > LARGEST:
+        return replace(found, wrong=words)
+    cropped: list[float] = []
+    for start, n, full in ((top, high, height), (left, wide, width)):  # a part that juts out by rounding is moved in
+        first = min(max(start / full, 0.0), max(1 - n / full, 0.0))
+        cropped += [first, max(1 - first - n / full, 0.0)]
+    return replace(found, cropped=tuple(cropped))
 
 
 def of_head(head: Head) -> Projection | None:
@@ -322,8 +392,8 @@ def of_head(head: Head) -> Projection | None:
     return found
 
 
-def of_photograph(said: Mapping[str, str]) -> Projection | None:
-    """What the GPano properties of a picture say; None if they name no projection.
+def of_photograph(said: Mapping[str, str], size: tuple[int, int]) -> Projection | None:
+    """What the GPano properties of a picture of `size` (width, height) say; None if they name no projection.
 
     The heading is clockwise from north, the pitch up; with the roll the horizon turns counterclockwise in the picture,
     so the camera's right side is down. They are applied in this order.
@@ -340,7 +410,7 @@ def of_photograph(said: Mapping[str, str]) -> Projection | None:
 
     kind = said["ProjectionType"].lower()
     found = Projection("its XMP (GPano)", kind, "mono", -angle("Heading"), -angle("Pitch"), angle("Roll"))
-    return _with_area(found, said)
+    return _with_area(found, said, size)
 
 
 # --- XMP ---

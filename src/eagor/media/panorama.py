@@ -15,13 +15,16 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO
 
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from eagor._checks import is_twice_as_wide
 from eagor._extras import need
@@ -31,14 +34,26 @@ from eagor.grids import ErpGrid, Grid, PerspectiveGrid, ViewKey, forward_view, v
 from eagor.media.metadata import GPANO, Projection, of_photograph, properties
 from eagor.sphere import check_rotation, direction, world_R_body
 
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")  # Pillow starts no other program for any of these
+# Pillow starts no other program for any of these; AVIF since its version 11.3.
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", *(("AVIF",) if find_spec("PIL.AvifImagePlugin") else ()))
+BOXED = {  # brands of pictures in MP4's boxes (ISO/IEC 23008-12), and what reads them
+    brand.encode(): reader
+    for reader, brands in (
+        ("Pillow from version 11.3 on", "avif avis"),
+        ("the package pillow-heif", "heic heix heim heis hevc hevx mif1 msf1"),
+    )
+    for brand in brands.split()
+}
 ORIENTATION = 0x0112  # the tag in Exif
 _SMALL = 1 << 26  # bytes: 4096 x 4096 in colour
 _DENSEST = 600  # decoded bytes per byte of the file; blank pictures reach up to a thousand
 
 _PAD = 8  # columns copied from the other side of the seam before a panorama is resized
 
-IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".hdr")
+IMAGES = (
+    ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".hdr", ".avif", ".heic", ".heif", ".hif", ".insp",
+    ".gif", ".apng", ".jpe", ".jfif", ".ppm", ".pgm", ".pnm",
+)  # fmt: skip
 TONE_MAPPED = "holds radiance (HDR); tone-mapped to 8 bits"
 MIDDLE = 0.18  # what the mean radiance becomes: grey
 
@@ -48,12 +63,17 @@ JPEG_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # how a JPEG's APP1 segment with X
 def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     """The image file at `path` as ``(H, W, 3)`` uint8.
 
-    Grey, palette and transparent images become RGB (transparency is dropped). It is turned or mirrored as the
+    Grey, palette and transparent images become RGB (what is transparent is black). It is turned or mirrored as the
     orientation tag of the file (Exif) says, unless that would stand a 2:1 panorama on its side. An image that is not
     2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Radiance (.hdr) is tone-mapped,
     with a warning; that needs OpenCV. Raises `ImageError` if there is no readable image.
     """
-    name = os.fspath(path)
+    return _read(os.fspath(path))[0]
+
+
+def _read(name: str) -> tuple[np.ndarray, np.ndarray | None]:
+    """The image, and the mask ``(H, W)`` of what is transparent in it, or None; as `read_panorama`, with its errors."""
+    unseen = None
     if not os.path.exists(name):
         raise ImageError(f"there is no file {name!r}; give the path of an equirectangular image (PNG, JPEG, ...)")
     if os.path.isdir(name):
@@ -61,7 +81,10 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     if os.path.getsize(name) == 0:
         raise ImageError(f"{name!r} is empty (0 bytes); an interrupted copy or download? Fetch the image again")
     try:
-        image = tone_mapped(_radiance(name)) if _is_hdr(name) else read_image(name, os.path.getsize(name), _lying)
+        if _is_hdr(name):
+            image = tone_mapped(_radiance(name))
+        else:
+            image, unseen = _decoded(name, os.path.getsize(name), _lying)
     except MissingExtraError:
         raise
     except ImageError as error:
@@ -72,16 +95,16 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
             "another kind. Wanted an image that Pillow reads, such as PNG or JPEG: fetch or export it again"
         ) from error
     if _is_hdr(name):
-        warnings.warn(f"{name!r} {TONE_MAPPED}", UserWarning, stacklevel=2)
+        warnings.warn(f"{name!r} {TONE_MAPPED}", UserWarning, stacklevel=3)
     height, width = image.shape[:2]
     if width != 2 * height:
         warnings.warn(
             f"{name!r} is {width} x {height}, not 2:1: longitude and latitude are mapped separately (all columns "
             "span 360 degrees, all rows 180). If the image covers less than the whole sphere, pad it first",
             UserWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
-    return image
+    return image, unseen
 
 
 def _is_hdr(name: str) -> bool:
@@ -140,12 +163,46 @@ def read_image(
     A picture that claims more pixels than a real one of this file size can have is rejected before memory is allocated.
     Small pictures may be blank.
     """
-    with Image.open(file, formats=FORMATS) as image:
+    return _decoded(file, size, turned)[0]
+
+
+def _decoded(
+    file: str | IO[bytes], size: int, turned: Callable[[Image.Image], Image.Image]
+) -> tuple[np.ndarray, np.ndarray | None]:
+    with opened(file) as image:
         width, height = image.size
         if decoded_bytes(image) > max(_SMALL, _DENSEST * size):
             raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or blank")
         image.load()
-        return as_rgb(turned(image))
+        return seen_of(turned(image))
+
+
+def opened(file: str | os.PathLike[str] | IO[bytes]) -> Image.Image:
+    """The picture in a file, not decoded yet. Raises `ImageError` for a kind that needs a package, and as Pillow."""
+    try:
+        return Image.open(file, formats=FORMATS)
+    except UnidentifiedImageError:
+        with open(file, "rb") if isinstance(file, str | os.PathLike) else nullcontext(file) as data:
+            data.seek(0)
+            head = data.read(12)
+        reader = BOXED.get(head[8:], "")
+        if head[4:8] != b"ftyp" or not reader:
+            raise
+        if "heif" in reader and find_spec("pillow_heif"):
+            import_module("pillow_heif").register_heif_opener()
+            return Image.open(file, formats=("HEIF",))
+        kind = "HEIC" if "heif" in reader else "AVIF"
+        raise ImageError(f"is {kind}, which takes {reader} (pip install); or export it as JPEG") from None
+
+
+def seen_of(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
+    """`as_rgb` of a picture, black where it is transparent by more than half; the mask ``(H, W)`` of that, or None."""
+    rgb = as_rgb(image)
+    if image.mode[0] in "IF" or not image.has_transparency_data:
+        return rgb, None
+    unseen = np.asarray(image.convert("RGBA").getchannel("A")) < 128
+    rgb[unseen] = 0
+    return rgb, unseen if unseen.any() else None
 
 
 def _lying(image: Image.Image) -> Image.Image:
@@ -284,6 +341,11 @@ def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.
     return np.asarray(picture.resize((size[1], size[0]), Image.Resampling.BICUBIC, box))
 
 
+def resized_mask(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A mask ``(H, W)`` at `size` (height, width)."""
+    return resized(np.repeat(np.uint8(255) * mask[..., None], 3, axis=2), size)[..., 0] > 127
+
+
 # --- photographs with what their files say ---
 
 
@@ -319,31 +381,51 @@ def pictures_in(folder: Path) -> tuple[Path, ...]:
 
 def in_order(paths: Sequence[Path]) -> tuple[Path, ...]:
     """`paths` sorted by name; numbers in names sort by value."""
-    return tuple(sorted(paths, key=lambda path: (_natural(path.name), str(path))))
+    return tuple(sorted(paths, key=lambda path: (natural(path.name), str(path))))
 
 
-def _natural(name: str) -> list[tuple[int, str | int]]:
+def natural(name: str) -> list[tuple[int, str | int]]:
+    """A key to sort names by, numbers in them by value."""
     return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
-def read_photograph(path: str | os.PathLike[str], warn: bool = True) -> Picture:
+def read_photograph(path: str | os.PathLike[str], warn: bool = True, force: bool = False) -> Picture:
     """The photograph in the file at `path` (JPEG, PNG, WebP, ...).
 
     As `eagor.media.panorama.read_panorama` where the file says nothing of itself, with its warning about pictures that
     are not 2:1, unless `warn` is False: for who knows the camera, or says it otherwise. Raises `ImageError` if there is
-    no readable image, or if it says that it is not equirectangular.
+    no readable image, or if it says that it is not equirectangular, or (unless `force`) an area that does not add up.
     """
     name = os.fspath(path)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
-        image = read_panorama(name)
-    found = None if _is_hdr(name) else of_photograph(properties(_xmp(name), GPANO))
+        image, unseen = _read(name)
+    if _is_hdr(name):
+        found = Picture(image, facts=(TONE_MAPPED,))
+    else:
+        with opened(name) as file:
+            found, count = _told(image, unseen, file, name, force), 1
+            with suppress(Exception):  # Pillow may raise anything for a damaged file; an MPO has one that counts
+                count = 1 if file.format == "MPO" else getattr(file, "n_frames", 1)
+        if count > 1:
+            found = replace(found, facts=(*found.facts, f"it holds {count} pictures, of which the first is taken"))
+    for warning in warned if warn and found.picture is image else ():
+        warnings.warn(str(warning.message), UserWarning, stacklevel=2)
+    return found
+
+
+def photograph_of(image: Image.Image, name: str) -> Picture:
+    """One picture of a file that is open, as `read_photograph` gives it."""
+    return _told(*seen_of(image), image, name, False)
+
+
+def _told(image: np.ndarray, unseen: np.ndarray | None, file: Image.Image, name: str, force: bool) -> Picture:
+    """`image` as what its file says it is."""
+    found = of_photograph(properties(_xmp(file), GPANO), image.shape[1::-1])
     if found is None:
-        for warning in warned if warn else ():
-            warnings.warn(str(warning.message), UserWarning, stacklevel=2)
-        return Picture(image, facts=(TONE_MAPPED,) if _is_hdr(name) else ())
-    found.check(name)
-    return _placed(image, found)
+        return Picture(image, unseen)
+    found.check(name, force)
+    return placed(image, found, unseen)
 
 
 def is_whole(panorama: np.ndarray) -> bool:
@@ -351,28 +433,30 @@ def is_whole(panorama: np.ndarray) -> bool:
     return is_twice_as_wide(*panorama.shape[:2])
 
 
-def _placed(image: np.ndarray, found: Projection) -> Picture:
+def placed(image: np.ndarray, found: Projection, hidden: np.ndarray | None = None) -> Picture:
+    """A picture where `found` says that it belongs; `hidden`: what of it is not seen, or None."""
     height, width = image.shape[:2]
     layout = found.layout(height, width)
-    panorama = layout.place(resized(image, layout.size))
+    panorama, unseen = layout.place(resized(image, layout.size)), layout.unseen
+    if hidden is not None:
+        own = layout.place(resized_mask(hidden, layout.size))
+        unseen = own if unseen is None else own | unseen
     tilted, turned = bool(found.pitch or found.roll), bool(found.yaw)
     return Picture(
         panorama,
-        layout.unseen,
+        unseen,
         found.level_R_body if tilted else None,
         found.world_R_body if tilted or turned else None,
         found.facts(),
     )
 
 
-def _xmp(path: str) -> bytes:
+def _xmp(image: Image.Image) -> bytes:
     """The XMP packet of a picture that could be read; empty if it has none."""
-    with Image.open(path, formats=FORMATS) as image:
-        info = image.info
-        for data in (info.get("xmp"), info.get("XML:com.adobe.xmp")):
-            if data:
-                return data.encode() if isinstance(data, str) else bytes(data)
-        segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
+    for data in (image.info.get("xmp"), image.info.get("XML:com.adobe.xmp")):
+        if data:
+            return data.encode() if isinstance(data, str) else bytes(data)
+    segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
     return next((data[len(JPEG_XMP) :] for data in segments if data.startswith(JPEG_XMP)), b"")
 
 

@@ -1,15 +1,17 @@
-"""Poses from a CSV file, and their frames.
+"""Poses from a file, and their frames.
 
 The first line names the columns, in any order; other columns are ignored:
 
-- ``stamp``: seconds, on the clock of the frames, increasing.
+- ``stamp``: seconds, on the clock of the frames, increasing. Counts of milli-, micro- or nanoseconds since 1970 are
+  read as such, others where the name says so (``stamp_ms``).
 - the orientation ``world_R_body`` (REP-103: x forward, y left, z up), either as the unit quaternion ``qw,qx,qy,qz`` or
-  as ``yaw_deg,pitch_deg,roll_deg``: yaw to the left, then pitch (positive: nose DOWN), then roll.
+  as ``yaw_deg,pitch_deg,roll_deg`` (or ``_rad``): yaw to the left, then pitch (positive: nose DOWN), then roll.
 - ``x,y,z`` (optional): position in metres in the world frame.
 - ``frame`` (optional): the image captured in this pose; empty for odometry between the frames. Without this column,
   lines and frames are paired in order, one each.
 
-Blank lines, and lines that begin with ``#``, are skipped.
+Blank lines, and lines that begin with ``#``, are skipped. The forms of other programs: `eagor.media.pose_forms`; which
+axes they have: `eagor.media.pose_axes`.
 """
 
 from __future__ import annotations
@@ -20,15 +22,17 @@ import math
 import warnings
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from eagor._files import read_file
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
 from eagor.media import Pose
+from eagor.media.pose_forms import Placed, Table, base_name, colmap, nerfstudio, table_of
 from eagor.sphere import world_R_body
 from eagor.tracking.poses import FARTHEST, PoseHistory
 
@@ -36,6 +40,8 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
 POSITION = ("x", "y", "z")
 HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
+COUNTS = ((1e4, ("milliseconds", "ms")), (1e7, ("microseconds", "us")), (math.inf, ("nanoseconds", "ns")))
+APART = 10.0  # seconds between poses from which on they are rather counts of something shorter
 _NORM_TOLERANCE = 0.01  # a quaternion printed with three digits is still one
 BEYOND = 0.05  # seconds: what lies so far outside of the poses still takes the nearest one
 
@@ -54,28 +60,56 @@ class FramePose(NamedTuple):
         return self.position is None or bool((np.abs(self.position) <= FARTHEST).all())
 
 
-def read_poses(path: str | Path) -> tuple[FramePose, ...]:
+class Poses(tuple[FramePose, ...]):
+    """The poses of a file. `axes`: those of `eagor.media.pose_axes` that its form tells, "" if none, "body?": ours.
+
+    `form`: that of another program, in words. `small`: its angles may be radians. `partial`: it may lack pictures.
+    """
+
+    axes = form = ""
+    small = partial = False
+
+    def made(self, poses: Iterable[FramePose]) -> Poses:
+        """Others of the same file."""
+        found = Poses(poses)
+        found.__dict__.update(self.__dict__)
+        return found
+
+
+def read_poses(path: str | Path) -> Poses:
     """The poses in the file, sorted by time (format: this module's text).
 
     Raises `FormatError` for a violation of the format, `RotationError` for a quaternion that is not of unit length,
     `TimeError` if the stamps do not increase; each error names the file and the line.
     """
     try:
-        text = read_file(path).decode("utf-8-sig")
+        data = read_file(path)
+        text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except (OSError, ValueError) as error:  # UnicodeDecodeError, and null characters in the path
         raise FormatError(f"{path} cannot be read as text ({error}); give a CSV file of poses: {HEADERS}") from error
-    lines = _lines(path, text)
-    number, header = next(lines, (0, None))
-    if header is None:
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    try:
+        placed = nerfstudio(text) if text.lstrip().startswith("{") else colmap(text)
+    except FormatError as error:
+        raise FormatError(f"{path} {error}") from error
+    if placed is not None:
+        return _of_placed(placed)
+    try:
+        table = table_of(text)
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from error
+    if table is None:
         raise FormatError(f"{path} is empty; wanted a line with the names of the columns: {HEADERS}")
-    names = [name.strip().lower() for name in header]
+    names = table.names
     try:
         _check_header(names)
     except FormatError as error:
-        raise FormatError(f"{path}, line {number}: {error}") from error
-    poses = _at_once(names, text.split("\n", number)[-1]) or _one_by_one(path, names, lines)
+        raise FormatError(f"{path}, line {table.first}: {error}") from error
+    poses = Poses(_at_once(table) or _one_by_one(path, table))
     if not poses:
         raise FormatError(f"{path} has a header but no poses; wanted one line per frame: {HEADERS}")
+    poses.axes = ("body?" if table.ours else "") if "qw" in names else "body"
+    _say_units(path, table, poses)
     if "qw" in names and _is_another_order(poses):
         warnings.warn(
             f"{path}: the camera is upside down, or leans as no robot does. xyzw? The scalar part is qw, which "
@@ -94,9 +128,25 @@ def read_poses(path: str | Path) -> tuple[FramePose, ...]:
     return poses
 
 
-def odometry_of_file(path: str | Path) -> list[Pose]:
-    """The same poses, as those of odometry; raises as `read_poses`."""
-    return [Pose(each.stamp, each.world_R_body, each.position) for each in read_poses(path)]
+def _of_placed(placed: Placed) -> Poses:
+    every = zip(placed.stamps, placed.turns, placed.places, placed.names, strict=True)
+    poses = Poses(FramePose(*each) for each in every)
+    poses.axes, poses.form, poses.partial = placed.axes, placed.form, True
+    return poses
+
+
+def _say_units(path: str | Path, table: Table, poses: Poses) -> None:
+    """Warn of stamps and angles that are hardly seconds and degrees; keeps whether the latter are small."""
+    stamps = np.array([pose.stamp for pose in poses])
+    apart = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    if table.unit == 1 and apart >= APART:
+        what, short = next(names for most, names in COUNTS if apart < most)
+        text = f"{path}: its poses are {apart:g} s apart. Are the stamps {what}? Then call that column stamp_{short}"
+        warnings.warn(text, UserWarning, stacklevel=3)
+    if "qw" not in table.names and table.degree == 1:
+        some = np.array([pose.world_R_body for pose in poses[:: 1 + len(poses) // 1000]])
+        angles = Rotation.from_matrix(some).as_euler("ZYX", degrees=True)
+        poses.small = bool(0.02 < np.abs(angles).max() < 6.3 and (np.abs(angles - angles.round()) > 1e-3).any())
 
 
 def _is_another_order(poses: Sequence[FramePose]) -> bool:
@@ -111,50 +161,26 @@ def _is_another_order(poses: Sequence[FramePose]) -> bool:
     return bool((up < 0).all() or ((up < 0.5).any() and ((last > 0.5).all() or (first > 0.5).all())))
 
 
-def _is_optical(poses: Sequence[FramePose]) -> bool:
-    """Whether the axes seem to be optical ones: y points down, or the camera turns about it and does not go along it.
-
-    The first where the world's z is up, the second where the world is the first camera. What drives or is carried
-    turns about its vertical, by at least 20 degrees here, and goes up and down least.
-    """
-    from scipy.spatial.transform import Rotation
-
-    some = poses[:: 1 + len(poses) // 1000]
-    turns = np.array([pose.world_R_body for pose in some])
-    if (turns[:, 2, 1] < -0.75).all():
-        return True
-    bent = Rotation.from_matrix(turns[0].T @ turns).as_rotvec()
-    places = [pose.position for pose in some if pose.position is not None and pose.near]
-    gone = (np.array(places).reshape(-1, 3) - (places[0] if places else 0)) @ turns[0]
-    about = (bent**2).sum(axis=0)
-    along = np.ptp(gone, axis=0) if places else np.zeros(3)
-    return bool(
-        np.linalg.norm(bent, axis=1).max() > math.radians(20)
-        and about[1] > 0.8 * about.sum()
-        and along[1] <= 0.3 * along.max()
-    )
-
-
-def _at_once(names: Sequence[str], body: str) -> tuple[FramePose, ...] | None:
+def _at_once(table: Table) -> tuple[FramePose, ...] | None:
     """The poses of a log of odometry, all lines below the header together: there may be millions.
 
     None where a line is wrong, for `_one_by_one` to say, and for what NumPy's reader does not take as it is meant:
     names of frames, quotes, comments.
     """
-    from scipy.spatial.transform import Rotation
-
+    names, body = table.names, table.body
     if "frame" in names or not body.strip() or any(mark in body for mark in '#"'):
         return None
     try:
-        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
+        rows = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
     except ValueError:
         return None
-    if table.shape[1] != len(names):
+    if rows.shape[1] != len(names):
         return None
     stamps, turns, places = (
-        table[:, [names.index(name) for name in columns if name in names]]
+        rows[:, [names.index(name) for name in columns if name in names]]
         for columns in (("stamp",), QUATERNION if "qw" in names else ANGLES, POSITION)
     )
+    stamps = stamps / table.unit
     lengths = np.linalg.norm(turns, axis=1) if "qw" in names else np.ones(1)
     if not all(np.isfinite(part).all() for part in (stamps, turns, places)):
         return None
@@ -163,17 +189,17 @@ def _at_once(names: Sequence[str], body: str) -> tuple[FramePose, ...] | None:
     if "qw" in names:
         matrices = rotation_from_wxyz(turns / lengths[:, None])
     else:
-        matrices = Rotation.from_euler("ZYX", turns, degrees=True).as_matrix()
-    nothing = [None] * len(table)
+        matrices = Rotation.from_euler("ZYX", turns * table.degree, degrees=True).as_matrix()
+    nothing = [None] * len(rows)
     return tuple(map(FramePose, stamps[:, 0].tolist(), matrices, places if "x" in names else nothing, nothing))
 
 
-def _one_by_one(path: str | Path, names: Sequence[str], rows: Iterable[tuple[int, list[str]]]) -> tuple[FramePose, ...]:
+def _one_by_one(path: str | Path, table: Table) -> tuple[FramePose, ...]:
     """The same, line by line. Raises the error of the first line that has one."""
     poses: list[FramePose] = []
-    for number, fields in rows:
+    for number, fields in _lines(path, table):
         try:
-            pose = _pose(names, [field.strip() for field in fields])
+            pose = _pose(table, [field.strip() for field in fields])
             if poses and pose.stamp <= poses[-1].stamp:
                 raise TimeError(
                     f"stamp {pose.stamp:.6f} comes after {poses[-1].stamp:.6f}; wanted increasing stamps. "
@@ -185,10 +211,10 @@ def _one_by_one(path: str | Path, names: Sequence[str], rows: Iterable[tuple[int
     return tuple(poses)
 
 
-def usable(poses: Sequence[FramePose], name: str | Path) -> tuple[FramePose, ...]:
+def usable(poses: Sequence[FramePose], name: str | Path) -> Sequence[FramePose]:
     """Those that are `near`; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
     if poses[0].position is None or (np.abs([pose.position for pose in poses]) <= FARTHEST).all():  # type: ignore[arg-type]
-        return tuple(poses)
+        return poses
     near = tuple(pose for pose in poses if pose.near)
     first = next(pose for pose in poses if not pose.near)
     text = (
@@ -243,13 +269,18 @@ def pair(
             )
         return tuple(zip(poses, images, strict=True))
     by_name = {image.name: image for image in images}
+    by_stem = {image.stem: image for image in images}
     if len(by_name) < len(images):
         twice = sorted(n for n in by_name if sum(image.name == n for image in images) > 1)
         raise PoseError(f"two frames are called {twice[0]}; rename one, because poses refer to frames by name")
-    pairs = tuple((pose, by_name.get(PurePath(pose.frame).name) if pose.frame else None) for pose in poses)
+    told = [base_name(pose.frame) if pose.frame else "" for pose in poses]  # nerfstudio may leave out the ending
+    pairs = tuple((pose, by_name.get(each) or by_stem.get(each)) for pose, each in zip(poses, told, strict=True))
     used = [image.name for _, image in pairs if image is not None]
     missing = [n for n in by_name if n not in used]
-    if missing:
+    if missing and used and getattr(poses, "partial", False):
+        text = f"{name} has no pose for {_some(missing)}, {len(missing)} of {len(images)} pictures: left out"
+        warnings.warn(text, UserWarning, stacklevel=2)
+    elif missing:
         raise PoseError(
             f"{name} has no pose for {_some(missing)}: its column 'frame' must name each image. "
             "Add a line for it, or leave that image out"
@@ -260,15 +291,17 @@ def pair(
     return pairs
 
 
-def _lines(path: str | Path, text: str) -> Iterator[tuple[int, list[str]]]:
+def _lines(path: str | Path, table: Table) -> Iterator[tuple[int, list[str]]]:
     """Line numbers and fields, without blank lines and comments."""
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    reader = csv.reader(io.StringIO(table.body, newline=""), strict=True)
     try:
         for fields in reader:
             if fields and (fields[0].strip() or any(map(str.strip, fields))) and not fields[0].lstrip().startswith("#"):
-                yield reader.line_num, fields
+                yield table.first + reader.line_num, fields
     except csv.Error as error:
-        raise FormatError(f"{path}, line {reader.line_num}: is not CSV ({error}); wanted {HEADERS}") from error
+        raise FormatError(
+            f"{path}, line {table.first + reader.line_num}: is not CSV ({error}); wanted {HEADERS}"
+        ) from error
 
 
 def _check_header(names: Sequence[str]) -> None:
@@ -283,19 +316,21 @@ def _check_header(names: Sequence[str]) -> None:
             raise FormatError(f"has {', '.join(found)} but not {', '.join(n for n in group if n not in found)}")
     if "stamp" not in names or bool(groups[QUATERNION]) == bool(groups[ANGLES]):
         hint = " (fields must be separated by commas)" if len(names) == 1 else ""
+        hint += "; yaw in degrees or radians? Name it yaw_deg or yaw_rad" if "yaw" in names else ""
         raise FormatError(f"the columns are {_cut(', '.join(names))}{hint}; wanted {HEADERS}")
 
 
-def _pose(names: Sequence[str], fields: Sequence[str]) -> FramePose:
+def _pose(table: Table, fields: Sequence[str]) -> FramePose:
+    names = table.names
     if len(fields) != len(names):
         raise FormatError(f"has {len(fields)} fields where the header has {len(names)}; cut off, or a comma too many?")
     row = dict(zip(names, fields, strict=True))
     if "qw" in row:
         matrix = _from_quaternion([_number(row, n) for n in QUATERNION])
     else:
-        matrix = world_R_body(*(math.radians(_number(row, n)) for n in ANGLES))
+        matrix = world_R_body(*(math.radians(_number(row, n) * table.degree) for n in ANGLES))
     position = np.array([_number(row, n) for n in POSITION]) if "x" in row else None
-    return FramePose(_number(row, "stamp"), matrix, position, row.get("frame") or None)
+    return FramePose(_number(row, "stamp") / table.unit, matrix, position, row.get("frame") or None)
 
 
 def _from_quaternion(wxyz: Sequence[float]) -> np.ndarray:

@@ -7,6 +7,7 @@ poses are read in step.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,6 +23,7 @@ from eagor.media import Pose
 from eagor.media.footage import BagFrames, Frames, ImageFrames, Read
 from eagor.media.panorama import Picture
 from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pair, usable
+from eagor.media.times import times_of
 
 __all__ = ["PosedFrame", "ahead", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight", "thinned"]
 
@@ -54,8 +56,30 @@ def posed_by_file(source: Frames, poses: Sequence[FramePose], name: Path) -> Ite
     """
     near = usable(poses, name)
     if isinstance(source, ImageFrames):
+        if (timed := _timed(source, near, len(poses), name)) is not None:
+            return _by_time(timed, near, name)
         return _by_image(pair(poses, source.paths, name), near[0], source)
     return _by_time(source, near, name)
+
+
+def _timed(source: ImageFrames, poses: Sequence[FramePose], count: int, name: Path) -> ImageFrames | None:
+    """The pictures at the times that their names tell, among `poses`; None where they are paired otherwise.
+
+    Those before the first pose, and after the last one, are left out.
+    """
+    times = times_of([path.stem for path in source.paths])
+    if times is None or len({*times}) < len(times) or any(pose.frame for pose in poses):
+        return None
+    paired = sorted(zip(times, source.paths, strict=True))
+    inside = [each for each in paired if poses[0].stamp - BEYOND <= each[0] <= poses[-1].stamp + BEYOND]
+    if len(inside) < len(paired) == count:
+        return None  # numbers of another kind; as many poses as pictures: in order
+    if 0 < len(inside) < len(paired):
+        lost = len(paired) - len(inside)
+        text = f"{lost} of {len(paired)} pictures are left out: {name} has no poses for the times of their names"
+        warnings.warn(text, UserWarning, stacklevel=3)
+    stamps, paths = zip(*(inside or paired), strict=True)
+    return replace(source, paths=paths, stamps=stamps)
 
 
 def _by_image(

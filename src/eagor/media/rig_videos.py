@@ -20,6 +20,7 @@ from eagor.errors import ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.lenses import PinholeLens
 from eagor.media import Frame
+from eagor.media.animations import Animation, is_animation
 from eagor.media.intrinsics import PLANE_WIDEST, Camera, Told, ordinary_grid
 from eagor.media.metadata import read_metadata
 from eagor.media.rigs import Rig
@@ -44,7 +45,7 @@ def open_video(
     start: float = 0.0,
     end: float | None = None,
     rows: int | None = None,
-) -> Video | StitchedVideo | LensVideos:
+) -> Video | Animation | StitchedVideo | LensVideos:
     """A video of panoramas or of an ordinary camera; or of the lenses of a `rig`, in a file, or one for each picture.
 
     Pictures of ordinary lenses (`are_ordinary`) come as they are, each with its grid, unless `stitched`. The rest as
@@ -53,7 +54,8 @@ def open_video(
     if rig is None:
         if len(paths) > 1:
             raise ImageError(f"{len(paths)} files are given, and no rig says how they belong together: --rig FILE")
-        return Video(paths[0], rate=rate, start=start, end=end, rows=rows)
+        kind = Animation if is_animation(paths[0]) else Video
+        return kind(paths[0], rate=rate, start=start, end=end, rows=rows)
     if len(paths) > len(rig.sizes):
         raise ImageError(f"{len(paths)} videos are given, and the rig is for {len(rig.sizes)}; give one per lens")
     kind = StitchedVideo if stitched or not are_ordinary(rig) else LensVideos

@@ -27,7 +27,7 @@ The format::
         position: [0.1, 0.0, 0.3]                           # ignored: lenses count as in one place
 
 YAML is read node by node: errors name the line, the entry, what is there and what was wanted. OpenCV writes YAML, too
-(FileStorage), with a first line and tags of its own; `read_yaml` takes it.
+(FileStorage), with a first line and tags of its own, and the same as XML; `read_yaml` takes both.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
+from xml.parsers.expat import ExpatError, ParserCreate
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -294,6 +295,7 @@ def _list(values: Sequence[float]) -> str:
 
 
 LARGEST = 1 << 20  # bytes: a calibration has a few hundred
+DEEPEST = 50  # nesting of XML
 
 
 def read_yaml(path: str | os.PathLike[str], kind: str, wanted: str) -> Place:
@@ -306,17 +308,66 @@ def read_yaml(path: str | os.PathLike[str], kind: str, wanted: str) -> Place:
         if os.path.getsize(name) > LARGEST:
             raise FormatError(f"{name} is larger than {LARGEST} bytes; wanted {wanted}")
         text = read_file(name).decode("utf-8-sig")
+        if text.lstrip().startswith("<"):
+            return Place(_of_xml(text), "")
         if text.startswith("%YAML"):  # OpenCV writes "%YAML:1.0", which YAML does not allow; the line stays counted
             text = "#" + text
         root = next(yaml.compose_all(text, Loader=yaml.SafeLoader), None)  # ros2 topic echo ends each message with ---
     except (OSError, UnicodeDecodeError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise FormatError(f"{name} cannot be read as {kind} ({why}); give a YAML file with {wanted}") from error
-    except yaml.YAMLError as error:
-        raise FormatError(f"{name} is not YAML ({' '.join(str(error).split())}); wanted {wanted}") from error
+    except (yaml.YAMLError, ExpatError) as error:
+        kind = "XML" if isinstance(error, ExpatError) else "YAML"
+        raise FormatError(f"{name} is not {kind} ({' '.join(str(error).split())}); wanted {wanted}") from error
     if root is None:
         raise FormatError(f"{name} is empty; wanted {wanted}")
     return Place(root, "")
+
+
+def _of_xml(text: str) -> Any:
+    """The node of what OpenCV writes as XML, as PyYAML has it of the same as YAML. Raises `ExpatError`.
+
+    Elements called ``_``, and words without quotes, are the members of a list.
+    """
+    import yaml
+
+    parser = ParserCreate()
+    inside: list[list[tuple[Any, Any]]] = [[]]  # of each element that is open: its names and values, and its texts
+    texts: list[list[str]] = [[]]
+
+    def mark() -> Any:
+        return yaml.Mark("", 0, parser.CurrentLineNumber - 1, 0, None, 0)
+
+    def scalar(value: str) -> Any:
+        return yaml.ScalarNode("tag:yaml.org,2002:str", value, mark())
+
+    def refuse(*_: Any) -> None:
+        raise ExpatError(f"line {parser.CurrentLineNumber}: it declares entities, or is nested too deep")
+
+    def begin(name: str, _: Any) -> None:
+        if len(texts) > DEEPEST:
+            refuse()
+        inside[-1].append((scalar(name), None))
+        inside.append([])
+        texts.append([])
+
+    def end(name: str) -> None:
+        members, said = inside.pop(), "".join(texts.pop()).strip()
+        key = inside[-1].pop()[0]
+        if members and any(each.value != "_" for each, _ in members):
+            node = yaml.MappingNode("tag:yaml.org,2002:map", members, key.start_mark)
+        elif members or name == "data" or (len(said.split()) > 1 and not said.startswith('"')):
+            listed = [each for _, each in members] or [*map(scalar, said.split())]
+            node = yaml.SequenceNode("tag:yaml.org,2002:seq", listed, key.start_mark)
+        else:
+            node = scalar(said.strip('"'))
+        inside[-1].append((key, node))
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.CharacterDataHandler = lambda words: texts[-1].append(words)
+    parser.EntityDeclHandler = refuse
+    parser.Parse(text, True)
+    return inside[0][0][1]
 
 
 class Place:

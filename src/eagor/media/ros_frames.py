@@ -13,7 +13,6 @@ from statistics import fmean, median
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from eagor.conventions import OPTICAL_R_BODY, is_optical
 from eagor.errors import DeviceError, EagorError
@@ -207,7 +206,10 @@ class Turning:
         if known and gap > HOLE * median(self._gaps):  # it may have turned about, and the shortest turn is none of it
             self._rate = None
             return
-        rate = Rotation.from_matrix(before.world_R_body.T @ pose.world_R_body).as_rotvec() / gap
+        turn = before.world_R_body.T @ pose.world_R_body
+        axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])  # 2 sin(angle)
+        sine = float(np.linalg.norm(axis))
+        rate = axis * (math.atan2(sine, float(np.trace(turn)) - 1) / (max(sine, 1e-12) * gap))
         if self._rate is not None:
             change = rate - self._rate[0]
             self._density.append(3 * float(change @ change) / (gap + self._rate[1]))

@@ -14,8 +14,9 @@ from eagor._extras import need
 from eagor._values import lazy
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.media.defects import fisheye_circles
+from eagor.media.defects import TWICE, fisheye_circles, two_eyes
 from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, ordinary_grid
+from eagor.media.metadata import Layout, Projection
 from eagor.media.panorama import checked_picture, resized
 from eagor.media.rigs import Rig
 
@@ -221,6 +222,7 @@ class Panoramas:
         self.unseen: np.ndarray | None = None
         self.grid: ErpGrid | PerspectiveGrid
         self._stitcher: Stitcher | None = None
+        self._layout: Layout | None = None
         if rig is not None:
             factor = rig.factor_of(sizes, name)
             own = rig.scaled(factor)
@@ -231,6 +233,12 @@ class Panoramas:
         if len(sizes) > 1:
             raise ImageError(f"{name} gives {len(sizes)} pictures at a time, one for each lens. {MAKE}")
         width, height = next(iter(sizes))
+        self.settled = camera is not None and camera.eyes is not None
+        if camera is not None and camera.eyes not in (None, "mono"):
+            self._layout = Projection.of_eyes(camera.eyes).layout(height, width, rows)
+            self.grid, self.unseen = ErpGrid(*self._layout.shape), self._layout.unseen
+            self.wanted = (self._layout.size,)
+            return
         view = None if camera is None else ordinary_grid(camera, Told(), (width, height), name)
         if view is not None:
             by = 1.0 if rows is None else min(1.0, rows / height)
@@ -252,15 +260,21 @@ class Panoramas:
         return self.grid if isinstance(self.grid, PerspectiveGrid) else None
 
     def check(self, *pictures: np.ndarray) -> None:
-        """Look at the first pictures ``(H, W, 3)`` uint8. Raises `ImageError` for fisheye circles without a rig."""
-        if self.rig is None and self.view is None and (circles := fisheye_circles(pictures[0])):
+        """Look at the first pictures ``(H, W, 3)`` uint8. Raises `ImageError` for fisheye circles, or two eyes."""
+        if self.rig is not None or self.view is not None or self.settled:
+            return
+        if circles := fisheye_circles(pictures[0]):
             what = "the two circles of a dual fisheye camera, side by side" if circles == 2 else "a fisheye's circle"
             raise ImageError(f"{self.name} shows {what}, and no panorama: directions would be wrong. {MAKE}")
+        if eyes := two_eyes(pictures[0]):
+            raise ImageError(f"{self.name} {TWICE[eyes]}")
 
     def make(self, *pictures: np.ndarray) -> np.ndarray:
         """The panorama ``(*grid.shape, 3)`` uint8 of the pictures of one moment. Raises `ImageError`."""
         if self._stitcher is not None:
             return self._stitcher.stitch(*pictures)
         (picture,) = pictures
+        if self._layout is not None:
+            return self._layout.place(resized(picture, self._layout.size))
         whole = self.view is None
         return picture if picture.shape[:2] == self.grid.shape else resized(picture, self.grid.shape, wrap=whole)

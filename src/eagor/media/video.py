@@ -18,7 +18,7 @@ import numpy as np
 
 from eagor._checks import above, whole, within
 from eagor._extras import need
-from eagor.errors import ImageError, TimeError
+from eagor.errors import EagorError, ImageError, TimeError
 from eagor.media import Frame
 from eagor.media.defects import fisheye_circles
 from eagor.media.intrinsics import told_by_video
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-__all__ = ["Damage", "Video", "open_video", "pictures", "to_rgb"]
+__all__ = ["Damage", "Video", "open_video", "pictures", "plays", "to_rgb"]
 
 CLOCK = 5e-4  # seconds: half a unit of the coarsest common clock, Matroska's, to which stamps are rounded
 PLAIN = 25.0  # pictures per second where a file tells neither times nor rate; FFmpeg's own
@@ -276,6 +276,17 @@ def open_video(path: str, entry: str = "", track: int = 0) -> tuple[InputContain
         container.close()
         raise
     return container, stream
+
+
+def plays(path: str | os.PathLike[str]) -> bool:
+    """Whether FFmpeg finds moving pictures in the regular file at `path`, whatever its name."""
+    try:
+        need("reading a video", "photos", "av")
+        container, _ = open_video(os.fspath(path))
+    except EagorError:
+        return False
+    container.close()
+    return True
 
 
 def _stream(container: InputContainer, path: str, entry: str, track: int) -> VideoStream:

@@ -65,13 +65,13 @@ class HiddenParts:
     def of(self, frame: Picture) -> BodyMask | None:
         """What `frame` shows, beside the mask that is given; None if that is all."""
         if frame.grid is not None:  # an ordinary picture has no poles
-            return None
+            return None if frame.unseen is None else _around(frame.grid, ~frame.unseen)
         black = self._black.add(frame.picture)
         hidden = black if frame.unseen is None else black | frame.unseen
         if not hidden.any():
             return None
         if hidden.all():
-            raise ImageError("the picture is black everywhere: nothing can be seen in it")
+            raise ImageError("the picture is black or transparent everywhere: nothing can be seen in it")
         mask = BodyMask(~hidden)
         self._tell(mask, black)
         return mask
@@ -81,6 +81,15 @@ class HiddenParts:
         if not self._said and share > WORTH_SAYING and black.any():
             self._said = True
             self._say(f"{100 * share:.1f} % of the sphere is black around a pole, or missing: taken as not seen")
+
+
+def _around(grid: PerspectiveGrid, seen: np.ndarray) -> BodyMask:
+    """What an ordinary picture shows, ``(H, W)``, as a mask of the sphere; what is beside it says nothing anyway."""
+    x, y, inside = grid.project(ErpGrid(512, 1024).directions)
+    rows, columns = (
+        np.clip(np.where(inside, at, 0).astype(int), 0, most - 1) for at, most in zip((y, x), seen.shape, strict=True)
+    )
+    return BodyMask(inside & seen[rows, columns])
 
 
 class Method(Protocol):

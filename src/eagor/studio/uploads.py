@@ -151,22 +151,22 @@ def _size(path: Path) -> int:
 
 
 def _is_video(path: Path) -> bool:
+    from eagor.media.panorama import BOXED
+
     with path.open("rb") as file:
         head = file.read(12)
-    return any(head[at:].startswith(mark) for mark, at in _VIDEOS.items())
+    return head[8:] not in BOXED and any(head[at:].startswith(mark) for mark, at in _VIDEOS.items())
 
 
 def _photo(path: Path, name: str) -> Upload:
-    from PIL import Image
-
     from eagor.media.defects import fisheye_circles, problems
     from eagor.media.intrinsics import told_by_photograph
-    from eagor.media.panorama import FORMATS, is_whole, read_photograph
+    from eagor.media.panorama import is_whole, opened, read_photograph
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(path, formats=FORMATS) as image:
+            with opened(path) as image:
                 width, height = image.size
             if width * height > PIXELS:
                 raise PageError(

@@ -1,0 +1,286 @@
+"""Poses as other programs write them: one walk in every form, unit and axes gives the same poses, or a clear word."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from commands import answer, eagor, refused
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from eagor.errors import EagorError, PoseError
+from eagor.lab.worlds.painted import Room, paint
+from eagor.media.pose_axes import AXES, odometry_of_file, settled, with_axes
+from eagor.media.pose_files import read_poses
+from eagor.media.times import times_of
+from eagor.sphere import world_R_body
+
+BEGIN = 1_650_000_000.0
+STAMPS = [BEGIN + 0.4 * k for k in range(5)]
+TURNS = [world_R_body(np.radians(20 - 11 * k), np.radians(4 * np.sin(k)), np.radians(3 * np.cos(k))) for k in range(5)]
+PLACES = [np.array([0.3 * k, 0.05 * k, 1.2]) for k in range(5)]
+
+
+def xyzw(turn):
+    return Rotation.from_matrix(turn).as_quat()
+
+
+def in_axes(axes, first_camera=False):
+    """The walk as a program with other axes writes it; in a world that is its first camera, or ours."""
+    body_R_pose = AXES[axes][0]
+    world = body_R_pose.T @ TURNS[0].T if first_camera else np.eye(3)
+    return [(at, world @ turn @ body_R_pose, world @ (place - PLACES[0] * first_camera))
+            for at, turn, place in zip(STAMPS, TURNS, PLACES, strict=True)]  # fmt: skip
+
+
+def rows(poses, order, unit=1.0, digits=9):
+    """Lines of numbers: of the stamp (s), the place (p) and the quaternion (q, w first; Q, w last)."""
+    for at, turn, place in poses:
+        x, y, z, w = xyzw(turn)
+        parts = {"s": [at * unit], "p": place, "q": [w, x, y, z], "Q": [x, y, z, w]}
+        yield [
+            f"{value:.0f}" if key == "s" and unit > 1 else f"{value:.{digits}f}"
+            for key in order
+            for value in parts[key]
+        ]
+
+
+def text(head, mark, poses=None, order="spQ", unit=1.0, end="\n"):
+    lines = [head, *(mark.join(row) for row in rows(poses or in_axes("body"), order, unit))]
+    return end.join(line for line in lines if line) + end
+
+
+EUROC = "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"
+FORMS = {
+    "ours": text("stamp,x,y,z,qx,qy,qz,qw", ","),
+    "TUM without names": text("", " "),
+    "TUM with a comment": text("# ground truth\n# timestamp tx ty tz qx qy qz qw", " "),
+    "TUM with names": text("timestamp tx ty tz qx qy qz qw", "  "),
+    "tabs": text("time\tpos_x\tpos_y\tpos_z\tq_x\tq_y\tq_z\tq_w", "\t"),
+    "semicolons": text("t;x;y;z;qx;qy;qz;qw", ";"),
+    "EuRoC": text(EUROC, ",", order="spq", unit=1e9),
+    "EuRoC without names": text("", ",", order="spq", unit=1e9).replace("\n", ",0" * 9 + "\n"),
+    "ORB-SLAM3 in nanoseconds": text("", " ", unit=1e9),
+    "microseconds": text("stamp,x,y,z,qx,qy,qz,qw", ",", unit=1e6),
+    "milliseconds, named": text("timestamp_ms,x,y,z,qx,qy,qz,qw", ",", unit=1e3),
+    "a topic's": text("stamp,pose.pose.position.x,pose.pose.position.y,pose.pose.position.z,"
+                      + ",".join(f"pose.pose.orientation.{axis}" for axis in "xyzw"), ","),
+    "Windows": "\ufeff" + text("stamp,x,y,z,qx,qy,qz,qw", ",", end="\r\n"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_gives_the_same_poses(tmp_path, form):
+    (tmp_path / "poses.txt").write_text(FORMS[form], encoding="utf-8", newline="")
+    found = read_poses(tmp_path / "poses.txt")
+    assert [pose.stamp for pose in found] == pytest.approx(STAMPS, abs=2e-3 if "milli" in form else 2e-6)
+    np.testing.assert_allclose([pose.world_R_body for pose in found], TURNS, atol=1e-7)
+    np.testing.assert_allclose([pose.position for pose in found], PLACES, atol=1e-7)
+
+
+def test_radians_by_name_and_powershells_encoding(tmp_path):
+    lines = [f"{at},{0.1 * k},0,0.02" for k, at in enumerate(STAMPS)]
+    (tmp_path / "a.csv").write_text("\n".join(["stamp,yaw_rad,pitch_rad,roll_rad", *lines]), encoding="utf-16")
+    for k, pose in enumerate(read_poses(tmp_path / "a.csv")):
+        np.testing.assert_allclose(pose.world_R_body, world_R_body(0.1 * k, 0, 0.02), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("0,0,0,0,0,0,0,1\n", "8 numbers a line, and no names"),  # w first or last?
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "KITTI"),
+        ("stamp,yaw,pitch,roll\n0,1,2,3\n", "yaw_deg or yaw_rad"),
+        ('{"frames": [{"file_path": "a.png"}]}', "no transforms.json"),
+        (
+            '{"frames": [{"file_path": "a", "transform_matrix": [[0,0,0,0],[0,0,0,0],[0,0,0,0],[0,0,0,1]]}]}',
+            "no rotation",
+        ),
+        ("1 0 0 0 0 0 0 0 1 a.png\n\n", "images.txt has a line that cannot be"),
+    ],
+)
+def test_what_is_in_no_form_is_said(tmp_path, content, words):
+    (tmp_path / "p.txt").write_text(content)
+    with pytest.raises(EagorError, match=words):
+        read_poses(tmp_path / "p.txt")
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_counts_that_are_hardly_seconds_are_asked_about(tmp_path, scale, unit):
+    lines = [f"{0.25 * k * scale:.0f},{5 * k},0,0" for k in range(5)]
+    (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *lines]))
+    with pytest.warns(UserWarning, match=f"s apart. Are the stamps .*call that column stamp_{unit}"):
+        read_poses(tmp_path / "p.csv")
+    (tmp_path / "p.csv").write_text("\n".join([f"stamp_{unit},yaw_deg,pitch_deg,roll_deg", *lines]))
+    assert [pose.stamp for pose in read_poses(tmp_path / "p.csv")] == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+
+
+@pytest.mark.parametrize(
+    ("names", "times"),
+    [
+        (["0.5", "10.25"], [0.5, 10.25]),
+        (["left_1650000000.5", "left_1650000000.75"], [1650000000.5, 1650000000.75]),
+        (["1403715524907143168"], [1403715524.907143168]),
+        (["1650000000123", "1650000000456"], [1650000000.123, 1650000000.456]),
+        (["1650000000_250000", "1650000000_500000"], [1650000000.25, 1650000000.5]),
+        (["frame-1650000000-000000250"], [1650000000.00000025]),
+        (["000", "001"], None),
+        (["IMG_20240101_120000"], None),
+        (["0.5", "last"], None),
+    ],
+)
+def test_names_that_are_times(names, times):
+    assert times_of(names) == (None if times is None else pytest.approx(times, abs=1e-6))
+
+
+# --- axes ---
+
+
+@pytest.mark.parametrize("axes", AXES)
+@pytest.mark.parametrize("first_camera", [False, True])
+def test_poses_with_other_axes_become_ours(tmp_path, axes, first_camera):
+    (tmp_path / "p.txt").write_text(text("", " ", in_axes(axes, first_camera)))
+    found = with_axes(read_poses(tmp_path / "p.txt"), axes)
+    turns = np.array([pose.world_R_body for pose in found])
+    np.testing.assert_allclose(turns[0].T @ turns, TURNS[0].T @ np.array(TURNS), atol=1e-7)
+    gone = np.array([pose.position for pose in found]) - found[0].position
+    np.testing.assert_allclose(gone @ turns[0], (np.array(PLACES) - PLACES[0]) @ TURNS[0], atol=1e-6)
+    if axes != "body":
+        assert turns[:, 2, 2].min() > 0.97  # the world's z is up
+
+
+@pytest.fixture(scope="module")
+def shots(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("shots")
+    for at, turn, place in zip(STAMPS, TURNS, PLACES, strict=True):
+        Image.fromarray(paint(Room(), tuple(place), turn, 128, 256)).save(folder / f"{at:.6f}.png")
+    return folder
+
+
+def found_in(shots, poses, *more):
+    done = answer("track", shots, "the red ball", "--poses", poses, "--perception", "colour", *more)["frames"]
+    return np.array([[frame["azimuth_deg"], frame["elevation_deg"], frame["credible_angle_deg"]] for frame in done])
+
+
+@pytest.fixture(scope="module")
+def right(shots, tmp_path_factory):
+    path = tmp_path_factory.mktemp("right") / "ours.csv"
+    path.write_text(FORMS["ours"])
+    return found_in(shots, path)
+
+
+def transforms(poses, name="images/{:.6f}.png"):
+    frames = []
+    for at, turn, place in poses:
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = turn, place
+        frames.append({"file_path": name.format(at), "transform_matrix": matrix.tolist()})
+    return json.dumps({"camera_model": "EQUIRECTANGULAR", "frames": frames[::-1]})
+
+
+def images_txt(poses):
+    lines = ["# Image list with two lines of data per image:"]
+    for k, (at, turn, place) in enumerate(poses):
+        x, y, z, w = xyzw(turn.T)
+        row = [k + 1, w, x, y, z, *(-turn.T @ place), 1, f"{at:.6f}.png"]
+        lines += [" ".join(map(str, row)), "" if k else "10.5 20.5 -1 30.5 40.5 7"]
+    return "\n".join(lines) + "\n"
+
+
+WRITTEN = {
+    **{f"{axes}, first camera": text("", " ", in_axes(axes, True)) for axes in ("optical", "opengl", "euroc")},
+    "optical, names of ours": text("stamp,x,y,z,qx,qy,qz,qw", ",", in_axes("optical", True)),
+    "optical, z up": text("# timestamp tx ty tz qx qy qz qw", " ", in_axes("optical")),
+    "EuRoC": text(EUROC, ",", in_axes("euroc"), "spq", 1e9),
+    "COLMAP": images_txt(in_axes("optical", True)),
+    "nerfstudio": transforms(in_axes("opengl")),
+    "nerfstudio without endings": transforms(in_axes("opengl"), "./train/{:.6f}"),
+}
+
+
+@pytest.mark.parametrize("form", WRITTEN)
+def test_the_ball_is_where_it_is_whatever_the_axes(tmp_path, shots, right, form):
+    (tmp_path / "p.txt").write_text(WRITTEN[form])
+    np.testing.assert_allclose(found_in(shots, tmp_path / "p.txt"), right, atol=1.5)
+
+
+def test_axes_that_nothing_tells_are_asked_for(tmp_path, right, shots):
+    grey = tmp_path / "grey"
+    grey.mkdir()
+    for at in STAMPS:
+        Image.new("RGB", (256, 128), (90, 90, 90)).save(grey / f"{at:.6f}.png")
+    (tmp_path / "p.txt").write_text(text("", " ", in_axes("optical", True)))
+    said = refused("track", grey, "red", "--poses", tmp_path / "p.txt", "--perception", "colour")
+    assert re.search("wanted --axes .*optical .x right, y down, z ahead", said)
+    np.testing.assert_allclose(found_in(shots, tmp_path / "p.txt", "--axes", "optical"), right, atol=1.5)
+    with pytest.raises(PoseError, match="--axes"):
+        odometry_of_file(tmp_path / "p.txt")
+    assert len(odometry_of_file(tmp_path / "p.txt", "optical")) == 5
+    (tmp_path / "q.csv").write_text(text("stamp,x,y,z,qx,qy,qz,qw", ",", in_axes("optical", True)))
+    done = eagor("track", grey, "red", "--poses", tmp_path / "q.csv", "--perception", "colour")
+    assert "--axes optical reads them so" in done.stderr
+    assert "--axes optical is for a file of poses" in refused("track", grey, "red", "--axes", "optical")
+
+
+def test_a_camera_that_tumbles_with_our_axes_is_read_as_it_stands(tmp_path):
+    said = []
+    turns = [Rotation.from_rotvec([0.0, 0.3 * k, 0.1 * k]).as_matrix() for k in range(6)]
+    poses = [(0.5 * k, turn, np.zeros(3)) for k, turn in enumerate(turns)]
+    (tmp_path / "p.csv").write_text(text("stamp,x,y,z,qx,qy,qz,qw", ",", poses))
+    for k, turn in enumerate(turns):
+        Image.fromarray(paint(Room(), (0.0, 0.0, 1.3), turn, 128, 256)).save(tmp_path / f"{k}.png")
+    read = read_poses(tmp_path / "p.csv")
+    from eagor.media.footage import FrameCheck, images
+    from eagor.media.posed_frames import posed_by_file
+
+    source = images([tmp_path], 1.0, FrameCheck())
+    found = settled(
+        read, "auto", "p.csv", lambda: ((at.pose, at.read) for at in posed_by_file(source, read, "p.csv")), said.append
+    )
+    assert found is read
+    assert not said
+
+
+def test_radians_called_degrees_are_noticed_by_the_pictures(tmp_path, shots):
+    lines = [f"{at},{np.radians(20 - 11 * k):.6f},0,0" for k, at in enumerate(STAMPS)]
+    (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *lines]))
+    said = refused("track", shots, "red", "--poses", tmp_path / "p.csv", "--perception", "colour")
+    assert "they are radians" in said
+
+
+# --- pairs of pictures and poses ---
+
+
+def test_pictures_named_by_time_take_poses_between_others(tmp_path, shots):
+    dense = [f"{BEGIN + 0.05 * i - 0.01},{20 - 11 * (0.05 * i - 0.01) / 0.4},0,0" for i in range(34)]
+    (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *dense]))
+    seen = [each.pose for each in odometry_like(shots, tmp_path / "p.csv") if each.frame]
+    assert [pose.stamp for pose in seen] == pytest.approx(STAMPS)
+    for k, pose in enumerate(seen):
+        np.testing.assert_allclose(pose.world_R_body, world_R_body(np.radians(20 - 11 * k)), atol=1e-6)
+    (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *dense[8:]]))
+    with pytest.warns(UserWarning, match="1 of 5 pictures are left out"):
+        list(odometry_like(shots, tmp_path / "p.csv"))
+
+
+def odometry_like(folder, path):
+    from eagor.media.footage import FrameCheck, images
+    from eagor.media.posed_frames import posed_by_file
+
+    return posed_by_file(images([folder], 1.0, FrameCheck()), read_poses(path), path)
+
+
+@pytest.mark.parametrize("frame", ["C:\\log\\{}", "\\\\host\\share\\{}", "shots/{}", "..\\shots/{}"])
+def test_frames_are_found_by_the_last_part_of_any_path(tmp_path, shots, frame):
+    lines = [f"{k},{20 - 11 * k},0,0,{frame.format(path.name)}" for k, path in enumerate(sorted(shots.iterdir()))]
+    (tmp_path / "p.csv").write_text("\r\n".join(["stamp,yaw_deg,pitch_deg,roll_deg,frame", *lines]))
+    assert [each.frame for each in odometry_like(shots, tmp_path / "p.csv")] == [
+        p.name for p in sorted(shots.iterdir())
+    ]
+
+
+def test_pictures_that_colmap_could_not_place_are_left_out(tmp_path, shots):
+    (tmp_path / "images.txt").write_text(images_txt(in_axes("optical")[1:]))
+    with pytest.warns(UserWarning, match="has no pose for 1650000000.000000.png, 1 of 5 pictures: left out"):
+        assert len(list(odometry_like(shots, tmp_path / "images.txt"))) == 4
