@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
 from strategies import HOSTILE
 
-from eagor.conventions import OPTICAL_R_BODY, wxyz_from_rotation
+from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.lab.eval import log
@@ -260,25 +260,6 @@ def test_quaternions_in_another_order_are_asked_about(tmp_path, recwarn, told, m
         f"{file}: the camera is upside down, or leans as no robot does. xyzw? The scalar part is qw, which messages of "
         "ROS have last; nothing is wrong if the camera hangs upside down, or tumbles"
     ] * asked
-
-
-@pytest.mark.parametrize("world", ["the first camera", "z up", None])
-@pytest.mark.parametrize("placed", [True, False])
-def test_axes_that_look_like_optical_ones_are_said(tmp_path, recwarn, world, placed):
-    """A robot drives an arc, and a SLAM writes where its camera was; or it is its odometry (None)."""
-    file, lines = tmp_path / "poses.csv", [QUATERNIONS.strip() + ",x,y,z" * placed]
-    axes = np.eye(3) if world is None else OPTICAL_R_BODY
-    base = axes if world == "the first camera" else np.eye(3)
-    for number, yaw in enumerate(np.linspace(0, 1.2, 40)):
-        turn = base @ world_R_body(yaw, 0.05 * math.sin(number), 0.02) @ axes.T
-        place = base @ [2 * math.sin(yaw), 2 - 2 * math.cos(yaw), 0.02 * math.sin(number)]
-        cells = [number, *wxyz_from_rotation(turn), *(place if placed else ())]
-        lines.append(",".join(map(str, cells)))
-    file.write_text("\n".join(lines))
-    read_poses(file)
-    told = [str(each.message) for each in recwarn]
-    assert len(told) == (world is not None)
-    assert all("as if its axes were optical ones (x right, y down, z ahead)" in each for each in told)
 
 
 def test_a_camera_that_is_carried_or_hangs(tmp_path, recwarn):

@@ -117,14 +117,6 @@ def read_poses(path: str | Path) -> Poses:
             UserWarning,
             stacklevel=2,
         )
-    elif _is_optical(poses):
-        warnings.warn(
-            f"{path}: the camera moves as if its axes were optical ones (x right, y down, z ahead), as SLAM and COLMAP "
-            "write them, and is read with x ahead, y left, z up: convert the poses (docs/conventions.md). Nothing is "
-            "wrong if the camera nods, or lies on its side",
-            UserWarning,
-            stacklevel=2,
-        )
     return poses
 
 
