@@ -50,7 +50,6 @@ MOST = 16  # queries at a time
 AGAIN, FIRST_TIME = 2.0, 10.0  # seconds before sources are opened again; in which a simulation has to tell the time
 GRAVE = 5.0  # seconds after which a fault is an error rather than a warning
 LASTING = Duration(nanoseconds=NANO // 2)  # of markers
-DIAGNOSED = ("azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "look_age", "image_age")
 TURNS = np.linspace(0, 2 * np.pi, 25)
 
 
@@ -355,15 +354,11 @@ class EagorNode(LifecycleNode):
         words = self.trouble or "; ".join(fault.text for fault in faults) or ("all is well" if told else waits)
         lasting = any(now.nanoseconds / NANO - fault.since > GRAVE for fault in faults)
         grade = level.ERROR if self.trouble or lasting else level.WARN if faults else level.OK
-
-        def status(name: str, message: str, grade: bytes, values: Mapping[str, Any]) -> DiagnosticStatus:
-            pairs = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-            return DiagnosticStatus(name=name, message=message, level=grade, hardware_id="eagor", values=pairs)
-
-        found = [status("eagor", words, grade, {} if loop is None else vars(loop.counts))]
+        counts = [KeyValue(key=key, value=str(value)) for key, value in vars(loop.counts).items()] if loop else []
+        found = [DiagnosticStatus(name="eagor", message=words, level=grade, hardware_id="eagor", values=counts)]
         for each in told:
-            known = {name: each[name] for name in DIAGNOSED}
-            found.append(status(f"eagor: {each['query']}", each["status"], level.OK, known))
+            where = "" if each["direction"] is None else f", {each['azimuth_deg']:.0f} degrees to the left"
+            found.append(DiagnosticStatus(name=f"eagor: {each['query']}", message=f"{each['status']}{where}"))
         self.publish("/diagnostics", DiagnosticArray(header=Header(stamp=now.to_msg()), status=found))
 
 
