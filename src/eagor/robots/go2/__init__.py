@@ -2,3 +2,5 @@
 
 Nothing here decides to move: `eagor.robots.safety` does.
 """
+
+__all__: list[str] = []
