@@ -28,7 +28,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
-from rclpy.utilities import try_shutdown
+from rclpy.utilities import ok, try_shutdown
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -414,7 +414,7 @@ def run(setup: Callable[[Mapping[str, Any], Sequence[str]], Setup], args: Sequen
             node.trigger_activate()
         rclpy.spin(node)
     except (ExternalShutdownException, RuntimeError):  # rclpy may be in the midst of waiting when it is shut down
-        if rclpy.ok():
+        if ok():
             raise
     finally:
         node.halt()

@@ -185,7 +185,7 @@ class RosCamera(TopicSource):
 
     def __init__(
         self,
-        topic: str,
+        topic: str | None,
         *,
         ears: Ears | None = None,
         latency: float = 0.0,
@@ -295,7 +295,7 @@ class RosPoses(TopicSource):
 
     def __init__(
         self,
-        topic: str,
+        topic: str | None,
         *,
         ears: Ears | None = None,
         kinds: Collection[str] = MOTION,
