@@ -294,13 +294,6 @@ class PoseReader:
         position = None if pose.position is None else pose.position + pose.world_R_body @ place
         return self._in_order(Pose(pose.stamp, pose.world_R_body @ rotation, position))
 
-    def body_R_camera(self, stamp: float = 0.0) -> np.ndarray:
-        """The rotation ``(3, 3)`` of the camera's axes in those of the body; the identity if nothing is known of it."""
-        if self.camera is None:
-            return np.eye(3)
-        found = self.tree.at(self._base(), self.camera, stamp)
-        return np.eye(3) if found is None else found[0] @ optical(self.camera)
-
     def _base(self) -> str:
         """The frame of the body, by the name that it has here."""
         if self._frames is not None and self.kind == ODOMETRY and self.body not in self.tree.frames:
