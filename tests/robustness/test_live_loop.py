@@ -4,9 +4,11 @@ Waits are for events, with generous limits; no time is asserted.
 """
 
 import math
+import multiprocessing
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from itertools import pairwise
@@ -77,12 +79,10 @@ def loop_of(camera, perception, queries=("red chair",), **options):
 
 @pytest.fixture(autouse=True)
 def _nobody_is_left():
+    before = {*threading.enumerate()}  # what an earlier test may have left is not ours
     yield
-    import multiprocessing
-    import threading
-
     wait_for(lambda: not multiprocessing.active_children())
-    wait_for(lambda: not [t for t in threading.enumerate() if t.name.startswith("eagor ")])
+    wait_for(lambda: not [each for each in {*threading.enumerate()} - before if each.name.startswith("eagor ")])
 
 
 def test_answers_do_not_wait_for_a_model_that_takes_1600_ms(tmp_path):
