@@ -91,8 +91,8 @@ def test_an_answer_is_written_down_in_plain_numbers(follower):
     assert json.loads(json.dumps(found)) == found
     assert found["azimuth_deg"] == pytest.approx(90, abs=1)
     assert [*found] == [
-        "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "distance_spread",
-        "within_15_deg", "status", "modes",
+        "stamp", "azimuth_deg", "elevation_deg", "direction", "credible_angle_deg", "presence", "distance_m",
+        "distance_spread", "within_15_deg", "status", "modes",
     ]  # fmt: skip
     assert found["within_15_deg"] == round(follower.computed.within(math.radians(15)), 6)
     assert len(found["modes"]) == 1
@@ -101,6 +101,7 @@ def test_an_answer_is_written_down_in_plain_numbers(follower):
 def test_what_is_not_known_is_null():
     found = Follower().estimate(0.0).as_dict(near=15)
     assert {name for name, value in found.items() if value is None} == {
-        "azimuth_deg", "elevation_deg", "credible_angle_deg", "distance_m", "distance_spread", "within_15_deg",
+        "azimuth_deg", "elevation_deg", "direction", "credible_angle_deg", "distance_m", "distance_spread",
+        "within_15_deg",
     }  # fmt: skip
     assert (found["status"], found["modes"]) == ("searching", [])

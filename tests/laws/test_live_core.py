@@ -273,9 +273,9 @@ def test_nothing_that_comes_in_can_stop_the_answers_and_the_same_gives_the_same(
     asked = [each for event in events for each in (event, Asked(event.arrival))]
     first, second = LiveCore(start), LiveCore(settings_from(settings_in_bytes(start)))
     for event in asked:
-        answers = [answer.as_json(exact=True) for answer in first.take(event)]
+        answers = [answer.as_dict(exact=True) for answer in first.take(event)]
         again = second.take(event_from(event_in_bytes(event)))
-        assert answers == [answer.as_json(exact=True) for answer in again]
+        assert answers == [answer.as_dict(exact=True) for answer in again]
         assert len(answers) == isinstance(event, Asked)
 
 

@@ -89,7 +89,7 @@ def test_a_new_query_begins_with_what_was_seen_and_the_others_do_not_notice():
         return core, [answer for event in events for answer in core.take(event)]
 
     def exact(answers):
-        return [answer.as_json(exact=True) for answer in answers]
+        return [answer.as_dict(exact=True) for answer in answers]
 
     core, told = answers([*events, *asked], around=0.05)
     _, cold = answers([*events, *asked])

@@ -304,7 +304,7 @@ def test_fast_looks_at_every_picture_and_gives_the_same_each_time(tmp_path):
     log = tmp_path / "log"
     poses = [Pose(99 + k / 20, yawed(0.2 * (99 + k / 20))) for k in range(100)]
     runs = [
-        [a.as_json(exact=True) for a in loop_of(Film(count=20), Seeing(log=log), poses=Track(poses), fast=True)]
+        [a.as_dict(exact=True) for a in loop_of(Film(count=20), Seeing(log=log), poses=Track(poses), fast=True)]
         for _ in range(2)
     ]
     assert runs[0] == runs[1]
@@ -430,7 +430,7 @@ def test_a_recording_is_played_again_bit_for_bit_and_looked_at_anew(tmp_path):
     answers = followed(loop, well, lambda _: loop.counts.looks > 10)
     replay = Replay(tmp_path / "run")
     again = list(replay)
-    assert [a.as_json(exact=True) for a in again] == [a.as_json(exact=True) for a in answers]
+    assert [a.as_dict(exact=True) for a in again] == [a.as_dict(exact=True) for a in answers]
     assert replay.compared.equal == replay.compared.recorded == len(answers)
     anew = Replay(tmp_path / "run", Seeing(direction=(0.0, 1.0, 0.0)))
     last = list(anew)[-1]

@@ -303,7 +303,7 @@ class _Told:
             if first and self._next is not None:
                 azimuth, elevation = (round(math.degrees(angle), 6) for angle in self._next)
                 more = {"next_look": {"azimuth_deg": azimuth, "elevation_deg": elevation}}
-            terminal.emit(answer.as_json(self._modes) | more)
+            terminal.emit(answer.as_dict(self._modes) | more)
         elif self._line and answer.query == self._queries[-1] and time.monotonic() - self._shown >= SHOWN:
             self._shown = time.monotonic()
             self._show(" | ".join([*map(_in_line, self._newest.values()), *self._hints()]))

@@ -141,7 +141,7 @@ def locate(options: Locate) -> int:
         if options.picture is not None:
             _draw(options, frames, estimate)
         found = {
-            "query": options.query, "perception": spec, "frame": _name(places), "stamp": stamps[-1],
+            "query": options.query, "perception": spec, "frame": _name(places),
             **estimate.as_dict(options.modes, NEAR),
         }  # fmt: skip
         if write is not None:

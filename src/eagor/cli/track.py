@@ -374,9 +374,9 @@ def _until_it_breaks(results: Iterator[FollowedFrame], run: _Run) -> Iterator[Fo
         run.broken = str(error)
 
 
-def _entry(result: FollowedFrame, modes: int) -> dict[str, Any]:
+def _entry(result: FollowedFrame, query: str, modes: int) -> dict[str, Any]:
     """A frame for ``--json`` and for files, with at most so many candidates."""
-    entry = {"frame": result.frame, "stamp": result.stamp, **result.estimate.as_dict(modes)}
+    entry = {"query": query, "frame": result.frame, **result.estimate.as_dict(modes), "stamp": result.stamp}
     entry["looks"] = len(result.evidence)
     if result.lost:
         entry["lost"] = True
@@ -416,7 +416,7 @@ class _Run:
             return
         self.last = result
         if self.options.json:
-            self.entries.append(_entry(result, self.options.modes))
+            self.entries.append(_entry(result, self.query, self.options.modes))
         else:
             print(line(result, self.begins), flush=True)
 
@@ -463,7 +463,7 @@ def _sinks(options: Track, query: str, spec: str, journey: Journey, stack: ExitS
     sinks: list[Sink] = []
     if options.out:
         write = stack.enter_context(table(options.out, _rival_names() if options.compare else ()))
-        sinks.append(lambda result: write(_entry(result, options.modes)) if result.told else None)
+        sinks.append(lambda result: write(_entry(result, query, options.modes)) if result.told else None)
     if options.picture:
         sinks.append(_painter(options.picture, query, options.modes))
     if options.video:

@@ -485,7 +485,7 @@ def warm(settings: LoopSettings) -> None:
         look = Evidence.from_points(np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1]]), scores=np.full(2, 0.8), stamp=stamp)
         core.take(EvidenceCame(stamp, stamp, stamp, "", (look,)))
         for answer in core.take(Asked(stamp + 0.2)):
-            answer.as_json()
+            answer.as_dict()
 
 
 def _overdue(part: Part, what: str, now: float, last: float, begun: float) -> Fault:

@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.media import Pose
 from eagor.tracking import Around, TurningCamera, TurningRig
-from eagor.tracking.estimate import Estimate
+from eagor.tracking.estimate import Estimate, plain_number
 
 __all__ = [
     "AGAIN", "CALM", "AllCame", "Answer", "Asked", "Event", "EvidenceCame", "Fault", "FaultLog", "Following",
@@ -70,50 +71,17 @@ class Answer:
         """The status, and after a semicolon each fault: "tracking; no picture for 2.1 s"."""
         return "; ".join([self.estimate.status, *(fault.text for fault in self.faults)])
 
-    def as_json(self, modes: int = 10, exact: bool = False) -> dict[str, Any]:
-        """This answer for a line of JSON, with at most so many candidates; what is not known is None.
-
-        `exact`: numbers are not rounded, so that answers can be compared bit for bit.
-        """
-        digits = None if exact else 6
-        e, distance = self.estimate, None
-        if e.direction is not None and e.status != "searching":
-            distance = e.distance
+    def as_dict(self, modes: int = 10, exact: bool = False) -> dict[str, Any]:
+        """The query, `Estimate.as_dict`, and how far to trust it: for a line of JSON."""
+        number = partial(plain_number, exact=exact)
         return {
-            "stamp": _number(self.stamp, digits),
             "query": self.query,
-            **_angles(e.azimuth, e.elevation, digits),
-            "direction": None if e.direction is None else [_number(float(each), digits) for each in e.direction],
-            "credible_angle_deg": None if e.direction is None else _degrees(e.credible_angle, digits),
-            "presence": _number(e.presence, digits),
-            "distance_m": _number(distance, digits),
-            "status": e.status,
-            "modes": [
-                _angles(mode.azimuth, mode.elevation, digits) | {"weight": _number(mode.weight, digits)}
-                for mode in e.modes[:modes]
-            ],
-            "pose_age": _number(self.pose_age, digits),
-            "look_age": _number(self.look_age, digits),
-            "image_age": _number(self.image_age, digits),
-            "faults": [
-                {"part": each.part, "text": each.text, "since": _number(each.since, digits)} for each in self.faults
-            ],
+            **self.estimate.as_dict(modes, exact=exact),
+            "pose_age": number(self.pose_age),
+            "look_age": number(self.look_age),
+            "image_age": number(self.image_age),
+            "faults": [{"part": each.part, "text": each.text, "since": number(each.since)} for each in self.faults],
         }
-
-
-def _angles(azimuth: float | None, elevation: float | None, digits: int | None) -> dict[str, float | None]:
-    return {"azimuth_deg": _degrees(azimuth, digits), "elevation_deg": _degrees(elevation, digits)}
-
-
-def _degrees(angle: float | None, digits: int | None) -> float | None:
-    return None if angle is None else _number(math.degrees(angle), digits)
-
-
-def _number(value: float | None, digits: int | None) -> float | None:
-    """The number, rounded; None for what is not known, and for ages before anything came."""
-    if value is None or not math.isfinite(value):
-        return None
-    return float(value) if digits is None else round(float(value), digits)
 
 
 @dataclass(frozen=True, eq=False)

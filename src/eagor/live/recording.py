@@ -260,7 +260,7 @@ class Recorder:
         self._bag.write(IMAGES, COMPRESSED, found, self._last)
 
     def _answer(self, answer: Answer) -> None:
-        text = json.dumps(answer.as_json(exact=True), allow_nan=False)
+        text = json.dumps(answer.as_dict(exact=True), allow_nan=False)
         self._bag.write(ANSWERS, TEXT, text_message(text), self._last)  # in the order of the events
         if answer.direction is not None:
             found = vector_message(answer.direction, answer.stamp, BODY)
@@ -335,7 +335,7 @@ class Replay:
             for event in self.events(pictures=anew is not None):
                 for each in (event,) if anew is None else anew.instead(event):
                     for answer in core.take(each):
-                        self.compared.add(answer.as_json(exact=True), next(written, None))
+                        self.compared.add(answer.as_dict(exact=True), next(written, None))
                         yield answer
         finally:
             if anew is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -325,28 +326,37 @@ class Estimate:
         age = self.age + (stamp - self.stamp)
         return replace(self, stamp=stamp, age=age, world_R_body=world_R_body, spread=spread, of=self.of or self)
 
-    def as_dict(self, modes: int = MOST_MODES, near: int | None = None) -> dict[str, Any]:
-        """The answer as plain numbers, for files: angles in degrees, rounded; what is not known is None.
+    def as_dict(self, modes: int = MOST_MODES, near: int | None = None, exact: bool = False) -> dict[str, Any]:
+        """The answer as plain numbers, the form in which it is written everywhere; what is not known is None.
 
-        At most so many `modes`; the distance is left out while searching. `near`: degrees, adds the probability that
-        the target is `within` that angle of the answer.
+        Angles in degrees. At most so many `modes`; the distance is left out while searching. `near`: degrees, adds the
+        probability that the target is `within` that angle of the answer. `exact`: numbers are not rounded, so that
+        answers can be compared bit for bit.
         """
+        number = partial(plain_number, exact=exact)
+
+        def angles(azimuth: float | None, elevation: float | None) -> dict[str, float | None]:
+            return {"azimuth_deg": degrees(azimuth), "elevation_deg": degrees(elevation)}
+
+        def degrees(angle: float | None) -> float | None:
+            return None if angle is None else number(math.degrees(angle))
+
         known, placed = self.direction is not None, self.status != "searching"
         within = {} if near is None else {
-            f"within_{near}_deg": round(self.within(math.radians(near)), 6) if known else None
+            f"within_{near}_deg": number(self.within(math.radians(near))) if known else None
         }  # fmt: skip
         return {
-            **_angles(self.azimuth, self.elevation),
-            "credible_angle_deg": _degrees(self.credible_angle) if known else None,
-            "presence": round(self.presence, 6),
-            "distance_m": round(self.distance, 4) if placed and self.distance is not None else None,
-            "distance_spread": (
-                round(self.distance_spread, 4) if placed and self.distance_spread is not None else None
-            ),
+            "stamp": number(self.stamp),
+            **angles(self.azimuth, self.elevation),
+            "direction": None if self.direction is None else [number(each) for each in self.direction],
+            "credible_angle_deg": degrees(self.credible_angle) if known else None,
+            "presence": number(self.presence),
+            "distance_m": number(self.distance) if placed else None,
+            "distance_spread": number(self.distance_spread) if placed else None,
             **within,
             "status": self.status,
             "modes": [
-                _angles(mode.azimuth, mode.elevation) | {"weight": round(mode.weight, 6)} for mode in self.modes[:modes]
+                angles(each.azimuth, each.elevation) | {"weight": number(each.weight)} for each in self.modes[:modes]
             ],
         }
 
@@ -365,9 +375,8 @@ def _mode(direction: np.ndarray, weight: float) -> Mode:
     return Mode(direction, float(azimuth), float(elevation), float(weight))
 
 
-def _angles(azimuth: float | None, elevation: float | None) -> dict[str, float | None]:
-    return {"azimuth_deg": _degrees(azimuth), "elevation_deg": _degrees(elevation)}
-
-
-def _degrees(angle: float | None) -> float | None:
-    return None if angle is None else round(math.degrees(angle), 4)
+def plain_number(value: float | None, exact: bool = False) -> float | None:
+    """A number for files, rounded to a millionth unless `exact`; None for what is not known, or endless."""
+    if value is None or not math.isfinite(value):
+        return None
+    return float(value) if exact else round(float(value), 6)
