@@ -159,7 +159,7 @@ MOST = {"program": 0.25, "guard": 0.5, "detector": 2.25, "camera": 0.75}  # seco
 
 def program(domain: int, folder: str) -> None:
     """The program that steers: says the numbers of its processes, and what becomes of its recording."""
-    from eagor.live.loop import LiveLoop
+    from eagor.live.loop import Loop
     from eagor.robots import Go2Poses
     from eagor.robots.go2.camera import DdsCamera
     from eagor.robots.go2.house import CAMERA_TOPIC
@@ -177,15 +177,15 @@ def program(domain: int, folder: str) -> None:
 
     with Circling(armed=True, remote=False, domain=domain, interface="lo") as guard:
         odometer = Odometer(guard, lambda: loop.clock.now())
-        loop = LiveLoop(
-            lambda: DdsCamera(CAMERA_TOPIC, domain, "lo"), "colour", ["red chair"], watchers=[odometer],
-            poses=lambda: Go2Poses(domain, "lo"), record=Path(folder) if folder else None,
+        loop = Loop(
+            lambda: DdsCamera(CAMERA_TOPIC, domain, "lo"), lambda: Go2Poses(domain, "lo"), "colour", "red chair", True,
+            [odometer], record=Path(folder) if folder else None,
         )  # fmt: skip
         said: set[str] = set()
         for step in steer(loop, guard, odometer, WalkSettings()):
             words = loop.recording_problem or ""
             if not said and math.isfinite(step.answer.look_age):
-                words = json.dumps({"guard": guard.pid, "detector": loop._keeper._worker.process.pid})
+                words = json.dumps({"guard": guard.pid, "detector": loop._inference._worker.process.pid})
             if words and words not in said:
                 print(words, flush=True)
                 said.add(words)

@@ -181,7 +181,7 @@ def bearing(query: str) -> np.ndarray:
 
 def turning(photographs: Path, seconds: float, runs: int) -> None:
     """Print a table: a turning camera, with odometry of 200 poses a second and with poses from its pictures."""
-    from eagor.live.loop import LiveLoop
+    from eagor.live.loop import Loop
 
     model = DetectorModel(detection_probability=0.9, false_alarms_per_look=0.1, spread=np.radians(3))
     files = sorted(photographs.glob("*.png"))
@@ -193,7 +193,7 @@ def turning(photographs: Path, seconds: float, runs: int) -> None:
                 queries = tuple(f"thing {TARGETS * run + number}" for number in range(TARGETS))
                 camera = Turntable(files[run % len(files)], rate)
                 poses = Compass(rate) if odometry else "auto"
-                loop = LiveLoop(camera, Noisy(rate, model), queries, poses=poses)
+                loop = Loop(camera, poses, Noisy(rate, model), queries)
                 begun = cpu = last = None
                 for answer in loop:
                     use(answer)

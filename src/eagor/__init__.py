@@ -44,6 +44,10 @@ if TYPE_CHECKING:
     from eagor.evidence import Calibration, DetectorModel, Evidence
     from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
     from eagor.harmonics import RealHarmonics
+    from eagor.live.loop import Loop
+    from eagor.media.camera_sources import open_source
+    from eagor.media.odometry import open_poses
+    from eagor.perception import load
     from eagor.sphere import angular_distance, azimuth_elevation, direction
     from eagor.tracking import DirectionTracker, Estimate, Mode, MotionModel, TrackerConfig
 
@@ -57,6 +61,7 @@ __all__ = [
     "Estimate",
     "Evidence",
     "FisheyeGrid",
+    "Loop",
     "Mode",
     "MotionModel",
     "PatchGrid",
@@ -68,7 +73,10 @@ __all__ = [
     "angular_distance",
     "azimuth_elevation",
     "direction",
+    "load",
     "log_ranges",
+    "open_poses",
+    "open_source",
 ]
 
 _HOME = {
@@ -77,6 +85,10 @@ _HOME = {
     "evidence": ("Calibration", "DetectorModel", "Evidence"),
     "grids": ("ErpGrid", "FisheyeGrid", "PatchGrid", "PerspectiveGrid"),
     "harmonics": ("RealHarmonics",),
+    "live.loop": ("Loop",),
+    "media.camera_sources": ("open_source",),
+    "media.odometry": ("open_poses",),
+    "perception": ("load",),
     "sphere": ("angular_distance", "azimuth_elevation", "direction"),
     "tracking": ("DirectionTracker", "Estimate", "Mode", "MotionModel", "TrackerConfig"),
 }

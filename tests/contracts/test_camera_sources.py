@@ -23,7 +23,7 @@ from eagor.errors import DeviceError, FormatError, ImageError, TimeError
 from eagor.lab.worlds.painted import painted_room
 from eagor.lenses import PinholeLens
 from eagor.media import Frame, check_camera
-from eagor.media.camera_sources import open_camera
+from eagor.media.camera_sources import open_source
 from eagor.media.clocks import PROBATION, StreamClock
 from eagor.media.intrinsics import camera_of
 from eagor.media.live_camera import Feed, LiveCamera
@@ -120,9 +120,9 @@ def folder(tmp_path, pictures, names=None):
 
 def test_a_folder_keeps_the_contract(tmp_path):
     place = folder(tmp_path, clips.rolled(12))
-    check_camera(open_camera(str(place)))
-    check_camera(open_camera(str(place), camera=camera_of(70.0, None), rows=50))
-    frames = list(open_camera(str(place), rate=4, latency=0.5, rows=32))
+    check_camera(open_source(str(place)))
+    check_camera(open_source(str(place), camera=camera_of(70.0, None), rows=50))
+    frames = list(open_source(str(place), rate=4, latency=0.5, rows=32))
     assert [frame.stamp for frame in frames] == [k / 4 - 0.5 for k in range(12)]
     assert [frame.name for frame in frames] == [f"{k}.png" for k in range(12)], "10 comes after 9"
     assert frames[0].picture.shape == (32, 64, 3)
@@ -130,14 +130,14 @@ def test_a_folder_keeps_the_contract(tmp_path):
 
 def test_names_that_are_times_are_stamps(tmp_path):
     place = folder(tmp_path, clips.rolled(3), ["1.250.png", "1.500.png", "10.125.png"])
-    assert [frame.stamp for frame in open_camera(str(place))] == [1.25, 1.5, 10.125]
+    assert [frame.stamp for frame in open_source(str(place))] == [1.25, 1.5, 10.125]
 
 
 def test_a_picture_of_a_folder_that_cannot_be_used_is_left_out_and_counted(tmp_path):
     place = folder(tmp_path, clips.rolled(4))
     (place / "1.png").write_bytes(b"nothing")
     Image.fromarray(ROOM[:, :100]).save(place / "2.png")
-    camera = open_camera(str(place))
+    camera = open_source(str(place))
     with pytest.warns(UserWarning, match=r"left out: .*1\.png"):
         assert [frame.name for frame in camera] == ["0.png", "3.png"]
     assert camera.dropped == 2
@@ -145,9 +145,9 @@ def test_a_picture_of_a_folder_that_cannot_be_used_is_left_out_and_counted(tmp_p
 
 def test_a_video_keeps_the_contract(tmp_path):
     path = clips.clip(tmp_path / "a.mp4")
-    check_camera(open_camera(str(path)))
-    check_camera(open_camera(str(path), camera=camera_of(70.0, None)))
-    camera = open_camera(str(path), rate=10, rows=32, latency=0.25)
+    check_camera(open_source(str(path)))
+    check_camera(open_source(str(path), camera=camera_of(70.0, None)))
+    camera = open_source(str(path), rate=10, rows=32, latency=0.25)
     frames = list(camera)
     assert [frame.stamp for frame in frames] == pytest.approx([k / 10 - 0.25 for k in range(10)], abs=1e-3)
     assert frames[0].picture.shape == (32, 64, 3)
@@ -159,10 +159,10 @@ def test_circles_without_a_rig_are_refused_with_what_they_look_like(tmp_path):
     video = clips.clip(tmp_path / "a.mp4", [CIRCLES] * 3)
     for source in (str(place), str(video)):
         with pytest.raises(ImageError, match=r"two circles of a dual fisheye.*--rig"):
-            list(open_camera(source))
+            list(open_source(source))
     address = f"udp://127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
     with sending(address, picture=CIRCLES), pytest.raises(ImageError, match=r"two circles.*--rig"):
-        open_camera(address)
+        open_source(address)
 
 
 @pytest.mark.parametrize("kind", ["folder", "video", "insv"])
@@ -173,9 +173,9 @@ def test_with_a_rig_the_circles_are_stitched(tmp_path, kind):
     else:
         source = clips.clip(tmp_path / "a.mp4", [CIRCLES] * 3, options={"crf": "10"})
         source = source.rename(tmp_path / "VID_1.insv") if kind == "insv" else source
-    camera = open_camera(str(source), rig=tmp_path / "rig.yaml")
+    camera = open_source(str(source), rig=tmp_path / "rig.yaml")
     check_camera(camera)
-    frame = next(iter(open_camera(str(source), rig=LENSES, rows=64)))
+    frame = next(iter(open_source(str(source), rig=LENSES, rows=64)))
     wanted = np.asarray(Image.fromarray(painted_room(128, 256)).resize((128, 64), Image.Resampling.BOX))
     assert np.abs(frame.picture.astype(int) - wanted).mean() < 6
 
@@ -193,15 +193,15 @@ def test_each_lens_may_have_its_own_file(tmp_path):
     names = ["VID_20260101_120000_00_001.insv", "VID_20260101_120000_10_001.insv"]
     videos = [clips.clip(tmp_path / f"{k}.mp4", [half] * 5, options={"crf": "10"}) for k, half in enumerate(halves)]
     both = f"{videos[0]},{videos[1]}"
-    wanted = next(iter(open_camera(both, rig=rig))).picture
+    wanted = next(iter(open_source(both, rig=rig))).picture
     for video, name in zip(videos, names, strict=True):
         video.rename(tmp_path / name)
-    found = next(iter(open_camera(str(tmp_path / names[1]), rig=rig))).picture
+    found = next(iter(open_source(str(tmp_path / names[1]), rig=rig))).picture
     assert np.array_equal(found, wanted), "the front lens comes first, whichever file is named"
-    whole = open_camera(str(folder(tmp_path, [CIRCLES])), rig=LENSES)
+    whole = open_source(str(folder(tmp_path, [CIRCLES])), rig=LENSES)
     assert np.abs(next(iter(whole)).picture.astype(int) - found).mean() < 6
     with pytest.raises(ImageError, match="gives 1 picture at a time, and the rig is for 2"):
-        open_camera(str(tmp_path / "frames"), rig=rig)
+        open_source(str(tmp_path / "frames"), rig=rig)
 
 
 def two_cameras():
@@ -219,14 +219,14 @@ def test_ordinary_cameras_of_a_rig_each_give_their_own_pictures(tmp_path):
             Image.fromarray(picture).save(tmp_path / name / f"{number}.png")
     for kind in ("", ".mp4"):
         both = ",".join(str(tmp_path / f"{name}{kind}") for name in ("front", "back"))
-        check_camera(open_camera(both, rig=rig), 6)
-        frames = list(open_camera(both, rig=rig, rows=24))
+        check_camera(open_source(both, rig=rig), 6)
+        frames = list(open_source(both, rig=rig, rows=24))
         assert [frame.lens for frame in frames] == [0, 1] * 4
         for frame in frames:
             np.testing.assert_allclose(frame.grid.body_R_view, rig.lenses[frame.lens].body_R_lens)
             assert frame.picture.shape == (24, 32, 3)
             assert abs(frame.picture.mean() - grey[frame.lens].mean()) < 8
-        whole = open_camera(both, rig=rig, stitched=True)
+        whole = open_source(both, rig=rig, stitched=True)
         assert whole.unseen.any()
         assert {frame.grid for frame in whole} == {None}
 
@@ -266,7 +266,7 @@ def test_live_cameras_of_a_rig_take_turns_and_one_may_end_first():
 )
 def test_what_is_no_camera_is_named_with_what_was_wanted(text, kind, says):
     with pytest.raises(kind, match=says) as caught:
-        open_camera(text)
+        open_source(text)
     assert "topsecret" not in str(caught.value)
 
 
@@ -276,9 +276,9 @@ def test_a_file_is_no_device_and_a_rig_has_to_be_one(tmp_path):
         device(str(video), {})
     (tmp_path / "rig.yaml").write_text("lens: 3")
     with pytest.raises(FormatError, match="lens is no key"):
-        open_camera(str(video), rig=tmp_path / "rig.yaml")
+        open_source(str(video), rig=tmp_path / "rig.yaml")
     with pytest.raises(ImageError, match="128 x 64, and the rig is for pictures of 400 x 150"):
-        open_camera(str(video), rig=dual_fisheye(400, 150))
+        open_source(str(video), rig=dual_fisheye(400, 150))
 
 
 # --- live ------------------------------------------------------------------------------------------------------------
@@ -288,7 +288,7 @@ def test_a_file_is_no_device_and_a_rig_has_to_be_one(tmp_path):
 def test_a_stream_over_udp_keeps_the_contract_and_tells_of_a_stall():
     address = f"udp://127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
     with sending(address) as stop:
-        camera = open_camera(address, latency=0.125, rows=32)
+        camera = open_source(address, latency=0.125, rows=32)
         assert camera.live
         frames = iter(camera)
         for _ in range(5):
@@ -309,7 +309,7 @@ def test_a_stream_over_udp_keeps_the_contract_and_tells_of_a_stall():
 def test_a_live_camera_keeps_the_contract():
     address = f"udp://127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
     with sending(address):
-        check_camera(open_camera(address))
+        check_camera(open_source(address))
 
 
 class Mjpeg(BaseHTTPRequestHandler):
@@ -354,7 +354,7 @@ def serving(lives=10**9):
 @pytest.mark.filterwarnings("ignore:http.*tells no times")
 def test_a_network_camera_over_http_and_a_stream_that_ends_is_opened_again():
     with serving(lives=25) as address:
-        camera = open_camera(address)
+        camera = open_source(address)
         seen, told = 0, set()
         for _ in camera:
             seen += 1
@@ -417,9 +417,9 @@ def test_stamps_of_a_pipe_are_kept_and_a_cut_picture_is_said():
 
 READER = """
 import sys
-from eagor.media.camera_sources import open_camera
+from eagor.media.camera_sources import open_source
 
-camera = open_camera(sys.argv[1])
+camera = open_source(sys.argv[1])
 frame = next(iter(camera))
 print(frame.stamp, frame.picture.shape, int(frame.picture.astype(int).sum()))
 """
@@ -608,10 +608,10 @@ def test_a_plugin_is_opened_by_its_name(monkeypatch):
 
     monkeypatch.setitem(camera_sources.BUILT_IN, "fake", f"{__name__}:fake_camera")
     monkeypatch.setitem(sys.modules, __name__, sys.modules[fake_camera.__module__])
-    rest, settings = open_camera("fake:left/eye", latency=0.25, rows=64)
+    rest, settings = open_source("fake:left/eye", latency=0.25, rows=64)
     assert rest == "left/eye"
     assert (settings["latency"], settings["rows"], settings["rig"]) == (0.25, 64, None)
-    rest, settings = open_camera("fake:/image?domain=3", rig=LENSES, rate=5)
+    rest, settings = open_source("fake:/image?domain=3", rig=LENSES, rate=5)
     assert (rest, settings) == ("/image?domain=3", {"latency": 0.0, "rows": None, "rig": LENSES, "rate": 5})
 
 

@@ -19,9 +19,8 @@ from processes import alive, sessions_of, wait_for
 from eagor.cli import main
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
-from eagor.live.loop import LiveLoop
+from eagor.live.loop import Loop
 from eagor.live.recording import Replay
-from eagor.media.camera_sources import open_camera
 from eagor.media.panorama import view
 from eagor.perception.views import Views
 from eagor.sphere import world_R_body
@@ -110,9 +109,9 @@ def test_what_else_is_here_is_listed_at_the_end_and_recorded(film, tmp_path, mon
     pytest.importorskip("rosbags")
     spec = "livemaking:balls"
 
-    def loop_of(options, watchers, around):
-        settings = {"poses": "level", "fast": True, "watchers": watchers, "around": around, "record": options.record}
-        return LiveLoop(open_camera(str(film)), Views(balls, count=8, hfov=100, size=160), ["ball"], **settings)
+    def loop_of(options, sinks, around):
+        eyes = Views(balls, count=8, hfov=100, size=160)
+        return Loop(str(film), "level", eyes, "ball", sinks=sinks, around=around, record=options.record)
 
     monkeypatch.setattr("eagor.cli.live.loop_of", loop_of)
     monkeypatch.setattr("eagor.cli.live.perception_for_all", lambda queries, given: spec)

@@ -139,7 +139,7 @@ def test_a_guard_that_ended_is_no_usage_error_and_further_interrupts_stop_no_cle
     guard = SimpleNamespace(set_velocity=lambda *_: signal.raise_signal(signal.SIGINT))
     monkeypatch.setattr(robot_run, "_simulated", lambda *_: nullcontext(robot_run.Place(free_domain(), "lo", None)))
     monkeypatch.setattr("eagor.robots.safety.guard.Guard", lambda **_: nullcontext(guard))
-    monkeypatch.setattr("eagor.live.loop.LiveLoop", lambda *_, **__: loop)
+    monkeypatch.setattr("eagor.live.loop.Loop", lambda *_, **__: loop)
 
     def ended(*_):
         raise DeviceError("the guard has ended; this program sent StopMove itself")

@@ -13,7 +13,7 @@ from eagor.errors import ImageError, TimeError
 from eagor.lab.worlds.painted import painted_room
 from eagor.media import check_camera
 from eagor.media.animations import Animation, is_animation
-from eagor.media.camera_sources import open_camera
+from eagor.media.camera_sources import open_source
 from eagor.media.panorama import BOXED, read_photograph, turn
 from eagor.sphere import world_R_body
 
@@ -56,8 +56,8 @@ def test_track_live_look_and_locate_take_animations(tmp_path):
     assert turned[-1] - turned[0] == pytest.approx(-np.degrees(0.6), abs=4)
     done = eagor("locate", path, "the red ball", "--perception", "colour")
     assert "5 pictures, one after the other" in done.stderr
-    check_camera(open_camera(str(path)))
-    assert len(list(open_camera(str(path)))) == 5
+    check_camera(open_source(str(path)))
+    assert len(list(open_source(str(path)))) == 5
 
 
 def test_times_that_are_missing_are_a_tenth_of_a_second(tmp_path):
@@ -92,7 +92,7 @@ def test_a_folder_may_hold_every_kind_that_can_be_read(tmp_path, name):
     kinds = {".insp": "JPEG", ".jfif": "JPEG"}
     for k in range(2):
         Image.fromarray(ROOM).save(tmp_path / f"{k}{name}", kinds.get(f".{name.split('.')[1]}"))
-    assert len(list(open_camera(str(tmp_path)))) == 2
+    assert len(list(open_source(str(tmp_path)))) == 2
     assert np.abs(read_photograph(tmp_path / f"1{name}").picture.astype(int) - ROOM).mean() < 6
 
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from eagor.errors import ImageError
 from eagor.lab.worlds.painted import EYE, Room, bearing, paint
-from eagor.media.camera_sources import open_camera
+from eagor.media.camera_sources import open_source
 from eagor.media.defects import TWICE, two_eyes
 from eagor.media.intrinsics import Camera
 from eagor.media.metadata import LAYOUTS
@@ -53,8 +53,8 @@ def test_two_eyes_are_refused_until_the_layout_is_told(tmp_path, name, kind):
     assert (found["azimuth_deg"], found["elevation_deg"]) == pytest.approx(RED, abs=2.0)
     if kind == "mp4":
         with pytest.raises(ImageError, match=r"--eyes|not 2:1"):
-            next(iter(open_camera(str(path))))
-        camera = open_camera(str(path), camera=Camera(eyes=layout))
+            next(iter(open_source(str(path))))
+        camera = open_source(str(path), camera=Camera(eyes=layout))
         frame = next(iter(camera))
         assert frame.picture.shape[:2] == camera.grid.shape
         assert (camera.unseen is None) == ("vr180" not in layout)

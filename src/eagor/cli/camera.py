@@ -226,14 +226,14 @@ def view(options: CameraView) -> int:
 
 def latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
-    from eagor.media.camera_sources import open_camera
+    from eagor.media.camera_sources import open_source
     from eagor.media.latency import check_turning, latency_between, steps_of
     from eagor.media.pose_axes import odometry_of_file
 
     for name in ("rate", "seconds", "most"):
         if not (math.isfinite(value := getattr(options, name)) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number above 0")
-    source = open_camera(options.source, rig=options.rig, rate=options.rate, rows=512, stitched=True)
+    source = open_source(options.source, rig=options.rig, rate=options.rate, rows=512, stitched=True)
     try:
         if not source.live:
             check_turning(odometry_of_file(options.poses))  # what is wrong with it is told before the work

@@ -59,8 +59,7 @@ from eagor.cli.options import (
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer, NextLooks
-    from eagor.live.loop import LiveLoop, Watcher
-    from eagor.media import CameraSource
+    from eagor.live.loop import Loop, Sink
     from eagor.tracking import Surroundings
 
 
@@ -133,7 +132,6 @@ class Live(Common):
 
 MOST_RATE = 1000.0  # answers per second
 SHOWN = 0.1  # seconds between two status lines
-BY_SIGHT = ("auto", "level")
 
 
 def live(options: Live) -> int:
@@ -144,16 +142,16 @@ def live(options: Live) -> int:
 
     source, queries = asked(options)
     looks = NextLooks()
-    told, watchers = _Told(options, queries, looks), []
+    told, sinks = _Told(options, queries, looks), []
     try:
         if options.rerun is not None:
             from eagor.live.rerun import LiveLog
 
-            watchers.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
-        loop = loop_of(options, [*watchers, looks], around=options.what_else)
+            sinks.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
+        loop = loop_of(options, [*sinks, looks], around=options.what_else)
     except BaseException:
-        for watcher in watchers:
-            watcher.close()
+        for sink in sinks:
+            sink.close()
         raise
     told.around, spec = loop.core.around, perception_for_all(queries, options.perception)
     until = math.inf if options.seconds is None else time.monotonic() + options.seconds
@@ -173,9 +171,9 @@ def live(options: Live) -> int:
     finally:
         told.close()
         told.what_else(spec, source)
-        for watcher in watchers:
-            if watcher.problem is not None:
-                terminal.warning(watcher.problem)
+        for sink in sinks:
+            if sink.problem is not None:
+                terminal.warning(sink.problem)
         counts = loop.counts
         terminal.log(
             f"{counts.frames} pictures, {counts.looks} looks, {counts.poses} poses, {counts.answers} answers"
@@ -205,15 +203,16 @@ def asked(options: Live) -> tuple[str, list[str]]:
     return source, queries
 
 
-def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = False) -> LiveLoop:
-    """The loop that the options ask for, with its camera open; `around` as of `LiveLoop`.
+def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> Loop:
+    """The loop that the options ask for, with its camera open; `around` as of `Loop`.
 
-    Raises `UsageError`, and as `LiveLoop`.
+    Raises `UsageError`, and as `Loop`.
     """
     from eagor.evidence import BodyMask
-    from eagor.live.loop import LiveLoop
+    from eagor.live.loop import Loop
     from eagor.live.threads import already_open
-    from eagor.media.camera_sources import open_camera
+    from eagor.media.camera_sources import open_source
+    from eagor.media.odometry import poses_for
     from eagor.media.rig_videos import are_ordinary
 
     source, queries = asked(options)
@@ -226,15 +225,16 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
     several = "," in source if lenses is None else are_ordinary(lenses)  # topics of ROS tell their lenses
     stitched = several and wants_panoramas(spec)
     how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
-    opens = partial(open_camera, source, stitched=stitched, **how)
+    opens = partial(open_source, source, stitched=stitched, **how)
     camera = opens()
     if options.eyes is not None and mask is None and (unseen := getattr(camera, "unseen", None)) is not None:
         mask = BodyMask(~unseen)
     try:
-        loop = LiveLoop(
-            already_open(camera, opens) if camera.live else camera, spec, queries, poses=_poses(options, camera),
+        poses = poses_for(options.poses, camera, axes=options.axes, domain=options.domain, interface=options.interface)
+        loop = Loop(
+            already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast, sinks,
             config=config, rate=options.rate, patience=options.patience, record=options.record,
-            pictures=options.pictures, fast=options.fast, around=around, mask=mask, watchers=watchers,
+            pictures=options.pictures, around=around, mask=mask,
         )  # fmt: skip
     except BaseException:
         camera.close()
@@ -243,36 +243,6 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
     )
     return loop
-
-
-def _poses(options: Live, camera: CameraSource) -> Any:
-    """What `LiveLoop` takes for ``--poses``."""
-    from eagor.live.threads import GivenPoses, MotionPoses
-    from eagor.media.bag_sources import BagCamera, bag_odometry
-    from eagor.media.pose_axes import odometry_of_file
-    from eagor.robots import GO2, ROS, open_poses
-
-    text = options.poses
-    if isinstance(camera, BagCamera) and (text == "auto" or text.startswith(ROS)):
-        topic = text.removeprefix(ROS) if text != "auto" else None
-        return bag_odometry(camera.bag, topic, camera.frame) or text
-    motion = getattr(camera, "motion", None)
-    if text == "auto" and motion is not None:
-        return MotionPoses(motion)
-    if text in BY_SIGHT:
-        return text
-    if text == "still":
-        return None
-    if text.partition(":")[0] == GO2 or text.startswith(ROS):
-        if not camera.live:
-            raise terminal.UsageError(f"--poses {text} is live, and the pictures are a recording; wanted a CSV file")
-        frame = getattr(camera, "frame", None)
-        return partial(open_poses, text, domain=options.domain, interface=options.interface, camera=frame)
-    if camera.live:
-        raise terminal.UsageError(
-            f"--poses {text}: a live camera needs live poses; wanted auto, level, still, ros:/TOPIC or go2"
-        )
-    return GivenPoses(odometry_of_file(text, options.axes))
 
 
 class _Told:

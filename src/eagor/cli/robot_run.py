@@ -31,7 +31,7 @@ from eagor.errors import DeviceError
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.live.loop import LiveLoop
+    from eagor.live.loop import Loop
     from eagor.media import CameraSource
     from eagor.robots.safety.walking import Step
 
@@ -187,7 +187,7 @@ class Summary:
 
 def robot_run(options: RobotRun) -> int:
     """Run the command; returns its exit code."""
-    from eagor.live.loop import LiveLoop
+    from eagor.live.loop import Loop
     from eagor.robots import Go2Poses
     from eagor.robots.safety.guard import Guard
     from eagor.robots.safety.walking import Odometer, WalkSettings, steer
@@ -202,7 +202,7 @@ def robot_run(options: RobotRun) -> int:
     mask = mask_of(options.mask)
     deadman = options.deadman or ("none" if options.sim or not options.arm else "remote")
     walking = WalkSettings(distance=options.distance, speed=options.speed, blind=options.blind)
-    loops: list[LiveLoop] = []
+    loops: list[Loop] = []
     summary = Summary()
     # As soon as the loop ends, nothing stops the cleanup any more.
     with terminal.unhurried(lambda: any(each.stopped for each in loops)), ExitStack() as stack:
@@ -213,12 +213,12 @@ def robot_run(options: RobotRun) -> int:
                 avoid=options.avoid, ignored_codes=(0, *options.calm),
             )
         )  # fmt: skip
-        loop: LiveLoop
+        loop: Loop
         odometer = Odometer(guard, lambda: loop.clock.now())
-        loop = LiveLoop(
-            place.camera, spec, [query], config=config, rate=RATE, patience=options.patience, mask=mask,
-            poses=lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount),
-            record=options.record, watchers=[odometer],
+        loop = Loop(
+            place.camera, lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount), spec,
+            query, True, [odometer], config=config, rate=RATE, patience=options.patience, mask=mask,
+            record=options.record,
         )  # fmt: skip
         loops.append(loop)
         terminal.log(f"armed: {DEADMEN[deadman]}" if options.arm else "dry run: nothing is commanded (--arm moves it)")
@@ -275,7 +275,7 @@ def _check(options: RobotRun) -> None:
 
 @contextmanager
 def _real(options: RobotRun, spec: str) -> Iterator[Place]:
-    from eagor.media.camera_sources import open_camera
+    from eagor.media.camera_sources import open_source
     from eagor.media.rig_videos import are_ordinary
     from eagor.media.rigs import read_rig
 
@@ -290,7 +290,7 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
             from eagor.robots.ros import RosCamera
 
             return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, **lenses)
-        found = open_camera(source, latency=options.latency, **lenses)
+        found = open_source(source, latency=options.latency, **lenses)
         if not found.live:
             found.close()
             raise DeviceError(f"--source {source} is a recording; a robot that walks needs a live camera")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
     from eagor.lab.eval.results import Run
-    from eagor.live.loop import LiveLoop, Watcher
+    from eagor.live.loop import Loop, Sink
     from eagor.studio.hub import LiveSource, Settings
 
 
@@ -232,7 +232,7 @@ def serve(line: Connection, options: Live) -> None:
 
     source, _ = asked(options)
 
-    def opens(watchers: Sequence[Watcher], hfov: float | None) -> LiveLoop:
-        return loop_of(options if hfov is None else replace(options, hfov=hfov), watchers, around=True)
+    def opens(sinks: Sequence[Sink], hfov: float | None) -> Loop:
+        return loop_of(options if hfov is None else replace(options, hfov=hfov), sinks, around=True)
 
     watch(line, source, options.perception or "", opens)

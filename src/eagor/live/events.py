@@ -217,7 +217,7 @@ class FaultLog:
 
 
 class NextLooks:
-    """A watcher of the loop that tells where to look next for the thing of one query: a camera can turn one way only.
+    """A sink of the loop that tells where to look next for the thing of one query: a camera can turn one way only.
 
     It is computed anew with a new look, at most every `APART` seconds, and stands in the world until then. A panorama
     sees all, so that there is nothing to tell. Of several cameras it is the turn of the body for all together. `of` is

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask
 from eagor.live.core import ASIDE, LiveCore, LoopSettings, warm
 from eagor.live.events import AllCame, Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
-from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked
+from eagor.live.inference import PATIENCE, Failed, Inference, InferenceWorker, Looked
 from eagor.live.recording import Pictures, Recorder
 from eagor.live.threads import (
     FrozenCamera,
@@ -25,17 +25,20 @@ from eagor.live.threads import (
     PerceptionThread,
     Picture,
     Reader,
-    VisualPoses,
     VisualPosesThread,
     opener,
     paced_frames,
     paced_poses,
+    poses_seen,
 )
 from eagor.media import CameraSource, Frame, Pose, PoseSource
-from eagor.perception import Perception
+from eagor.media.camera_sources import open_source
+from eagor.media.odometry import poses_for
+from eagor.media.rotation import VisualOdometer
+from eagor.perception import Perception, as_perception
 from eagor.tracking import Around, TrackerConfig
 
-__all__ = ["Counts", "LiveLoop", "Watcher"]
+__all__ = ["Counts", "Loop", "Sink"]
 
 RATE = 20.0  # answers per second
 STALLED = 10.0  # seconds without a picture after which a stream is opened again
@@ -44,11 +47,11 @@ LONGEST_LATE = 60.0  # seconds: evidence may come so late, if the perception has
 ON_DEMAND = 0.2  # seconds between pictures while the perception is busy
 LEAVING = 5.0  # seconds that threads have to come back from a device
 
-Camera = CameraSource | Callable[[], CameraSource]
-Poses = PoseSource | Callable[[], PoseSource] | Literal["auto", "level"] | None
+Source = str | CameraSource | Callable[[], CameraSource]
+Poses = str | PoseSource | Callable[[], PoseSource] | VisualOdometer | None
 
 
-class Watcher(Protocol):
+class Sink(Protocol):
     """Sees all that comes into the loop and out of it, in the loop's thread: a recording, a viewer."""
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
@@ -76,78 +79,93 @@ class Counts:
     late: int = 0
 
 
-class LiveLoop:
-    """Follows `queries` with a camera, and answers `rate` times a second, however slow the perception is.
+class Loop:
+    """Follows `queries` through the pictures of a `source`: answers in the order of time, one per query and tick.
 
-    `camera`: a source, or a function that opens one; a function is called again when the camera is gone. A source that
-    is not `live` is played at its own speed, or with `fast` as fast as the perception can look at every picture.
-    `perception`: text for `eagor.perception.load`, or an object that can be pickled; it runs in a process of its own,
-    which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
-    function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
-    the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.live.recording`), with
-    the `pictures` as "jpeg", "png" or "none". `acceleration`: see `LoopSettings`. `around`: follow all else that the
-    perception sees, too (`LiveCore.around`), if it knows its classes. `mask`: what the camera never sees. `watchers`
-    see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does, gives no
-    answers meanwhile.
+    In turn, the perception looks at every picture, time is that of the recording, and answers come `rate` times in each
+    of its seconds. With `realtime`, and always with a source that is `live`, answers come `rate` times a second,
+    however slow the perception is, which looks at the newest picture.
 
-    Iterate over it for answers, one per query and tick, or call `run`. Once only. Neither the camera, the poses nor the
-    perception can hold up an answer; what is wrong with them is said in each answer's `faults`. The sources are closed
-    at the end. Raises `QueryError` if the perception understands no query, other `EagorError` if it cannot be loaded,
-    or the sources cannot be opened at first. Processes are started by spawning: a script needs
-    ``if __name__ == "__main__":``.
+    - `source`: text for `eagor.open_source`, a source, or a function that opens one; a function is called again when
+      the camera is gone. It is closed at the end.
+    - `poses`: text for `eagor.open_poses` ("auto": what the source tells of its motion, else the pictures do; "still"),
+      a source of odometry, or a function that opens one; None: the camera stands still.
+    - `perception`: text for `eagor.load`, a perception, or any function that `eagor.Detector` takes. In real time it
+      runs in a process of its own, which is killed and started anew if one look takes more than `patience` seconds. It
+      is started by spawning: a script needs ``if __name__ == "__main__":``.
+    - `sinks` see all that comes in and out. `record`: a new folder for a bag of all that happens
+      (`eagor.live.recording`), with the `pictures` as "jpeg", "png" or "none".
+    - `acceleration`: see `LoopSettings`. `around`: follow all else that the perception sees, too (`LiveCore.around`),
+      if it knows its classes. `mask`: what the camera never sees. `clock`: what tells the time; one that stands still,
+      as a simulation's does, gives no answers meanwhile.
+
+    Iterate over it for answers, or call `run`. Once only. In real time, neither the camera, the poses nor the
+    perception can hold up an answer; what is wrong with them is said in each answer's `faults`. Raises `QueryError` if
+    the perception understands no query, other `EagorError` if it cannot be loaded, or the sources cannot be opened at
+    first.
+
+        >>> loop = eagor.Loop("walk.mp4", "auto", "coco", ["chair", "tv"])
+        >>> for answer in loop:
+        ...     print(answer.as_dict())
     """
 
     def __init__(
         self,
-        camera: Camera,
-        perception: str | Perception,
-        queries: Sequence[str],
+        source: Source,
+        poses: Poses,
+        perception: str | Perception | Callable[..., Any],
+        queries: str | Sequence[str],
+        realtime: bool = False,
+        sinks: Sequence[Sink] = (),
         *,
-        poses: Poses = None,
         config: TrackerConfig | None = None,
         rate: float = RATE,
         patience: float = PATIENCE,
         record: Path | None = None,
         pictures: Pictures = "jpeg",
-        fast: bool = False,
         acceleration: float = LoopSettings.acceleration,
         around: bool = False,
         mask: BodyMask | None = None,
-        watchers: Sequence[Watcher] = (),
         clock: LoopClock | None = None,
     ) -> None:
         for name, value in (("rate", rate), ("patience", patience), ("acceleration", acceleration)):
             if not above(value, 0):
                 raise TimeError(f"{name} = {value!r}; wanted a number above 0")
+        queries = (queries,) if isinstance(queries, str) else tuple(queries)
         if not queries:
             raise QueryError("there is no query; say what to look for, such as 'red chair'")
         self.clock, self.counts = clock or LoopClock(), Counts()
-        self.rate, self.fast = rate, fast
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._stopped = threading.Event()
-        open_camera, opened = opener(camera)
-        self._camera: CameraSource = opened if open_camera is None else open_camera()
+        reopen, opened = opener(partial(open_source, source) if isinstance(source, str) else source)
+        self._camera: CameraSource = opened if reopen is None else reopen()
         self.live = self._camera.live
-        self._visual_poses = VisualPoses(level=poses == "level") if poses in ("auto", "level") else None
-        self._frames, self._odometry = self._readers(open_camera, poses)
+        self.rate, self.realtime = rate, realtime or self.live
+        if isinstance(poses, str):
+            poses = poses_for(poses, self._camera)
+        self._odometer = poses if isinstance(poses, VisualOdometer) else None
+        self._frames, self._odometry = self._readers(reopen, poses)
         config = config or TrackerConfig()
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
-        aside = None if not around else 0.0 if fast and not self.live else ASIDE
-        self._settings = LoopSettings(
-            tuple(queries), config, poses is not None, self._camera.latency, acceleration, aside
-        )
+        aside = None if not around else ASIDE if self.realtime else 0.0
+        self._settings = LoopSettings(queries, config, poses is not None, self._camera.latency, acceleration, aside)
         self.core = LiveCore(self._settings)
         masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
-        self._keeper = Keeper(perception, patience=patience, masks=masks, everything=around)
+        perception = as_perception(perception)
+        self._inference: Inference | InferenceWorker = (
+            InferenceWorker(perception, patience=patience, masks=masks, everything=around)
+            if self.realtime
+            else Inference(perception, masks=masks, everything=around)
+        )
         self._recorder: Recorder | None = None
         if record is not None:
             self._recorder = Recorder(record, self._settings, partial(self._trouble, "recording"), pictures)
-        self._watchers: list[Watcher] = [*watchers, *([] if self._recorder is None else [self._recorder])]
+        self._sinks: list[Sink] = [*sinks, *([] if self._recorder is None else [self._recorder])]
         self._perception: PerceptionThread | None = None
         self._seer: VisualPosesThread | None = None
         # A source that keeps the newest picture itself makes it a panorama when asked: not more often than needed.
         keeps_newest = getattr(self._camera, "keeps_newest", False)
-        self._on_demand = keeps_newest and self._visual_poses is None and record is None
+        self._on_demand = keeps_newest and self._odometer is None and record is None
         self._last_frame = self.clock.now()  # its arrival
         self._over = False
         self._fatal: EagorError | None = None
@@ -157,21 +175,21 @@ class LiveLoop:
         self._frozen: dict[int, tuple[FrozenCamera, str]] = {}  # by lens, and what was said of it last
 
     def _readers(
-        self, open_camera: Callable[[], CameraSource] | None, poses: Poses
+        self, reopen: Callable[[], CameraSource] | None, poses: Any
     ) -> tuple[Reader[tuple[Frame, float]], Reader[Pose] | None]:
         """The threads that read the camera, and the odometry if there is one; a recording at its own speed."""
         pace = Pace(self.clock, self._stopped)
         frames = Reader(
             "camera",
             self._camera,
-            open_camera,
+            reopen,
             items=_as_told if self.live else partial(paced_frames, pace=pace),
             again=self.live,
             give=self._frame,
             trouble=partial(self._trouble, "camera"),
             ended=self._frames_ended,
         )
-        if poses is None or isinstance(poses, str):
+        if poses is None or poses is self._odometer:
             return frames, None
         open_poses, opened = opener(poses)
         return frames, Reader(
@@ -188,7 +206,7 @@ class LiveLoop:
     def __iter__(self) -> Iterator[Answer]:
         """The answers, until the source ends or `stop` is called: at each tick one per query, in their order."""
         try:
-            yield from self._at_once() if self.fast and not self.live else self._paced()
+            yield from self._paced() if self.realtime else self._in_turn()
         finally:
             self._close()
 
@@ -209,7 +227,7 @@ class LiveLoop:
     @property
     def knows_classes(self) -> bool | None:
         """Whether the perception tells what else is here; None while it is not loaded."""
-        return self._keeper.knows_classes
+        return self._inference.knows_classes
 
     @property
     def stopped(self) -> bool:
@@ -248,7 +266,7 @@ class LiveLoop:
     def _begin(self) -> None:
         self._trouble("perception", "the perception is being loaded")
         self._perception = PerceptionThread(
-            self._keeper,
+            self._inference,
             self.core.queries,
             found=lambda picture, said: self._found(picture, said, self.clock.now()),
             ready=self._ready,
@@ -256,8 +274,8 @@ class LiveLoop:
             pose=self.core.orientation,
         )
         warm(self._settings)  # while the perception is loaded
-        if self._visual_poses is not None:
-            self._seer = VisualPosesThread(self._visual_poses, self._post, self.clock.now)
+        if self._odometer is not None:
+            self._seer = VisualPosesThread(self._odometer, self._post, self.clock.now)
         if self.live:
             self._start_reading()
 
@@ -273,15 +291,15 @@ class LiveLoop:
         if self._odometry is not None:
             self._odometry.start()
 
-    def _at_once(self) -> Iterator[Answer]:
+    def _in_turn(self) -> Iterator[Answer]:
         """As fast as the perception looks at every picture; time is that of the recording."""
-        for answer in self._answers_at_once():
+        for answer in self._answers_in_turn():
             self._drain()
             if self._stopped.is_set():
                 return
             yield answer
 
-    def _answers_at_once(self) -> Iterator[Answer]:
+    def _answers_in_turn(self) -> Iterator[Answer]:
         """Answers at `rate` per second of the recording, in which evidence takes no time.
 
         Raises `EagorError` if the perception cannot be started.
@@ -296,7 +314,7 @@ class LiveLoop:
                 pose = next(poses, None)
 
         begun, ticks, now = None, 0, 0.0
-        for failed in self._keeper.start():
+        for failed in self._inference.start():
             raise EagorError(failed.text)
         for frame in self._camera:
             now = frame.stamp
@@ -308,11 +326,11 @@ class LiveLoop:
             take_poses(now)
             self._taken(FrameCame(now, now, frame.name, frame.picture, frame.grid, frame.lens))
             picture = Picture(now, now, frame.picture, frame.grid, frame.lens)
-            if self._visual_poses is not None:
-                for event in self._visual_poses.of(picture, lambda at=now: at):
+            if self._odometer is not None:
+                for event in poses_seen(self._odometer, picture, lambda at=now: at):
                     self._taken(event)
             queries = [query for query in self.core.queries if query not in self._refused]
-            for said in self._keeper.look(frame.picture, queries, now, self.core.orientation(now), frame.grid):
+            for said in self._inference.look(frame.picture, queries, now, self.core.orientation(now), frame.grid):
                 self._found(picture, said, now)
         if begun is not None:
             yield from self._taken(Asked(now))
@@ -341,8 +359,8 @@ class LiveLoop:
     def _taken(self, event: Event) -> list[Answer]:
         answers = self.core.take(event)
         self._count(event, len(answers))
-        for watcher in self._watchers:
-            watcher.take(event, answers)
+        for sink in self._sinks:
+            sink.take(event, answers)
         return answers
 
     def _count(self, event: Event, answers: int) -> None:
@@ -400,7 +418,7 @@ class LiveLoop:
     def _frame(self, item: tuple[Frame, float]) -> None:
         frame, told = item
         self._last_frame = self.clock.now()
-        shown = frame.picture if self._watchers else None  # who else would hold on to it?
+        shown = frame.picture if self._sinks else None  # who else would hold on to it?
         self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown, frame.grid, frame.lens))
         if self.live:
             self._check_frozen(frame)
@@ -444,14 +462,14 @@ class LiveLoop:
         if self._perception is not None:
             self._perception.stop()
             self.counts.skipped = self._perception.pictures.skipped + getattr(self._frames.source, "dropped", 0)
-        self._keeper.close()
+        self._inference.close()
         self._frames.close(LEAVING)
         if self._seer is not None:
             self._seer.close(LEAVING)
         if self._odometry is not None:
             self._odometry.close(LEAVING)
-        for watcher in self._watchers:
-            watcher.close()
+        for sink in self._sinks:
+            sink.close()
 
 
 def _as_told(source: CameraSource) -> Iterator[tuple[Frame, float]]:

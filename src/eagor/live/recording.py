@@ -36,7 +36,7 @@ from eagor.live.events import (
     PosesLost,
     Trouble,
 )
-from eagor.live.keeper import PATIENCE, Failed, Keeper, Looked, looks_in_bytes
+from eagor.live.inference import PATIENCE, Failed, InferenceWorker, Looked, looks_in_bytes
 from eagor.media import Pose
 from eagor.media.bags import BagWriter, bag_topics, read_bag
 from eagor.media.ros_messages import (
@@ -172,7 +172,7 @@ def _text(kind: bytes, arrival: float, *words: Any) -> bytes:
 
 
 class Recorder:
-    """A watcher of the loop that writes all into a new folder `path`; `trouble` is told what goes wrong, in words.
+    """A sink of the loop that writes all into a new folder `path`; `trouble` is told what goes wrong, in words.
 
     Everything is written in a thread of its own, and handed to the system every `FLUSHED` seconds: a run that is killed
     loses no more than that. If the disk is full, the recording ends, and the loop goes on.
@@ -385,7 +385,7 @@ class _Anew:
     """In place of recorded evidence: looks of another perception at the same pictures."""
 
     def __init__(self, perception: str | Perception, patience: float, core: LiveCore, wanted: list[float]) -> None:
-        self._keeper, self._core = Keeper(perception, patience=patience), core
+        self._inference, self._core = InferenceWorker(perception, patience=patience), core
         self._left = Counter(wanted)  # looks at the picture of each stamp
         self._frames: dict[float, FrameCame] = {}
 
@@ -403,11 +403,11 @@ class _Anew:
         if frame is None or frame.picture is None:  # it was left out of the recording
             return
         pose = self._core.orientation(event.stamp)
-        for said in self._keeper.look(frame.picture, [event.query], event.told, pose, frame.grid):
+        for said in self._inference.look(frame.picture, [event.query], event.told, pose, frame.grid):
             if isinstance(said, Looked):
                 yield replace(event, looks=said.looks, seconds=said.seconds)
             elif isinstance(said, Failed):
                 yield Trouble(event.arrival, "perception", said.text, said.query or "")
 
     def close(self) -> None:
-        self._keeper.close()
+        self._inference.close()

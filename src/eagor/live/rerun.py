@@ -21,7 +21,7 @@ LEAVING = 10.0  # seconds for the last answers to be written
 
 
 class LiveLog:
-    """Watches a live loop (`eagor.live.loop.Watcher`) and logs its newest answers, pictures and faults.
+    """A sink of the loop (`eagor.live.loop.Sink`) that logs its newest answers, pictures and faults.
 
     Where drawing cannot keep up, answers in between are left out. A picture is logged with the first answers after it.
     `problem`: why the log ended before the loop did, or None. Errors as of `RerunLog`.

@@ -17,23 +17,19 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from eagor._extras import need
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.live.events import Event, PoseCame, PosesLost, Trouble
-from eagor.live.keeper import Failed, Keeper, Looked, UnusableError
+from eagor.live.inference import Failed, InferenceWorker, Looked, UnusableError
 from eagor.media import Frame, Pose
-from eagor.media.motion import MotionTrack
 from eagor.media.rotation import VisualOdometer
 from eagor.sphere import heading
 from eagor.tracking import Around
 
 __all__ = [
-    "FrozenCamera", "GivenPoses", "LoopClock", "MotionPoses", "NewestPicture", "Pace", "PerceptionThread", "Picture",
-    "Reader", "VisualPoses", "VisualPosesThread", "already_open", "opener", "paced_frames", "paced_poses",
+    "FrozenCamera", "LoopClock", "NewestPicture", "Pace", "PerceptionThread", "Picture", "Reader", "VisualPosesThread",
+    "already_open", "opener", "paced_frames", "paced_poses", "poses_seen",
 ]  # fmt: skip
-
-MOTION_RATE = 100.0  # poses per second that are taken from a motion track
 
 REOPENED = (0.5, 10.0)  # seconds before a source that is gone is opened again: at first, and at most; doubled each time
 
@@ -42,35 +38,6 @@ Item = TypeVar("Item")
 TURNED = math.radians(3.0)  # by which the camera may turn without its picture changing at all
 HANGS = "the picture stays the same although the camera turns: does it hang? Restart the camera or its driver"
 ROWS = 128  # of a picture that are compared, and as dense along them: a sensor's noise alone changes these
-
-
-class GivenPoses:
-    """Poses that are there already, in order of time."""
-
-    def __init__(self, poses: Sequence[Pose]) -> None:
-        self._poses = tuple(poses)
-
-    def __iter__(self) -> Iterator[Pose]:
-        return iter(self._poses)
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-class MotionPoses:
-    """Orientations of a video's motion track, `MOTION_RATE` per second."""
-
-    def __init__(self, track: MotionTrack) -> None:
-        self.track = track
-
-    def __iter__(self) -> Iterator[Pose]:
-        count = int((self.track.end - self.track.start) * MOTION_RATE) + 1
-        for number in range(count):
-            stamp = self.track.start + number / MOTION_RATE
-            yield Pose(stamp, self.track.world_R_body(stamp))
-
-    def close(self) -> None:
-        """Nothing is held."""
 
 
 def opener(source: Any) -> tuple[Callable[[], Any] | None, Any]:
@@ -342,7 +309,7 @@ class NewestPicture:
 
 
 class PerceptionThread:
-    """Has the perception of `keeper` look for `queries` at the newest of its `pictures`.
+    """Has the perception of `inference` look for `queries` at the newest of its `pictures`.
 
     All of these are called in the thread. `found`: for each look, with the picture (None for what happens while
     loading); `ready`: once the perception is loaded; `ended`: once, with the error if it cannot be. `pose` gives the
@@ -351,7 +318,7 @@ class PerceptionThread:
 
     def __init__(
         self,
-        keeper: Keeper,
+        inference: InferenceWorker,
         queries: Sequence[str],
         *,
         found: Callable[[Picture | None, Looked | Failed | Around], Any],
@@ -359,7 +326,7 @@ class PerceptionThread:
         ended: Callable[[EagorError | None], Any],
         pose: Callable[[float], np.ndarray | None],
     ) -> None:
-        self.keeper, self.queries, self.pictures = keeper, tuple(queries), NewestPicture()
+        self.inference, self.queries, self.pictures = inference, tuple(queries), NewestPicture()
         self._found, self._ready, self._ended, self._pose = found, ready, ended, pose
         self._stopped = False
         self._refused: set[str] = set()
@@ -375,13 +342,13 @@ class PerceptionThread:
         """End the perception's process and the thread, at once."""
         self._stopped = True
         self.pictures.end()
-        self.keeper.kill()
+        self.inference.kill()
         self._thread.join()
 
     def _serve(self) -> None:
         error: EagorError | None = None
         try:
-            for failed in self.keeper.start():  # before the first picture: loading takes time
+            for failed in self.inference.start():  # before the first picture: loading takes time
                 self._found(None, failed)
             self._ready()
             while (picture := self.pictures.take()) is not None and not self._stopped:
@@ -389,7 +356,7 @@ class PerceptionThread:
         except UnusableError as unusable:
             error = unusable
         finally:
-            self.keeper.close()
+            self.inference.close()
             self._ended(error)
 
     def _look(self, picture: Picture) -> None:
@@ -397,7 +364,7 @@ class PerceptionThread:
         if not queries:
             return
         pose = self._pose(picture.stamp)
-        for said in self.keeper.look(picture.picture, queries, picture.told, pose, picture.grid):
+        for said in self.inference.look(picture.picture, queries, picture.told, pose, picture.grid):
             if self._stopped:
                 return
             if isinstance(said, Failed) and said.refused and said.query is not None:
@@ -405,31 +372,24 @@ class PerceptionThread:
             self._found(picture, said)
 
 
-class VisualPoses:
-    """How the camera turns, picture by picture (`eagor.media.rotation`). `level`: only its heading does."""
-
-    def __init__(self, level: bool) -> None:
-        need("the rotation from pictures", "photos", "cv2")
-        self._odometer = VisualOdometer(level=level)
-
-    def of(self, picture: Picture, now: Callable[[], float]) -> Iterator[Event]:
-        """The pose at a picture, after what is to be said of it. `now` gives the times of arrival."""
-        try:
-            turned = self._odometer.add(picture.picture, picture.stamp, picture.grid)
-        except EagorError as error:
-            yield Trouble(now(), "poses", str(error))
-            return
-        if turned.lost:
-            yield PosesLost(now(), "a picture does not fit to those before it: the belief starts anew")
-        yield PoseCame(now(), Pose(picture.stamp, np.asarray(turned.world_R_body)), of_picture=True)
+def poses_seen(odometer: VisualOdometer, picture: Picture, now: Callable[[], float]) -> Iterator[Event]:
+    """The pose at a picture, after what is to be said of it. `now` gives the times of arrival."""
+    try:
+        turned = odometer.add(picture.picture, picture.stamp, picture.grid)
+    except EagorError as error:
+        yield Trouble(now(), "poses", str(error))
+        return
+    if turned.lost:
+        yield PosesLost(now(), "a picture does not fit to those before it: the belief starts anew")
+    yield PoseCame(now(), Pose(picture.stamp, np.asarray(turned.world_R_body)), of_picture=True)
 
 
 class VisualPosesThread:
-    """Finds the turn of the newest of its `pictures`; `post` gets what `VisualPoses` says, in the thread."""
+    """Finds the turn of the newest of its `pictures`; `post` gets what `poses_seen` says, in the thread."""
 
-    def __init__(self, poses: VisualPoses, post: Callable[[Event], Any], now: Callable[[], float]) -> None:
+    def __init__(self, odometer: VisualOdometer, post: Callable[[Event], Any], now: Callable[[], float]) -> None:
         self.pictures = NewestPicture()
-        self._poses, self._post, self._now = poses, post, now
+        self._odometer, self._post, self._now = odometer, post, now
         self._thread = threading.Thread(target=self._serve, name="eagor visual poses", daemon=True)
         self._thread.start()
 
@@ -445,5 +405,5 @@ class VisualPosesThread:
 
     def _serve(self) -> None:
         while (picture := self.pictures.take()) is not None:
-            for event in self._poses.of(picture, self._now):
+            for event in poses_seen(self._odometer, picture, self._now):
                 self._post(event)

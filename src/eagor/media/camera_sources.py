@@ -1,4 +1,4 @@
-"""Where panoramas come from: `open_camera` for what SOURCE on the command line means, videos, folders.
+"""Where panoramas come from: `open_source` for what SOURCE on the command line means, videos, folders.
 
 Packages add cameras of their own under the entry points ``eagor.cameras``; `eagor.media.check_camera` tests one.
 """
@@ -34,7 +34,7 @@ from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_inp
 from eagor.media.times import times_of
 from eagor.media.video import Video
 
-__all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_camera"]
+__all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_source"]
 
 GROUP = "eagor.cameras"
 BUILT_IN = {"bag": "eagor.media.bag_sources:BagCamera", "ros": "eagor.robots.ros:RosCamera"}
@@ -53,7 +53,7 @@ RATE = 1.0  # pictures per second of a folder whose files do not tell times
 # --- what a source is ---
 
 
-def open_camera(
+def open_source(
     text: str,
     *,
     latency: float = 0.0,

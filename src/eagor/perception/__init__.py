@@ -10,9 +10,11 @@ from __future__ import annotations
 import inspect
 import os
 import re
+import sys
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from runpy import run_path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -25,8 +27,8 @@ if TYPE_CHECKING:
     from eagor.perception.views import Views
 
 __all__ = [
-    "Perception", "Views", "check_perception", "is_model", "known", "knows_classes", "load", "look", "parse_options",
-    "rows_of", "short_name",
+    "Perception", "Views", "as_perception", "check_perception", "is_model", "known", "knows_classes", "load", "look",
+    "parse_options", "rows_of", "short_name",
 ]  # fmt: skip
 
 
@@ -120,10 +122,13 @@ def load(spec: str, **options: Any) -> Perception:
     The text after the first colon is the first argument of the class or function; where that takes arguments by name
     only, it is options, as in ``colour:rows=512``. `options` are passed on by name. A folder with ``config.json``, or
     any other text with a slash, is a model for `eagor.perception.transformers`; options can follow it, as in
-    ``folder?extractor=boxes&pixels=401408``. Raises `QueryError` for an unknown name, `EagorError` if the perception
-    cannot be imported or does not take the arguments.
+    ``folder?extractor=boxes&pixels=401408``. ``my_detector.py:detect`` is a function in a file of yours: a perception,
+    or one that `Views` takes. Raises `QueryError` for an unknown name, `EagorError` if the perception cannot be
+    imported or does not take the arguments.
     """
     name, colon, text = str(spec).partition(":")
+    if _in_a_file(spec):
+        return _of_file(*str(spec).rpartition(":")[::2], options)
     choices = known()
     if name not in choices:
         model, _, written = str(spec).partition("?")
@@ -152,6 +157,49 @@ def load(spec: str, **options: Any) -> Perception:
     return make(*arguments, **options)
 
 
+def _of_file(file: str, name: str, options: dict[str, Any]) -> Perception:
+    """The perception or function with this name in a file of Python. Raises `EagorError`."""
+    path = Path(os.path.expanduser(file))
+    if not path.is_file():
+        raise EagorError(f"there is no file {file}; wanted a file of Python and a function in it: {path.name}:detect")
+    if (folder := str(path.resolve().parent)) not in sys.path:
+        sys.path.insert(0, folder)  # what stands beside it can be imported, as in a script
+    try:
+        names = run_path(str(path))
+    except Exception as error:
+        raise EagorError(f"{file} cannot be run: {type(error).__name__}: {error}") from error
+    found = names.get(name)
+    if not callable(found):
+        there = [each for each, value in names.items() if callable(value) and not each.startswith("_")]
+        raise EagorError(f"{file} has no function {name!r}; it has {', '.join(there) or 'none'}")
+    made = found(**options) if isinstance(found, type) else found
+    perception = as_perception(made)
+    assert not isinstance(perception, str)
+    return perception
+
+
+def as_perception(perception: str | Perception | Callable[..., Any]) -> str | Perception:
+    """The same, with any other function that finds things in pictures (`Views`) made a perception.
+
+    A perception takes the `stamp` of a picture. Raises `EagorError` for what is no function.
+    """
+    if isinstance(perception, str):
+        return perception
+    if not callable(perception):
+        raise EagorError(
+            f"a {type(perception).__name__} came for a perception; wanted text, such as 'coco', or a function that "
+            "takes a picture and returns boxes, scores and labels"
+        )
+    try:
+        if "stamp" in inspect.signature(perception).parameters:
+            return perception
+    except (TypeError, ValueError):  # built in: nothing tells what it takes
+        pass
+    from eagor.perception.views import Views
+
+    return Views(perception)
+
+
 def knows_classes(perception: Any) -> bool:
     """Whether one pass of `perception` answers for every class that it knows: with its method ``around``."""
     return getattr(perception, "classes", None) is not None and hasattr(perception, "around")
@@ -165,7 +213,14 @@ def rows_of(perception: Any) -> int:
 def is_model(spec: str) -> bool:
     """Whether `load` would read `spec` as a model, on this machine or on a server."""
     name = str(spec).partition(":")[0]
-    return name == "endpoint" if name in known() else _names_a_model(str(spec).partition("?")[0])
+    if name in known() or _in_a_file(spec):
+        return name == "endpoint"
+    return _names_a_model(str(spec).partition("?")[0])
+
+
+def _in_a_file(spec: str) -> bool:
+    """Whether it is a function in a file of Python."""
+    return str(spec).rpartition(":")[0].endswith(".py")
 
 
 def short_name(spec: str) -> str:
@@ -178,6 +233,8 @@ def short_name(spec: str) -> str:
         name = f"endpoint-{model.rstrip('/').rpartition('/')[2]}" if model else name
     elif name == "onnx":
         name = f"onnx-{Path(text.partition('?')[0]).stem}"
+    elif _in_a_file(spec):
+        name = Path(str(spec).rpartition(":")[0]).stem
     elif name not in known():
         name = Path(os.path.expanduser(str(spec).partition("?")[0])).resolve().name
     return re.sub(r"[^\w.+-]+", "-", name).strip("-.") or "perception"

@@ -16,7 +16,7 @@ from eagor.drawing import Mosaic
 from eagor.errors import EagorError
 from eagor.live.core import LiveCore
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, PosesLost, Trouble
-from eagor.live.loop import LiveLoop, Watcher
+from eagor.live.loop import Loop, Sink
 from eagor.media.intrinsics import ShapeError
 from eagor.studio.messages import Blob, Message, rounded
 from eagor.studio.steps import (
@@ -63,7 +63,7 @@ class Waiting:
 
 
 class Shown:
-    """A watcher of the loop that says what happens, as messages for the page: `say` is called with each.
+    """A sink of the loop that says what happens, as messages for the page: `say` is called with each.
 
     The pictures of several cameras are looked at one by one, and shown pasted together where they looked.
     """
@@ -207,7 +207,7 @@ def watch(
     line: Connection,
     source: str,
     perception: str,
-    opens: Callable[[Sequence[Watcher], float | None], LiveLoop],
+    opens: Callable[[Sequence[Sink], float | None], Loop],
 ) -> None:
     """Run the loop that `opens` makes and say what happens, until the line or the parent ends.
 

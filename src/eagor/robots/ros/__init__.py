@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PARAMETERS", "SOURCES", "RosCamera", "RosPoses", "Setup", "need_rclpy"]
 
-# How the camera's motion is known: the topic and its type, or what `LiveLoop` takes as poses.
+# How the camera's motion is known: the topic and its type, or what `Loop` takes as poses.
 SOURCES: Mapping[str, Any] = {
     "odom": ("odom", ODOMETRY), "pose": ("pose", POSE), "pose_with_covariance": ("pose", POSE_WITH_COVARIANCE),
     "imu": ("imu", IMU), "tf": ("/tf", TRANSFORMS), "visual": "auto", "level": "level", "still": None,

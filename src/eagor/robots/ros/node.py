@@ -36,7 +36,7 @@ from eagor.conventions import xyzw_from_rotation
 from eagor.errors import DeviceError, EagorError, FormatError, QueryError
 from eagor.live.core import deviation
 from eagor.live.events import Answer, Event, Fault, FaultLog, FrameCame, PoseCame
-from eagor.live.loop import LiveLoop
+from eagor.live.loop import Loop
 from eagor.live.threads import already_open
 from eagor.media.ros_frames import optical
 from eagor.media.ros_messages import NANO
@@ -83,7 +83,7 @@ def spaces(queries: Sequence[str]) -> list[str]:
 
 
 class EagorNode(LifecycleNode):
-    """The node, and a watcher of its loop.
+    """The node, and a sink of its loop.
 
     `setup`: from the values of the parameters, and the queries; it may raise `EagorError`.
     """
@@ -227,7 +227,7 @@ class EagorNode(LifecycleNode):
         self.trouble = text
 
     def run_loop(self, values: Mapping[str, Any], spec: Setup, queries: Sequence[str]) -> None:
-        """Follow the queries until somebody stops it. Raises as `RosCamera` and `LiveLoop`."""
+        """Follow the queries until somebody stops it. Raises as `RosCamera` and `Loop`."""
         transport = "/compressed" if values["image_transport"] == "compressed" else ""
         topics = ",".join(self.ears.resolved(each) + transport for each in values["image_topics"])
 
@@ -246,10 +246,9 @@ class EagorNode(LifecycleNode):
             self.pose, self.picture, self.reader = None, 0.0, None
             named = self.place_camera(values, first.frame)
             self.placed = self.ears.placed(self.base, self.frame)
-            self.loop = LiveLoop(
-                already_open(first, camera), spec.perception, queries, config=spec.config, rate=values["rate"],
-                poses=poses if isinstance(source, tuple) else source, patience=values["patience"], clock=self.ears,
-                watchers=[self],
+            self.loop = Loop(
+                already_open(first, camera), poses if isinstance(source, tuple) else source, spec.perception, queries,
+                sinks=[self], config=spec.config, rate=values["rate"], patience=values["patience"], clock=self.ears,
             )  # fmt: skip
         except BaseException:
             first.close()
@@ -274,14 +273,14 @@ class EagorNode(LifecycleNode):
         return named
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
-        """As a watcher of the loop."""
+        """As a sink of the loop."""
         if isinstance(event, PoseCame):
             self.pose = event.pose
         elif isinstance(event, FrameCame):
             self.picture = event.stamp
 
     def close(self) -> None:
-        """As a watcher of the loop."""
+        """As a sink of the loop."""
 
     # --- answers ---
 

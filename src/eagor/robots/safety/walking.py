@@ -197,7 +197,7 @@ def _speed(settings: WalkSettings, state: ControllerState, view: TargetView) -> 
 
 
 class Odometer:
-    """A watcher of the live loop (`eagor.live.loop.Watcher`): the newest place, `xy`.
+    """A sink of the loop (`eagor.live.loop.Sink`): the newest place, `xy`.
 
     It tells the guard of poses as they come, which is more often than answers are given. `now`: the loop's clock.
     """
@@ -228,9 +228,9 @@ class Step:
 
 
 def steer(loop: Any, guard: Guard, odometer: Odometer, settings: WalkSettings) -> Iterator[Step]:
-    """Walk by the answers of `loop` (`eagor.live.loop.LiveLoop`, with one query) until it ends.
+    """Walk by the answers of `loop` (`eagor.live.loop.Loop`, with one query) until it ends.
 
-    `odometer` has to be one of its watchers. Raises what the loop and the guard raise.
+    `odometer` has to be one of its sinks. Raises what the loop and the guard raise.
     """
     state, far, read = ControllerState(), (None, None), -math.inf
     for answer in loop:

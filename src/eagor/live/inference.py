@@ -1,10 +1,9 @@
-"""A perception in a process of its own: whatever happens to it, the next picture finds a new one.
+"""A perception at work: in this process (`Inference`), or in one of its own (`InferenceWorker`).
 
-The process sees one picture at a time in shared memory. It is told: ``(name, queries, stamp, shape, world_R_body,
-grid)`` for each picture. It says: ``("ready", knows its classes)`` once, or ``("unusable", text)``; then for each query
-``("looked", query, evidence, seconds)`` or ``("failed", query, text, refused)``; if that is wanted of a perception that
-knows its classes, ``("around", all)``; and at the end of each picture ``("done",)``. Evidence comes as bytes of
-`eagor.tracking.checkpoint`.
+In its own, whatever happens to it, the next picture finds a new one. That process sees one picture at a time in shared
+memory. It is told: ``(name, queries, stamp, shape, world_R_body, grid)`` for each picture. It says: ``("ready", knows
+its classes)`` once, or ``("unusable", text)``; then what `Inference.look` gives, and at the end of each picture
+``("done",)``. Evidence comes as bytes of `eagor.tracking.checkpoint`.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
+from pickle import PicklingError
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ from eagor.perception.replay import look_if_recorded
 from eagor.tracking import Around
 from eagor.tracking.checkpoint import packed, unpacked
 
-__all__ = ["Failed", "Keeper", "Looked", "UnusableError"]
+__all__ = ["Failed", "Inference", "InferenceWorker", "Looked", "UnusableError"]
 
 PATIENCE = 60.0  # seconds for one look
 LOADING = 600.0  # seconds at least for a model to load
@@ -66,14 +66,108 @@ class Failed:
     refused: bool = False
 
 
-class Keeper:
-    """A perception in a process of its own, given as text for `eagor.perception.load` or as an object to pickle.
+class Inference:
+    """A perception that looks at pictures in this process, given as text for `eagor.perception.load` or as an object.
 
-    `everything`: tell all else that a perception sees that knows its classes, too. `patience`: seconds that a look may
-    take; then the process is killed, and started anew with the next picture. One
+    What fails is said, and nothing is raised for it. `everything`: tell all else that a perception sees that knows its
+    classes, too. `masks`: where looks say nothing; where all pictures are black about a pole, they do not either.
+    """
+
+    def __init__(
+        self, perception: str | Perception, *, masks: Sequence[BodyMask] = (), everything: bool = False
+    ) -> None:
+        self.perception, self.masks, self.everything = perception, tuple(masks), everything
+        self.knows_classes: bool | None = None  # not known before it is loaded
+        self._loaded: Perception | None = None
+        self._black = NeverSeen()
+
+    def start(self) -> Iterator[Failed]:
+        """Load the perception. Nothing comes. Raises `UnusableError`."""
+        if self._loaded is None:
+            try:
+                self._loaded = load(self.perception) if isinstance(self.perception, str) else self.perception
+            except Exception as error:
+                raise UnusableError(_said(error)) from error
+            self.knows_classes = knows_classes(self._loaded)
+        return iter(())
+
+    def look(
+        self,
+        picture: np.ndarray,
+        queries: Sequence[str],
+        stamp: float,
+        world_R_body: np.ndarray | None = None,
+        grid: PerspectiveGrid | None = None,
+    ) -> Iterator[Looked | Failed | Around]:
+        """Look at a picture ``(H, W, 3)`` uint8 for each query in turn; what is found comes as it is found.
+
+        It is a panorama, or an ordinary one with its `grid`. With `everything`, all else comes last.
+
+        Raises `UnusableError` if the perception cannot be loaded, `ImageError` for another array.
+        """
+        check_picture(picture)
+        self.start()
+        seen = picture.view()
+        seen.flags.writeable = False
+        covers = list(self.masks)
+        if grid is None:  # an ordinary picture has no poles
+            hidden = self._black.add(seen)
+            covers += [BodyMask(~hidden)] if hidden.any() and not hidden.all() else []
+        if self.knows_classes:
+            yield from self._at_once(seen, queries, stamp, world_R_body, grid, covers)
+            return
+        assert self._loaded is not None
+        for query in queries:
+            began = time.perf_counter()
+            try:
+                looks = look_if_recorded(self._loaded, seen, query, stamp, world_R_body, grid)
+                looks = tuple(_covered(look, covers) for look in looks)
+            except Exception as error:  # whatever the perception raises
+                yield Failed(query, _said(error), isinstance(error, QueryError))
+            else:
+                yield Looked(query, looks, time.perf_counter() - began)
+
+    def _at_once(
+        self,
+        seen: np.ndarray,
+        queries: Sequence[str],
+        stamp: float,
+        pose: np.ndarray | None,
+        grid: PerspectiveGrid | None,
+        covers: Sequence[BodyMask],
+    ) -> Iterator[Looked | Failed | Around]:
+        """All queries from one pass of a perception that knows its classes; then everything, if wanted."""
+        perception: Any = self._loaded
+        began = time.perf_counter()
+        try:
+            looks, around = perception.around(seen, queries, stamp, pose, grid)
+            looks = [look if isinstance(look, QueryError) else _covered(look, covers) for look in looks]
+            around = _covered(around, covers)
+        except Exception as error:
+            looks, around = [error] * len(queries), None
+        seconds = (time.perf_counter() - began) / max(len(queries), 1)
+        for query, look in zip(queries, looks, strict=True):
+            if isinstance(look, Exception):
+                yield Failed(query, _said(look), isinstance(look, QueryError))
+            else:
+                yield Looked(query, (look,), seconds)
+        if self.everything and around is not None:
+            yield around
+
+    def kill(self) -> None:
+        """Nothing can end a look in this process."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class InferenceWorker:
+    """The same in a process of its own; a perception that is an object is pickled.
+
+    `patience`: seconds that a look may take; then the process is killed, and started anew with the next picture. One
     that dies is started anew after a pause, which grows while that goes on. Loading may take `LOADING` seconds, or
-    `patience` if that is longer. `masks`: where looks say nothing; where all pictures are black about a pole, they do
-    not either. Not for several threads, except `kill`.
+    `patience` if that is longer. What cannot be pickled, such as a lambda, works in this process, which is said. Not
+    for several threads, except `kill`.
     """
 
     def __init__(
@@ -87,6 +181,7 @@ class Keeper:
         self.perception, self.patience, self.masks, self.everything = perception, patience, tuple(masks), everything
         self.starts = 0
         self.knows_classes: bool | None = None  # not known before it is loaded
+        self._here: Inference | None = None
         self._worker: Worker | None = None
         self._memory: SharedMemory | None = None
         self._pause = PAUSES[0]
@@ -96,7 +191,7 @@ class Keeper:
 
     def start(self) -> Iterator[Failed]:
         """Start the process and wait until it is ready. Nothing comes if it is. Raises `UnusableError`."""
-        if self._worker is not None:
+        if self._worker is not None or self._here is not None:
             return
         rest = self._rest_until - time.monotonic()
         if self._killed.wait(max(0.0, rest)):
@@ -106,7 +201,13 @@ class Keeper:
                 return
             try:
                 self._worker = worker = Worker(serve, self.perception, self.masks, self.everything, os.getpid())
-            except Exception as error:  # the perception cannot be pickled, or the system has no more processes
+            except (PicklingError, AttributeError, TypeError) as error:  # what pickling raises
+                self._here = Inference(self.perception, masks=self.masks, everything=self.everything)
+                self._here.start()
+                self.knows_classes = self._here.knows_classes
+                yield Failed(None, f"the perception works in this process, where nothing ends it if it hangs: {error}")
+                return
+            except Exception as error:  # the system has no more processes
                 raise UnusableError(f"the perception's process cannot be started: {error}") from error
         self.starts += 1
         patience = max(LOADING, self.patience)
@@ -131,15 +232,12 @@ class Keeper:
         world_R_body: np.ndarray | None = None,
         grid: PerspectiveGrid | None = None,
     ) -> Iterator[Looked | Failed | Around]:
-        """Look at a picture ``(H, W, 3)`` uint8 for each query in turn; what is found comes as it is found.
-
-        It is a panorama, or an ordinary one with its `grid`. With `everything`, all else comes last.
-
-        Raises `UnusableError` if the perception cannot be loaded, `ImageError` for another array.
-        """
-        if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-            raise ImageError(f"a picture is {picture.dtype} {picture.shape}; wanted uint8 (H, W, 3)")
+        """As `Inference.look`."""
+        check_picture(picture)
         yield from self.start()
+        if self._here is not None:
+            yield from self._here.look(picture, queries, stamp, world_R_body, grid)
+            return
         if (worker := self._worker) is None:
             return
         name = self._show(picture)
@@ -218,18 +316,18 @@ class Keeper:
 def serve(
     line: Connection, perception: str | Perception, masks: Sequence[BodyMask], everything: bool, parent: int
 ) -> None:
-    """The life of the process; it ends when the line or its parent does. `masks`, `everything`: see `Keeper`."""
+    """The life of the process; it ends when the line or its parent does. `masks`, `everything`: see `Inference`."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _die_with(parent)
     memory: SharedMemory | None = None
+    inference = Inference(perception, masks=masks, everything=everything)
     with suppress(EOFError, OSError):
         try:
-            looking = load(perception) if isinstance(perception, str) else perception
-        except Exception as error:
-            line.send(("unusable", _said(error)))
+            inference.start()
+        except UnusableError as error:
+            line.send(("unusable", str(error)))
             return
-        line.send(("ready", knows_classes(looking)))
-        black = NeverSeen()
+        line.send(("ready", inference.knows_classes))
         while (order := line.recv()) is not None:
             name, queries, stamp, shape, pose, grid = order
             if memory is None or memory.name != name:
@@ -237,17 +335,8 @@ def serve(
                     memory.close()
                 memory = SharedMemory(name)
             seen = np.ndarray(shape, dtype=np.uint8, buffer=memory.buf)
-            seen.flags.writeable = False
-            covers = list(masks)
-            if grid is None:  # an ordinary picture has no poles
-                hidden = black.add(seen)
-                covers += [BodyMask(~hidden)] if hidden.any() and not hidden.all() else []
-            if knows_classes(looking):
-                for said in _at_once(looking, seen, queries, stamp, pose, grid, covers, everything):
-                    line.send(said)
-            else:
-                for query in queries:
-                    line.send(_looked(looking, seen, query, stamp, pose, grid, covers))
+            for said in inference.look(seen, queries, stamp, pose, grid):
+                line.send(_in_bytes(said))
             del seen
             line.send(("done",))
     if memory is not None:
@@ -255,53 +344,15 @@ def serve(
             memory.close()
 
 
-def _looked(
-    perception: Perception,
-    seen: np.ndarray,
-    query: str,
-    stamp: float,
-    pose: Any,
-    grid: PerspectiveGrid | None,
-    covers: Sequence[BodyMask],
-) -> tuple[Any, ...]:
-    """One look, as it is said; whatever the perception raises is said too."""
-    began = time.perf_counter()
-    try:
-        looks = look_if_recorded(perception, seen, query, stamp, pose, grid)
-        for mask in covers:
-            looks = tuple(look.covered(mask) for look in looks)
-        return "looked", query, looks_in_bytes(looks), time.perf_counter() - began
-    except Exception as error:
-        return "failed", query, _said(error), isinstance(error, QueryError)
-
-
-def _at_once(
-    perception: Any,
-    seen: np.ndarray,
-    queries: Sequence[str],
-    stamp: float,
-    pose: Any,
-    grid: PerspectiveGrid | None,
-    covers: Sequence[BodyMask],
-    everything: bool,
-) -> Iterator[tuple[Any, ...]]:
-    """The same for all queries, from one pass of a perception that knows its classes; then everything, if wanted."""
-    began = time.perf_counter()
-    try:
-        looks, around = perception.around(seen, queries, stamp, pose, grid)
-        for mask in covers:
-            looks = [look if isinstance(look, QueryError) else look.covered(mask) for look in looks]
-            around = around.covered(mask)
-    except Exception as error:
-        looks, around = [error] * len(queries), None
-    seconds = (time.perf_counter() - began) / max(len(queries), 1)
-    for query, look in zip(queries, looks, strict=True):
-        if isinstance(look, Exception):
-            yield "failed", query, _said(look), isinstance(look, QueryError)
-        else:
-            yield "looked", query, looks_in_bytes((look,)), seconds
-    if everything and around is not None:
-        yield "around", packed(around)
+def _in_bytes(said: Looked | Failed | Around) -> tuple[Any, ...]:
+    """What is said, as it is sent."""
+    match said:
+        case Looked(query, looks, seconds):
+            return "looked", query, looks_in_bytes(looks), seconds
+        case Failed(query, text, refused):
+            return "failed", query, text, refused
+        case _:
+            return "around", packed(said)
 
 
 def looks_in_bytes(looks: tuple[Evidence, ...]) -> bytes:
@@ -310,6 +361,19 @@ def looks_in_bytes(looks: tuple[Evidence, ...]) -> bytes:
         return packed(looks)
     except FormatError:  # what it says of its source may be anything
         return packed(tuple(replace(look, source=None) for look in looks))
+
+
+def check_picture(picture: np.ndarray) -> None:
+    """Raise `ImageError` unless it is ``(H, W, 3)`` uint8."""
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+        raise ImageError(f"a picture is {picture.dtype} {picture.shape}; wanted uint8 (H, W, 3)")
+
+
+def _covered(look: Any, masks: Sequence[BodyMask]) -> Any:
+    """A look, or a look at everything, that says nothing where the masks are."""
+    for mask in masks:
+        look = look.covered(mask)
+    return look
 
 
 def _said(error: Exception) -> str:

@@ -1,0 +1,108 @@
+"""How the camera turns and moves: `open_poses` for what ``--poses`` means.
+
+Packages add sources of poses under the entry points ``eagor.poses``: a name, and a function ``(text, *, camera, domain,
+interface) -> PoseSource``, which gets the whole text, such as ``NAME:REST``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from eagor import plugins
+from eagor._extras import need
+from eagor.errors import DeviceError
+from eagor.media import CameraSource, Pose, PoseSource
+from eagor.media.bag_sources import BagCamera, bag_odometry
+from eagor.media.pose_axes import odometry_of_file
+
+if TYPE_CHECKING:
+    from eagor.media.motion import MotionTrack
+    from eagor.media.rotation import VisualOdometer
+
+__all__ = ["GivenPoses", "MotionPoses", "open_poses", "poses_for"]
+
+GROUP = "eagor.poses"
+BUILT_IN = {"go2": "eagor.robots:open_poses", "ros": "eagor.robots:open_poses"}
+BY_SIGHT = ("auto", "level")
+MOTION_RATE = 100.0  # poses per second that are taken from a motion track
+
+
+class GivenPoses:
+    """Poses that are there already, in order of time."""
+
+    def __init__(self, poses: Sequence[Pose]) -> None:
+        self._poses = tuple(poses)
+
+    def __iter__(self) -> Iterator[Pose]:
+        return iter(self._poses)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class MotionPoses:
+    """Orientations of a video's motion track, `MOTION_RATE` per second."""
+
+    def __init__(self, track: MotionTrack) -> None:
+        self.track = track
+
+    def __iter__(self) -> Iterator[Pose]:
+        count = int((self.track.end - self.track.start) * MOTION_RATE) + 1
+        for number in range(count):
+            stamp = self.track.start + number / MOTION_RATE
+            yield Pose(stamp, self.track.world_R_body(stamp))
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def open_poses(
+    text: str = "auto",
+    source: CameraSource | None = None,
+    *,
+    axes: str = "auto",
+    domain: int | None = None,
+    interface: str | None = None,
+) -> PoseSource | VisualOdometer | None:
+    """The poses that `text` names, for the pictures of `source`; None for a camera that stands still.
+
+    "auto": a bag's odometry or a video's IMU, where `source` has them, else what the pictures themselves tell (rotation
+    only); "level": the same for a camera that keeps its pictures level; "still"; a file, whose `axes` are as of
+    `eagor.media.pose_axes.settled`; ``ros:/odom``, a topic of ROS 2 or of a bag; ``go2``, a robot's odometry, over the
+    DDS `domain` and network `interface`; or what another package brings.
+
+    Raises `DeviceError` for live poses of a recording, and the other way round, and what the source raises.
+    """
+    name = text.partition(":")[0]
+    if isinstance(source, BagCamera) and (text == "auto" or name == "ros"):
+        found = bag_odometry(source.bag, text.partition(":")[2] or None, source.frame)
+        if found is not None:
+            return found
+    motion = getattr(source, "motion", None)
+    if text == "auto" and motion is not None:
+        return MotionPoses(motion)
+    if text in BY_SIGHT:
+        need("the rotation from pictures", "photos", "cv2")
+        from eagor.media.rotation import VisualOdometer
+
+        return VisualOdometer(level=text == "level")
+    if text == "still":
+        return None
+    known = plugins.known(GROUP, BUILT_IN)
+    if name in known:
+        if source is not None and not source.live:
+            raise DeviceError(f"the poses {text} are live, and the pictures are a recording; wanted a file of poses")
+        frame = getattr(source, "frame", None)
+        return plugins.bring(known[name], "poses")(text, camera=frame, domain=domain, interface=interface)
+    if source is not None and source.live:
+        names = ", ".join(f"{each}:..." for each in sorted(known))
+        raise DeviceError(f"poses {text!r}: a live camera needs live poses; wanted auto, level, still, {names}")
+    return GivenPoses(odometry_of_file(text, axes))
+
+
+def poses_for(text: str, source: CameraSource, **how: Any) -> Any:
+    """As `open_poses`, or a function that does so, for poses that are live: who may not be there yet, or may go."""
+    live = source.live and text.partition(":")[0] in plugins.known(GROUP, BUILT_IN)
+    return partial(open_poses, text, source, **how) if live else open_poses(text, source, **how)
