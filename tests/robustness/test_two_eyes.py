@@ -66,7 +66,11 @@ def test_rooms_that_turn_are_no_eyes():
     for k in range(12):
         picture = turn(LEFT, world_R_body(0.5 * k, 0.3 * k, 0.2 * k))
         assert two_eyes(picture) == ""
-    assert two_eyes(np.full((64, 128, 3), 90, np.uint8)) == ""
+    plain = np.full((256, 512, 3), 150, np.uint8)
+    assert two_eyes(plain) == ""
+    plain[150:] = (120, 105, 90)  # a wall and a floor: their border is the same all around
+    plain[120:140, 60:90] = (205, 25, 25)
+    assert two_eyes(plain) == ""
     assert two_eyes(PICTURES["vr180"]) in TWICE
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.live.events import Event, PoseCame, PosesLost, Trouble
-from eagor.live.inference import Failed, InferenceWorker, Looked, UnusableError
+from eagor.live.inference import Failed, Inference, InferenceWorker, Looked, UnusableError
 from eagor.media import Frame, Pose
 from eagor.media.rotation import VisualOdometer
 from eagor.sphere import heading
@@ -318,7 +318,7 @@ class PerceptionThread:
 
     def __init__(
         self,
-        inference: InferenceWorker,
+        inference: Inference | InferenceWorker,
         queries: Sequence[str],
         *,
         found: Callable[[Picture | None, Looked | Failed | Around], Any],
