@@ -141,7 +141,7 @@ def two_eyes(picture: np.ndarray) -> str:
         fine = [half - ndimage.gaussian_filter(half, EYE_PART / 2) for half in halves]
         alike = np.max([_alike(*fine, shift) for shift in range(-EYE_SHIFT, EYE_SHIFT + 1)], axis=0)
         telling = _alike(fine[0], fine[0], 2 * EYE_SHIFT) < EYE_ALIKE  # a level line looks the same wherever it is seen
-        drawn = telling & (np.minimum(*map(_texture, fine)) > EYE_TEXTURE)
+        drawn = telling & (np.minimum(_texture(fine[0]), _texture(fine[1])) > EYE_TEXTURE)
         if drawn.mean() > EYE_DRAWN and (alike[drawn] > EYE_ALIKE).mean() > EYE_SHARE:
             return layout
     return ""
