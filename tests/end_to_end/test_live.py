@@ -251,7 +251,7 @@ def test_it_ends_cleanly_when_it_is_told_to(tmp_path, number, code, said):
         (["{film}", "red", "--rate", "0"], "--rate 0"),
         (["{film}", "red", "--patience", "-1"], "--patience -1"),
         (["{film}", "red", "red"], "a query comes twice"),
-        (["{film}", "red", "--poses", "go2"], "wanted a CSV file"),
+        (["{film}", "red", "--poses", "go2"], "wanted a file of poses"),
         (["{film}", "red", "--poses", "nowhere.csv"], "nowhere.csv"),
         (["{film}", "red", "--record", "{film}"], "name a new folder"),
         (["{film}", "red", "--perception", "nonesuch"], "there is no perception 'nonesuch'"),

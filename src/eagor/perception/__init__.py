@@ -128,7 +128,8 @@ def load(spec: str, **options: Any) -> Perception:
     """
     name, colon, text = str(spec).partition(":")
     if _in_a_file(spec):
-        return _of_file(*str(spec).rpartition(":")[::2], options)
+        file, _, function = str(spec).rpartition(":")
+        return _of_file(file, function, options)
     choices = known()
     if name not in choices:
         model, _, written = str(spec).partition("?")
