@@ -139,7 +139,7 @@ def two_eyes(picture: np.ndarray) -> str:
         size = (EYE_ROWS, 2 * EYE_ROWS) if axis else (2 * EYE_ROWS, EYE_ROWS)
         halves = np.split(resized(image, size).mean(axis=2), 2, axis=axis)
         fine = [half - ndimage.gaussian_filter(half, EYE_PART / 2) for half in halves]
-        alike = np.max([_alike(*fine, shift) for shift in range(-EYE_SHIFT, EYE_SHIFT + 1)], axis=0)
+        alike = np.max([_alike(fine[0], fine[1], shift) for shift in range(-EYE_SHIFT, EYE_SHIFT + 1)], axis=0)
         telling = _alike(fine[0], fine[0], 2 * EYE_SHIFT) < EYE_ALIKE  # a level line looks the same wherever it is seen
         drawn = telling & (np.minimum(_texture(fine[0]), _texture(fine[1])) > EYE_TEXTURE)
         if drawn.mean() > EYE_DRAWN and (alike[drawn] > EYE_ALIKE).mean() > EYE_SHARE:
