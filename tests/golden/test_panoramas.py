@@ -68,7 +68,7 @@ def test_panoramas_stay_the_same(seed, look):
     # Another processor may round otherwise: then some pixels take the next texel. Nearly all blocks stay.
     moved = np.abs(np.subtract(kept["colours"], found["colours"])) * BLOCK**2 / 255  # in pixels from black to white
     assert moved.max() <= 4
-    assert np.quantile(moved, 0.9) <= 0.5
+    assert np.quantile(moved, 0.9) <= 0.8  # one grey level everywhere would be 1
     assert np.abs(np.subtract(kept["metres"], found["metres"])).max() <= 0.05
     assert kept["things"].keys() == found["things"].keys()
     assert max(abs(kept["things"][name] - share) for name, share in found["things"].items()) <= 0.002
