@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
-from pickle import PicklingError
+from pickle import Pickler
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ from eagor.perception.replay import look_if_recorded
 from eagor.tracking import Around
 from eagor.tracking.checkpoint import packed, unpacked
 
-__all__ = ["Failed", "Inference", "InferenceWorker", "Looked", "UnusableError"]
+__all__ = ["Failed", "Inference", "InferenceWorker", "Looked", "UnusableError", "why_here"]
 
 PATIENCE = 60.0  # seconds for one look
 LOADING = 600.0  # seconds at least for a model to load
@@ -161,13 +161,26 @@ class Inference:
         """Nothing is held."""
 
 
+def why_here(perception: str | Perception) -> str:
+    """Why a perception cannot work in a process of its own, in words, such as a lambda; "" if it can."""
+
+    class Nowhere:
+        def write(self, _: bytes) -> None: ...
+
+    if not isinstance(perception, str):
+        try:
+            Pickler(Nowhere()).dump(perception)
+        except Exception as error:
+            return str(error)
+    return ""
+
+
 class InferenceWorker:
     """The same in a process of its own; a perception that is an object is pickled.
 
     `patience`: seconds that a look may take; then the process is killed, and started anew with the next picture. One
     that dies is started anew after a pause, which grows while that goes on. Loading may take `LOADING` seconds, or
-    `patience` if that is longer. What cannot be pickled, such as a lambda, works in this process, which is said. Not
-    for several threads, except `kill`.
+    `patience` if that is longer. Not for several threads, except `kill`.
     """
 
     def __init__(
@@ -181,7 +194,6 @@ class InferenceWorker:
         self.perception, self.patience, self.masks, self.everything = perception, patience, tuple(masks), everything
         self.starts = 0
         self.knows_classes: bool | None = None  # not known before it is loaded
-        self._here: Inference | None = None
         self._worker: Worker | None = None
         self._memory: SharedMemory | None = None
         self._pause = PAUSES[0]
@@ -191,7 +203,7 @@ class InferenceWorker:
 
     def start(self) -> Iterator[Failed]:
         """Start the process and wait until it is ready. Nothing comes if it is. Raises `UnusableError`."""
-        if self._worker is not None or self._here is not None:
+        if self._worker is not None:
             return
         rest = self._rest_until - time.monotonic()
         if self._killed.wait(max(0.0, rest)):
@@ -201,12 +213,6 @@ class InferenceWorker:
                 return
             try:
                 self._worker = worker = Worker(serve, self.perception, self.masks, self.everything, os.getpid())
-            except (PicklingError, AttributeError, TypeError) as error:  # what pickling raises
-                self._here = Inference(self.perception, masks=self.masks, everything=self.everything)
-                self._here.start()
-                self.knows_classes = self._here.knows_classes
-                yield Failed(None, f"the perception works in this process, where nothing ends it if it hangs: {error}")
-                return
             except Exception as error:  # the system has no more processes
                 raise UnusableError(f"the perception's process cannot be started: {error}") from error
         self.starts += 1
@@ -235,9 +241,6 @@ class InferenceWorker:
         """As `Inference.look`."""
         check_picture(picture)
         yield from self.start()
-        if self._here is not None:
-            yield from self._here.look(picture, queries, stamp, world_R_body, grid)
-            return
         if (worker := self._worker) is None:
             return
         name = self._show(picture)

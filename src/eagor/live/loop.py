@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +17,7 @@ from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask
 from eagor.live.core import ASIDE, LiveCore, LoopSettings, warm
 from eagor.live.events import AllCame, Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
-from eagor.live.inference import PATIENCE, Failed, Inference, InferenceWorker, Looked
+from eagor.live.inference import PATIENCE, Failed, Inference, InferenceWorker, Looked, why_here
 from eagor.live.recording import Pictures, Recorder
 from eagor.live.threads import (
     FrozenCamera,
@@ -92,7 +93,8 @@ class Loop:
       a source of odometry, or a function that opens one; None: the camera stands still.
     - `perception`: text for `eagor.load`, a perception, or any function that `eagor.Detector` takes. In real time it
       runs in a process of its own, which is killed and started anew if one look takes more than `patience` seconds. It
-      is started by spawning: a script needs ``if __name__ == "__main__":``.
+      is started by spawning: a script needs ``if __name__ == "__main__":``. What cannot be sent there, such as a lambda,
+      works in this process, with a warning.
     - `sinks` see all that comes in and out. `record`: a new folder for a bag of all that happens
       (`eagor.live.recording`), with the `pictures` as "jpeg", "png" or "none".
     - `acceleration`: see `LoopSettings`. `around`: follow all else that the perception sees, too (`LiveCore.around`),
@@ -152,9 +154,17 @@ class Loop:
         self.core = LiveCore(self._settings)
         masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
         perception = as_perception(perception)
+        own_process = self.realtime
+        if own_process and (why := why_here(perception)):
+            own_process = False
+            warnings.warn(
+                f"the perception works in this process, where nothing ends it if it hangs: {why}. A function at the "
+                "top of a file can have a process of its own",
+                stacklevel=2,
+            )
         self._inference: Inference | InferenceWorker = (
             InferenceWorker(perception, patience=patience, masks=masks, everything=around)
-            if self.realtime
+            if own_process
             else Inference(perception, masks=masks, everything=around)
         )
         self._recorder: Recorder | None = None
