@@ -87,8 +87,8 @@ class Loop:
     of its seconds. With `realtime`, and always with a source that is `live`, answers come `rate` times a second,
     however slow the perception is, which looks at the newest picture.
 
-    - `source`: text for `eagor.open_source`, a source, or a function that opens one; a function is called again when
-      the camera is gone. It is closed at the end.
+    - `source`: text for `eagor.open_source`, a source, or a function that opens one, which is called again when the
+      camera is gone. It is closed at the end.
     - `poses`: text for `eagor.open_poses` ("auto": what the source tells of its motion, else the pictures do; "still"),
       a source of odometry, or a function that opens one; None: the camera stands still.
     - `perception`: text for `eagor.load`, a perception, or any function that `eagor.Detector` takes. In real time it
