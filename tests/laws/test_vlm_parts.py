@@ -404,6 +404,7 @@ def test_questions_need_words():
         ("Qwen/Qwen2-VL-2B-Instruct", "qwen2_vl"),
         ("Qwen/Qwen3-VL-30B-A3B-Instruct", "qwen3_vl"),
         ("qwen3-vl:8b", "qwen3_vl"),
+        ("Qwen3.8-Flash", "qwen3_vl"),
         ("google/gemma-3-12b-it", "gemma3"),
         ("gemma3:4b", "gemma3"),
         ("llava-hf/llava-1.5-7b-hf", "llava"),
