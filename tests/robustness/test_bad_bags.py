@@ -73,6 +73,21 @@ def test_folders_whose_description_is_wrong(tmp_path, metadata, said):
         Bag(tmp_path)
 
 
+@pytest.mark.parametrize("odd", ["uint32 high\nstring frame_id\n", "string height\nuint32 width\n"])
+def test_a_type_that_the_bag_defines_otherwise_is_said(tmp_path, odd):
+    """What reads pictures would look for fields in vain, or find another kind of value."""
+    schema = struct.pack("<H", 1) + text(m.IMAGE) + text("ros2msg") + text(odd)
+    named = record(4, struct.pack("<HH", 1, 1) + text("/a") + text("cdr") + text(""))
+    (tmp_path / "a.mcap").write_bytes(
+        MAGIC + record(1, text("ros2") + text("")) + record(3, schema) + named + message(1, 99)
+    )
+    with (
+        pytest.warns(UserWarning, match="cut off"),
+        pytest.raises(FormatError, match=r"has not the h.* of ROS 2's sensor_msgs/msg/Image"),
+    ):
+        list(read_bag(tmp_path / "a.mcap"))
+
+
 def test_what_is_not_there(tmp_path):
     with pytest.raises(FormatError, match=r"cannot be read .No such file"):
         Bag(tmp_path / "none")

@@ -21,7 +21,9 @@ from typing import Any, Self
 
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError, StorageError
+from eagor.media.panorama import in_order
 from eagor.media.ros_messages import (
+    CAMERA_INFO,
     COMPRESSED,
     IMAGE,
     IMU,
@@ -159,7 +161,7 @@ def _files(path: Path) -> Sequence[Path]:
             if not path.is_file():
                 raise OSError(ENOENT, "it is a pipe or a device" if path.exists() else "No such file or directory")
             return [path]
-        inside = sorted((file for file in path.iterdir() if file.suffix.lower() in SUFFIXES), key=_numbered)
+        inside = in_order([file for file in path.iterdir() if file.suffix.lower() in SUFFIXES])
         text = about.read_text("utf-8", "replace") if about.is_file() else ""
     except OSError as error:
         wanted = "give a ROS 2 bag: a folder, .mcap or .db3"
@@ -184,12 +186,6 @@ def _files(path: Path) -> Sequence[Path]:
     return inside
 
 
-def _numbered(path: Path) -> tuple[int, str]:
-    """Sorts name_2 before name_10."""
-    last = path.stem.rpartition("_")[2]
-    return (int(last) if last.isdigit() else 0, path.name)
-
-
 def _decoder(path: Path, channel: Any) -> Any:
     """What decodes the messages of a topic: our types where they are the same, else those that the bag defines."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -209,6 +205,11 @@ def _decoder(path: Path, channel: Any) -> Any:
             types = get_types_from_msg(text, kind)
         if all(name in known.fielddefs and known.fielddefs[name][1] == about[1] for name, about in types.items()):
             return known.deserialize_cdr
+        for name, about in types.items() if kind in (*PICTURES, *MOTION, CAMERA_INFO) else ():
+            if lost := [
+                field for field, told in known.fielddefs.get(name, ((), ()))[1] if (field, told) not in about[1]
+            ]:
+                raise ValueError(f"it has not the {lost[0]} of ROS 2's {name}")
         own = get_typestore(Stores.EMPTY)
         own.register({name: about for name, about in types.items() if name not in own.fielddefs})
         return own.deserialize_cdr

@@ -489,13 +489,13 @@ def _fisheye(
     size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float], polynomial: Sequence[float]
 ) -> FisheyeLens:
     """A fisheye up to the farthest corner of its picture, or as far as its curve rises."""
-    if abs(focal[0] / focal[1] - 1) > SQUARE:
+    if not min(focal) > 0 or abs(focal[0] / focal[1] - 1) > SQUARE:
         raise FormatError(f"the fisheye's focal lengths are {focal[0]:g} and {focal[1]:g}; wanted square pixels")
     mean = math.sqrt(focal[0] * focal[1])
     corner = max(math.dist(centre, (x, y)) for x in (0, size[0]) for y in (0, size[1]))
     angles = np.linspace(0, WIDEST / 2, STEEP)[1:]
-    powers = np.stack([angles ** (2 * k + 3) for k in range(len(polynomial))], axis=-1)
-    radii = mean * (angles + powers @ np.array(polynomial, dtype=float)) if len(polynomial) else mean * angles
-    rising = np.flatnonzero(np.diff(np.concatenate([[0.0], radii])) <= 0)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that no lens has
+        radii = mean * sum(k * angles ** (2 * n + 1) for n, k in enumerate((1.0, *polynomial)))
+        rising = np.flatnonzero(np.diff(np.concatenate([[0.0], radii])) <= 0)
     last = float(radii[rising[0] - 1]) if rising.size and rising[0] > 0 else float(radii[-1])
     return FisheyeLens("camera", centre, mean, min(corner, 0.999 * last), tuple(polynomial))

@@ -384,9 +384,10 @@ def in_order(paths: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(sorted(paths, key=lambda path: (natural(path.name), str(path))))
 
 
-def natural(name: str) -> list[tuple[int, str | int]]:
+def natural(name: str) -> list[tuple[int, int, str]]:
     """A key to sort names by, numbers in them by value."""
-    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
+    parts = enumerate(re.split(r"0*([0-9]+)", name))  # every other one is a number
+    return [(0, len(part), part) if at % 2 else (1, 0, part) for at, part in parts if part]
 
 
 def read_photograph(path: str | os.PathLike[str], warn: bool = True, force: bool = False) -> Picture:
