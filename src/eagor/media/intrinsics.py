@@ -495,7 +495,7 @@ def _fisheye(
     corner = max(math.dist(centre, (x, y)) for x in (0, size[0]) for y in (0, size[1]))
     angles = np.linspace(0, WIDEST / 2, STEEP)[1:]
     with np.errstate(over="ignore", invalid="ignore"):  # numbers that no lens has
-        radii = mean * sum(k * angles ** (2 * n + 1) for n, k in enumerate((1.0, *polynomial)))
+        radii = mean * np.sum([k * angles ** (2 * n + 1) for n, k in enumerate((1.0, *polynomial))], axis=0)
         rising = np.flatnonzero(np.diff(np.concatenate([[0.0], radii])) <= 0)
     last = float(radii[rising[0] - 1]) if rising.size and rising[0] > 0 else float(radii[-1])
     return FisheyeLens("camera", centre, mean, min(corner, 0.999 * last), tuple(polynomial))
