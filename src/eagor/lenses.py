@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eagor._arrays import frozen
-from eagor._checks import above, within
+from eagor._checks import above, shown, within
 from eagor._values import lazy
 from eagor.errors import GridError
 from eagor.sphere import checked_pose
@@ -22,6 +22,7 @@ from eagor.sphere import checked_pose
 __all__ = ["FisheyeLens", "Lens", "PinholeLens", "inverted"]
 
 WIDEST = math.radians(280)  # full field of a fisheye: beyond, there is no glass; ideal ones may see all around
+MOST = 1e6  # pixels: no picture is so large
 NEWTON = 12  # rounds; each doubles the digits, and the start is within a few degrees
 FLAT = 89.0  # degrees off the axis that a plane with distortion can show at most
 AHEAD = 1e-9  # cosine off the axis below which an ideal pinhole sees nothing
@@ -51,10 +52,11 @@ class FisheyeLens:
     def __post_init__(self) -> None:
         object.__setattr__(self, "body_R_lens", frozen(np.array(checked_pose(self.body_R_lens, "body_R_lens"))))
         object.__setattr__(self, "polynomial", tuple(float(k) for k in self.polynomial))
-        if not (above(self.focal, 0) and above(self.radius, 0) and all(within(v, -1e6, 1e6) for v in self.centre)):
+        sides = all(above(side, 0, MOST) for side in (self.focal, self.radius))
+        if not (sides and all(within(v, -MOST, MOST) for v in self.centre)):
             raise GridError(
                 f"the lens {self.name!r} has centre {self.centre}, focal {self.focal!r} and radius {self.radius!r}; "
-                "wanted pixels, focal (pixels per radian) and radius above 0"
+                f"wanted pixels, focal (pixels per radian) and radius above 0, none beyond {MOST:g}"
             )
         if len(self.polynomial) > 4 or not all(within(k, -10, 10) for k in self.polynomial):
             raise GridError(
@@ -157,9 +159,11 @@ class PinholeLens:
     def __post_init__(self) -> None:
         object.__setattr__(self, "body_R_lens", frozen(np.array(checked_pose(self.body_R_lens, "body_R_lens"))))
         object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
-        if not (all(above(f, 0) for f in self.focal) and all(within(c, -1e6, 1e6) for c in self.centre)):
+        sides = all(above(side, 0, MOST) for side in (*self.focal, *self.size))
+        if not (sides and all(within(c, -MOST, MOST) for c in self.centre)):
             raise GridError(
-                f"the lens {self.name!r} has focal {self.focal} and centre {self.centre}; wanted pixels, focal above 0"
+                f"the lens {self.name!r} has focal {self.focal}, centre {self.centre} and size {shown(self.size)}; "
+                f"wanted pixels, focal above 0, none beyond {MOST:g}"
             )
         if len(self.distortion) > 8 or not all(within(k, -1e3, 1e3) for k in self.distortion):
             raise GridError(

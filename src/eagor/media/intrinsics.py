@@ -270,11 +270,11 @@ def read_camera(path: str | os.PathLike[str]) -> Rig:
         if "lenses" in entries:
             return _only(read_rig(name), name)
         lens, size = _kalibr(root, entries) if any(map(KALIBR.fullmatch, entries)) else _opencv(root, entries)
+        return Rig((size,), (lens,))
     except FormatError as error:
         raise error if str(error).startswith(name) else FormatError(f"{name}, {error}") from error
     except EagorError as error:  # numbers that no lens has
         raise FormatError(f"{name}: {error}") from error
-    return Rig((size,), (lens,))
 
 
 def _only(rig: Rig, name: str) -> Rig:
