@@ -14,8 +14,8 @@ from seams import seamless
 from eagor.errors import AnswerError, EagorError, GridError, ImageError, QueryError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
-from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.media.panorama import cut, resized, tangent_views
+from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid, tangent_views
+from eagor.media.panorama import cut, resized
 from eagor.perception.vlm import GENERAL, SERVED, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
 from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence
 from eagor.perception.vlm.lenient import values

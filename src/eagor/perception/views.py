@@ -25,8 +25,8 @@ from eagor._checks import shown, warn_unless_whole, within
 from eagor.errors import EagorError, GridError, ImageError, QueryError, ResponseError
 from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE, are_fractions
-from eagor.grids import PerspectiveGrid
-from eagor.media.panorama import checked_picture, cut, tangent_views
+from eagor.grids import PerspectiveGrid, tangent_views
+from eagor.media.panorama import checked_picture, cut
 from eagor.perception.colour import colour_in, share_of
 from eagor.perception.things import Thing, ViewBox, spread_evidence, things
 from eagor.perception.words import fitting, meant, same_name
