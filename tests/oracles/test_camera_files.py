@@ -64,6 +64,7 @@ KALIBR = f"""cam0:
   resolution: [640, 480]
   rostopic: /cam0/image_raw
 """
+SENSOR = KALIBR.replace("cam0:\n", "sensor_type: camera\n").replace("\n  ", "\n").replace("coeffs", "coefficients")
 
 
 def read(tmp_path, text, name="camera.yaml", **values):
@@ -88,6 +89,7 @@ def rays(lens, count=200):
         (ROS, "plumb_bob", PLUMB), (ROS, "rational_polynomial", RATIONAL), (OPENCV, "", PLUMB), (OPENCV, "", RATIONAL),
         (XML, "", PLUMB), (XML, "", RATIONAL),
         (ECHO, "plumb_bob", PLUMB), (KALIBR, "radtan", PLUMB[:4]), (KALIBR, "none", ()),
+        (SENSOR, "radial-tangential", PLUMB[:4]),
     ],
 )  # fmt: skip
 def test_a_lens_is_opencv_s(tmp_path, text, model, values):
@@ -203,6 +205,7 @@ def test_what_topic_echo_prints_is_read_up_to_its_first_line(tmp_path, more):
         ("image_width: 6\nimage_height: 4\ncamera_matrix: {data: [1, 2]}", "line 3: camera_matrix.data has 2 numbers"),
         ("image_width: 6\nimage_height: x\nK: [5, 0, 3, 0, 5, 2, 0, 0, 1]", "line 2: image_height is 'x'; wanted"),
         ("image_width: 6\nimage_height: 4\nK: [0, 0, 3, 0, 5, 2, 0, 0, 1]", "focal above 0"),
+        ("image_width: 6\nimage_height: 4\nK: [5, 0, 0, 0, 5, 0, 3, 2, 1]", "column by column"),
         ("image_width: 6e300\nimage_height: 4\nK: [5, 0, 3, 0, 5, 2, 0, 0, 1]", "none beyond 1e+06"),
         ("image_width: 6\nimage_height: 4\nK: [5, 0, 3, 0, 0, 2, 0, 0, 1]\nfisheye_model: 1", "lengths are 5 and 0"),
         (ROS.format(matrix=MATRIX, model="equidistant", count=4, values=[1e308, -1e308, 0, 0]), "has the polynomial"),

@@ -66,6 +66,10 @@ FORMS = {
     "milliseconds, named": text("timestamp_ms,x,y,z,qx,qy,qz,qw", ",", unit=1e3),
     "a topic's": text("stamp,pose.pose.position.x,pose.pose.position.y,pose.pose.position.z,"
                       + ",".join(f"pose.pose.orientation.{axis}" for axis in "xyzw"), ","),
+    "PlotJuggler": text("__time," + ",".join(f"/odom/pose/pose/{name}" for name in (
+        *(f"position/{axis}" for axis in "xyz"), *(f"orientation/{axis}" for axis in "xyzw"))), ","),
+    "rostopic echo -p": text("%time," + ",".join(f"field.pose.{name}" for name in (
+        *(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))), ",", unit=1e9),
     "Windows": "\ufeff" + text("stamp,x,y,z,qx,qy,qz,qw", ",", end="\r\n"),
 }  # fmt: skip
 

@@ -29,10 +29,10 @@ from eagor.media.times import UNITS, times_of, unit_of
 __all__ = ["MUCH", "Placed", "Table", "base_name", "colmap", "nerfstudio", "table_of"]
 
 # Columns as others call them, in small letters and without units in brackets; our own names count first.
-_POSITION = r"(?:t|p_rs_r_|p_|pos_|pos\.|position_|position\.|.*position\.)"
-_TURN = r"(?:q_rs_|q_|quat_|orientation_|orientation\.|.*orientation\.)"
+_POSITION = r"(?:t|p_rs_r_|p_|pos_|pos\.|position_|(?:.*[./])?position[./])"
+_TURN = r"(?:q_rs_|q_|quat_|orientation_|(?:.*[./])?orientation[./])"
 ALIASES = {
-    "stamp": re.compile(r"(?:stamp|timestamp|time|t)(?:_(?P<unit>s|sec|ms|msec|us|usec|ns|nsec))?"),
+    "stamp": re.compile(r"(?:__|%)?(?:stamp|timestamp|time|t)(?:_(?P<unit>s|sec|ms|msec|us|usec|ns|nsec))?"),
     **{axis: re.compile(rf"{_POSITION}{axis}") for axis in "xyz"},
     **{f"q{axis}": re.compile(rf"{_TURN}{axis}") for axis in "wxyz"},
     **{f"{angle}_deg": re.compile(rf"{angle}_rad") for angle in ("yaw", "pitch", "roll")},
