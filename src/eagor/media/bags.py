@@ -44,6 +44,7 @@ __all__ = [
 
 SUFFIXES = (".mcap", ".db3")
 PACKED = ("file", "message")  # how a recorder compresses beside what MCAP does itself
+ZSTANDARD = b"\x28\xb5\x2f\xfd"
 ROS_1, ROS_1_SUFFIX = b"#ROSBAG V", ".bag"
 PICTURES = (IMAGE, COMPRESSED)
 MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS, POSE_WITH_COVARIANCE, TRANSFORM)  # the best first
@@ -104,6 +105,8 @@ class Bag:
                 except Exception as error:  # as the libraries happen to meet the damage
                     raise FormatError(f"{file.path} is damaged ({error}); copy or record it again") from error
                 channel, stamp = wanted[number], nanos / NANO
+                if data[:4] == ZSTANDARD:  # as no message begins; metadata.yaml says it, where the folder is named
+                    raise FormatError(_packed(file.path.parent, "message"))
                 if number not in decode:
                     decode[number] = _decoder(self.path, channel)
                 try:
@@ -176,14 +179,22 @@ def _files(path: Path) -> Sequence[Path]:
         except Exception as error:  # the library's, or those of another shape
             raise FormatError(f"{about} is not that of a bag ({type(error).__name__}: {error})") from error
         if packed in PACKED:
-            to = f"rosbags-convert --src {path} --dst {path.name}-unpacked"
-            raise FormatError(f"{path} is compressed by {packed}; unpack it: {to}")
+            raise FormatError(_packed(path, packed))
         if missing := [file.name for file in named if not file.is_file()]:
             raise FormatError(f"{path} lacks {', '.join(missing)}, which {about.name} names; copy the whole folder")
         inside = named
     if not inside:
+        if any(path.glob("*.zstd")):
+            raise FormatError(
+                f"{path} is compressed by file, and lacks metadata.yaml; unpack it: zstd -d {path}/*.zstd"
+            )
         raise FormatError(f"{path} holds no bag: no metadata.yaml, no {' or '.join(SUFFIXES)} file")
     return inside
+
+
+def _packed(folder: Path, how: str) -> str:
+    to = f"rosbags-convert --src {folder} --dst {folder.name}-unpacked"
+    return f"{folder} is compressed by {how}; unpack it: {to}"
 
 
 def _decoder(path: Path, channel: Any) -> Any:
