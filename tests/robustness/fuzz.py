@@ -15,26 +15,26 @@ import random
 import re
 import resource
 import signal
-import sqlite3
 import struct
 import sys
 import tempfile
 import time
 import traceback
 import warnings
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 TESTS = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(TESTS), str(TESTS / "oracles"), str(TESTS / "laws")]
+sys.path[:0] = [str(TESTS), *(str(TESTS / part) for part in ("oracles", "laws", "contracts"))]
 import test_camera_files as cameras  # noqa: E402
 import test_pose_files as trajectories  # noqa: E402
 from contract_server import ContractServer  # noqa: E402
 from rosmaking import camera_info, cdr, imu_message, pose_message  # noqa: E402
 from test_bad_bags import chunk, finished, record, text  # noqa: E402
+from test_bags import databased  # noqa: E402
 from test_photographs import area, xmp  # noqa: E402
 from test_rig_files import GOOD  # noqa: E402
 from test_videos import SPOKEN  # noqa: E402
@@ -171,7 +171,7 @@ def bags(data, draw, folder):
     for old in folder.iterdir():
         old.unlink()
     wal = data[:3] == b"\x37\x7f\x06"  # what a recorder that was killed left beside the file
-    for name, content in (("bag.db3-wal", data), ("bag.db3", BAGS[2])) if wal else (("bag.db3", data),):
+    for name, content in (("bag.db3-wal", data), ("bag.db3", BAGS[0])) if wal else (("bag.db3", data),):
         (folder / name).write_bytes(content)
     path = folder / "bag.db3"
     bag = Bag(path.rename(folder / "bag.mcap") if data.startswith(MAGIC[:4]) else path)
@@ -198,46 +198,37 @@ LENS = "lens_optical_frame"
 
 
 def messages():
-    """Topic, type and message of a few moments."""
+    """Time, topic, type and message of a few moments."""
     lens = m.transform_message(0.0, "base_link", LENS, np.eye(3), (0.1, 0, 0.5))
-    yield "/tf_static", m.TRANSFORMS, m.transforms_message(lens)
+    told = [("/tf_static", m.TRANSFORMS, m.transforms_message(lens))]
     for k in range(3):
         pose, grey = Pose(100.0 + k, trajectories.TURNS[k], trajectories.PLACES[k]), np.full((6, 12, 3), 90, np.uint8)
         step = m.transform_message(pose.stamp, "odom", "base_link", pose.world_R_body, pose.position)
-        yield "/image", m.IMAGE, m.image_message(grey, pose.stamp, LENS)
-        yield "/narrow/image", m.IMAGE, m.image_message(grey[:, :8], pose.stamp, LENS)
-        yield "/narrow/camera_info", m.CAMERA_INFO, camera_info((8, 6), (7, 7, 4, 3), (0.1, 0, 0, 0, 0))
-        yield "/packed", m.COMPRESSED, m.compressed_message(grey, pose.stamp, LENS)
-        yield "/odom", m.ODOMETRY, m.odometry_message(pose)
-        yield "/pose", m.POSE, pose_message(pose)
-        yield "/imu", m.IMU, imu_message(pose)
-        yield "/tf", m.TRANSFORMS, m.transforms_message(step)
+        told += [
+            ("/image", m.IMAGE, m.image_message(grey, pose.stamp, LENS)),
+            ("/narrow/image", m.IMAGE, m.image_message(grey[:, :8], pose.stamp, LENS)),
+            ("/narrow/camera_info", m.CAMERA_INFO, camera_info((8, 6), (7, 7, 4, 3), (0.1, 0, 0, 0, 0))),
+            ("/packed", m.COMPRESSED, m.compressed_message(grey, pose.stamp, LENS)),
+            ("/odom", m.ODOMETRY, m.odometry_message(pose)), ("/pose", m.POSE, pose_message(pose)),
+            ("/imu", m.IMU, imu_message(pose)), ("/tf", m.TRANSFORMS, m.transforms_message(step)),
+        ]  # fmt: skip
+    return [(float(at), *each) for at, each in enumerate(told)]
 
 
 def recorded():
-    """The bytes of bags: MCAP with a chunk and an index, and without; SQLite without a journal and with ``-wal``."""
-    parts, topics, told = b"", {}, [*messages()]
-    for at, (topic, kind, message) in enumerate(told):
+    """The bytes of bags: SQLite and what is in its ``-wal``; MCAP without an index, and with one, and a chunk."""
+    parts, topics, told = b"", {}, messages()
+    with tempfile.TemporaryDirectory() as place:
+        databased(Path(place, "bag.db3"), told, "WAL", told)
+        yield from (Path(place, name).read_bytes() for name in ("bag.db3", "bag.db3-wal"))
+    for at, topic, kind, message in told:
         if topic not in topics:
             number = topics[topic] = len(topics) + 2
             definition = m.store().generate_msgdef(kind, ros_version=2)[0] if kind in (m.POSE, m.IMAGE) else ""
             parts += record(3, struct.pack("<H", number) + text(kind) + text("ros2msg") + text(definition))
             parts += record(4, struct.pack("<HH", number, number) + text(topic) + text("cdr") + text(""))
-        parts += record(5, struct.pack("<HIQQ", topics[topic], 0, at, at) + cdr(kind, message))
+        parts += record(5, struct.pack("<HIQQ", topics[topic], 0, int(at), int(at)) + cdr(kind, message))
     yield from (MAGIC + record(1, text("ros2") + text("")) + parts, finished(chunk(len(parts), parts, "")))
-    with tempfile.TemporaryDirectory() as place, closing(sqlite3.connect(path := Path(place, "a.db3"))) as base:
-        base.executescript("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT); CREATE TABLE messages"
-                           "(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")  # fmt: skip
-        kinds = {topic: kind for topic, kind, _ in told}
-        base.executemany(
-            "INSERT INTO topics VALUES (?, ?, ?)", [(topics[topic], topic, kinds[topic]) for topic in kinds]
-        )
-        rows = [(topics[topic], at, cdr(kind, message)) for at, (topic, kind, message) in enumerate(told)]
-        for mode in ("delete", "wal"):
-            base.execute(f"PRAGMA journal_mode={mode}")
-            base.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
-            base.commit()
-            yield (path if mode == "delete" else Path(f"{path}-wal")).read_bytes()
 
 
 BAGS = [*recorded()]
@@ -246,10 +237,6 @@ CAMERAS = [
     getattr(cameras, name).format(matrix=cameras.MATRIX, model=model, values=[*values], count=len(values)).encode()
     for name in ("ROS", "OPENCV", "XML", "ECHO", "KALIBR")
     for model, values in MODELS
-]
-COLMAP = [
-    b"# Camera list\n1 OPENCV 640 480 500 510 320 240 -0.3 0.1 0.001 -0.002\n",
-    b"1 SIMPLE_RADIAL 64 48 50 32 24 0.1",
 ]
 ANGLES = b"stamp,yaw_deg,pitch_deg,roll_deg,frame\n0.5,0,2,3,a_0.png\n1.5,9,2,3,a_1.png\n2,20,2,-3,a_2.png\n"
 SERVED = [
@@ -262,7 +249,7 @@ SERVED = [
 KINDS = {
     "answers": (answers, [*literals("laws/test_vlm_parts.py"), *SERVED]),
     "poses": (poses, [*map(str.encode, (*trajectories.FORMS.values(), *trajectories.WRITTEN.values())), ANGLES]),
-    "calibrations": (calibrations, [*CAMERAS, *COLMAP, GOOD.encode()]),
+    "calibrations": (calibrations, [*CAMERAS, GOOD.encode(), b"# List\n1 OPENCV 64 48 50 51 32 24 -0.3 0.1 0.001 0\n"]),
     "gpano": (gpano, [xmp(PoseHeadingDegrees=30, PosePitchDegrees=-5, PoseRollDegrees=8), xmp(**area(32, 16, 8, 8)),
                       xmp(**area(60, 20, 2, 6, FullPanoWidthPixels=64, FullPanoHeightPixels=32)), *SPOKEN]),
     "bags": (bags, BAGS),
