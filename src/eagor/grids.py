@@ -8,6 +8,8 @@ A grid holds no values. All grids have the same interface:
 - ``density(x, y)``: steradians per square pixel;
 - ``depth_inside()``: angle (radians) from each cell to the nearest direction outside of the grid, None if it covers the
   whole sphere.
+
+`tangent_views`: ordinary views that cover the sphere.
 """
 
 from __future__ import annotations
@@ -22,11 +24,11 @@ from eagor._arrays import frozen
 from eagor._values import changed, lazy
 from eagor.errors import GridError
 from eagor.lenses import FisheyeLens, PinholeLens
-from eagor.sphere import azimuth_elevation, checked_pose, direction
+from eagor.sphere import azimuth_elevation, checked_pose, direction, world_R_body
 
 __all__ = [
-    "ErpGrid", "ErpWindow", "FisheyeGrid", "Grid", "PatchGrid", "PerspectiveGrid", "ViewKey", "forward_view",
-    "view_key",
+    "OVERLAP", "ErpGrid", "ErpWindow", "FisheyeGrid", "Grid", "PatchGrid", "PerspectiveGrid", "ViewKey", "check_fields",
+    "depth_inside", "forward_view", "tangent_views", "view_key",
 ]  # fmt: skip
 
 _EDGE = 1e-12  # radians by which rounding may put what lies on the edge of a view outside
@@ -384,3 +386,87 @@ def forward_view(key: ViewKey) -> PerspectiveGrid | FisheyeGrid:
         fx, fy, cx, cy, *distortion = optics
         return PerspectiveGrid.of_lens(PinholeLens("view", (width, height), (fx, fy), (cx, cy), tuple(distortion)))
     return PerspectiveGrid(height, width, optics) if kind == "perspective" else FisheyeGrid(height, optics)
+
+
+# --- views that cover the sphere ---
+
+
+OVERLAP = math.radians(10)
+_ROUNDING = 1e-6  # radians, or views: what neighbours that touch exactly may miss by
+
+
+def tangent_views(
+    size: int, hfov: float = math.radians(100), overlap: float = OVERLAP, reach: float = math.pi / 2
+) -> tuple[PerspectiveGrid, ...]:
+    """Square views of `size` pixels and field `hfov` that cover all directions up to elevation +-`reach` (radians).
+
+    Views narrower by `overlap` would still cover them. The views stand in rings at even elevations (one view at each
+    pole), the first of each ring towards azimuth 0; of such layouts the one with the fewest views is taken: 6, as a
+    cube, for 100 degrees with 10 of overlap. Raises `GridError` if the views are too narrow for the overlap, or wider
+    than a plane can show.
+    """
+    check_fields(hfov, overlap, reach)
+    poses = _poses(round((hfov - overlap) / 2, 9), round(reach, 9))
+    return tuple(PerspectiveGrid(size, size, hfov, world_R_body(yaw, -pitch)) for yaw, pitch in poses)
+
+
+def check_fields(hfov: float, overlap: float, reach: float) -> None:
+    """Raise `GridError` where `tangent_views` would, for these angles (radians)."""
+    least = math.radians(30) - 1e-9  # 40 degrees less 10 are 30, whatever is rounded on the way to radians
+    if not (0 <= overlap < hfov <= math.radians(150) and hfov - overlap >= least and 0 < reach <= math.pi / 2):
+        raise GridError(
+            f"views of {math.degrees(hfov):g} degrees with {math.degrees(overlap):g} of overlap up to elevation "
+            f"{math.degrees(reach):g}; wanted fields up to 150, at least 30 wider than the overlap, and 0 < reach <= 90"
+        )
+
+
+@lru_cache(maxsize=16)
+def _poses(inner: float, reach: float) -> tuple[tuple[float, float], ...]:
+    """(yaw left, pitch up) of the fewest views of half-angle `inner` that cover the sphere up to `reach`."""
+    # Rings at the poles only where they are to be seen; a single ring may do for a narrow band.
+    fewest = math.ceil(math.pi / (2 * inner) - _ROUNDING) + 1
+    layouts = [np.linspace(-math.pi / 2, math.pi / 2, rings) for rings in range(max(fewest, 3), fewest + 4)]
+    fewest = math.ceil(reach / inner - _ROUNDING)
+    layouts += [np.linspace(-1, 1, rings) * max(reach - inner, 0.0) for rings in range(max(fewest, 2), fewest + 4)]
+    tests = [_points(reach, inner / per) for per in (4, 12, 40)]  # most layouts fail a coarse one already
+    best: tuple[tuple[float, float], ...] = ()
+    for rings in (*layouts, np.zeros(1)):
+        for around in range(math.ceil(math.pi / inner - _ROUNDING), 4 * math.ceil(math.pi / inner)):
+            poses = _ring_poses(rings, around)
+            if best and len(poses) >= len(best):
+                break
+            if all(_covered(points, poses, inner) for points in tests):
+                best = poses
+                break
+    return best
+
+
+def _points(reach: float, spacing: float) -> np.ndarray:
+    """Directions ``(n, 3)`` every `spacing` radians from the equator up to `reach`: the layouts are symmetric."""
+    elevations = np.linspace(0, reach, math.ceil(reach / spacing) + 1)
+    azimuths = np.linspace(0, 2 * math.pi, math.ceil(2 * math.pi / spacing), endpoint=False)
+    return direction(*np.meshgrid(azimuths, elevations)).reshape(-1, 3)
+
+
+def _ring_poses(rings: np.ndarray, around: int) -> tuple[tuple[float, float], ...]:
+    poses = []
+    for pitch in sorted(rings.tolist(), key=abs):
+        count = 1 if math.cos(pitch) < 1e-9 else max(3, math.ceil(around * math.cos(pitch) - 1e-9))
+        poses += [(2 * math.pi * index / count, pitch) for index in range(count)]
+    return tuple(poses)
+
+
+def _covered(points: np.ndarray, poses: tuple[tuple[float, float], ...], inner: float) -> bool:
+    """Whether each of `points` ``(n, 3)`` lies at least within the inner field of one view."""
+    for yaw, pitch in poses:
+        points = points[depth_inside(points @ world_R_body(yaw, -pitch), inner, inner) < -_ROUNDING]
+    return len(points) == 0
+
+
+def depth_inside(rays: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
+    """How much narrower (radians, on each side) a view could be and still show directions ``(..., 3)``.
+
+    They are in the view's own frame; negative outside.
+    """
+    x, y, z = rays[..., 0], np.abs(rays[..., 1]), np.abs(rays[..., 2])
+    return np.minimum(half_width - np.arctan2(y, x), half_height - np.arctan2(z, x))

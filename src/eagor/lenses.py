@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from eagor._arrays import frozen
-from eagor._checks import above, within
+from eagor._checks import above, shown, within
 from eagor._values import lazy
 from eagor.errors import GridError
 from eagor.sphere import checked_pose
@@ -22,6 +22,7 @@ from eagor.sphere import checked_pose
 __all__ = ["FisheyeLens", "Lens", "PinholeLens", "inverted"]
 
 WIDEST = math.radians(280)  # full field of a fisheye: beyond, there is no glass; ideal ones may see all around
+MOST, LONGEST = 1e6, 1e9  # pixels: no picture is so large, no view so narrow
 NEWTON = 12  # rounds; each doubles the digits, and the start is within a few degrees
 FLAT = 89.0  # degrees off the axis that a plane with distortion can show at most
 AHEAD = 1e-9  # cosine off the axis below which an ideal pinhole sees nothing
@@ -51,10 +52,14 @@ class FisheyeLens:
     def __post_init__(self) -> None:
         object.__setattr__(self, "body_R_lens", frozen(np.array(checked_pose(self.body_R_lens, "body_R_lens"))))
         object.__setattr__(self, "polynomial", tuple(float(k) for k in self.polynomial))
-        if not (above(self.focal, 0) and above(self.radius, 0) and all(within(v, -1e6, 1e6) for v in self.centre)):
+        if not (
+            above(self.focal, 0, LONGEST)
+            and above(self.radius, 0, MOST)
+            and all(within(v, -MOST, MOST) for v in self.centre)
+        ):
             raise GridError(
                 f"the lens {self.name!r} has centre {self.centre}, focal {self.focal!r} and radius {self.radius!r}; "
-                "wanted pixels, focal (pixels per radian) and radius above 0"
+                f"wanted pixels up to {MOST:g}, focal (pixels per radian, up to {LONGEST:g}) and radius above 0"
             )
         if len(self.polynomial) > 4 or not all(within(k, -10, 10) for k in self.polynomial):
             raise GridError(
@@ -157,9 +162,11 @@ class PinholeLens:
     def __post_init__(self) -> None:
         object.__setattr__(self, "body_R_lens", frozen(np.array(checked_pose(self.body_R_lens, "body_R_lens"))))
         object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
-        if not (all(above(f, 0) for f in self.focal) and all(within(c, -1e6, 1e6) for c in self.centre)):
+        sides = all(above(side, 0, MOST) for side in self.size) and all(above(f, 0, LONGEST) for f in self.focal)
+        if not (sides and all(within(c, -MOST, MOST) for c in self.centre)):
             raise GridError(
-                f"the lens {self.name!r} has focal {self.focal} and centre {self.centre}; wanted pixels, focal above 0"
+                f"the lens {self.name!r} has focal {self.focal}, centre {self.centre} and size {shown(self.size)}; "
+                f"wanted pixels up to {MOST:g}, focal above 0, up to {LONGEST:g}"
             )
         if len(self.distortion) > 8 or not all(within(k, -1e3, 1e3) for k in self.distortion):
             raise GridError(

@@ -113,6 +113,11 @@ def test_other_projections(tmp_path, kind):
         read_photograph(saved(tmp_path, marked(0, 0), xmp(ProjectionType=kind)))
 
 
+def test_a_word_of_any_length_is_shown_in_part(tmp_path):
+    with pytest.raises(ImageError, match=r"is a xxx.{0,500}$"):
+        read_photograph(saved(tmp_path, marked(0, 0), xmp(ProjectionType="x" * 9000)))
+
+
 FULL = {"FullPanoWidthPixels": 256, "FullPanoHeightPixels": 128}
 
 

@@ -290,6 +290,9 @@ def test_poses_that_are_none():
     made.pose.orientation.w = math.nan
     with pytest.raises(PoseError, match="length nan"):
         m.pose_of(made)
+    made.pose.orientation.w = 1e308  # whose square has no end
+    with pytest.raises(PoseError, match=r"the length 1e.308"):
+        m.pose_of(made)
     made.pose.orientation.w, made.pose.position.y = 1.0, math.inf
     with pytest.raises(PoseError, match="wanted finite metres"):
         m.pose_of(made)

@@ -10,7 +10,8 @@ from scipy.ndimage import find_objects, label
 
 from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence
 from eagor.errors import EagorError, GridError, ImageError, QueryError
-from eagor.media.panorama import cut, tangent_views, turn
+from eagor.grids import tangent_views
+from eagor.media.panorama import cut, turn
 from eagor.perception import check_perception, look
 from eagor.perception.things import ViewBox, things
 from eagor.perception.views import Views

@@ -14,8 +14,8 @@ from seams import seamless
 from eagor.errors import AnswerError, EagorError, GridError, ImageError, QueryError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
-from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.media.panorama import cut, resized, tangent_views
+from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid, tangent_views
+from eagor.media.panorama import cut, resized
 from eagor.perception.vlm import GENERAL, SERVED, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
 from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence
 from eagor.perception.vlm.lenient import values
@@ -113,11 +113,23 @@ def test_what_was_printed_is_read(entries, frame, order, wrapping):
         "<Thinking>[10, 20, 60, 90]</Thinking>Perhaps [5, 6, 70, 80].</think><answer>[100, 200, 300, 400]</answer>",
         "Is it [10, 20, 60, 90]? No: <|begin_of_box|>[[100, 200, 300, 400]]<|end_of_box|>",
         '[{"bbox_2d": [0, 0, 0, 0]}, {"bbox_2d": [100, 200, 300, 400]}]',
+        "left: 10%, top: 20 %, right: 30%, bottom: 40%",
+        "[10%, 20%, 30%, 40%]",
+        "椅子在（100，200），（300，400）。",
+        '{"Top Left": [100, 200], "bottom-right": [300, 400]}',
+        '{"min": {"x": 100, "y": 200}, "max": {"x": 300, "y": 400}}',
     ],
 )
 def test_ways_of_writing_one_box(text):
     (box,) = parse_boxes(text, "thousand", SIZE)
     assert (box.x0, box.y0, box.x1, box.y1) == pytest.approx((0.1, 0.2, 0.3, 0.4), abs=6e-4)  # <loc_100>: 0.1 to 0.101
+
+
+def test_semicolons_part_boxes():
+    first, second = parse_boxes("chairs [[100,200,300,400;010,020,030,040]]", "thousand", SIZE)
+    assert (first.x0, first.y1, second.x0, second.y1) == pytest.approx((0.1, 0.4, 0.01, 0.04))
+    (whole,) = parse_boxes("[0%, 0%, 100%, 100%]", "thousand", SIZE)
+    assert (whole.x0, whole.y0, whole.x1, whole.y1) == pytest.approx((0, 0, 1, 1))
 
 
 @pytest.mark.parametrize(
@@ -213,6 +225,7 @@ def test_ways_of_saying_that_there_is_none(text):
         ("没问题，椅子在桌子旁边。", "椅子"),
         ("Kein Problem: links.", "links"),
         ("◁think▷ [1, 2, 3, 4] oder", "allow more tokens"),
+        ("It spans x: 30%-50% and y: 40% to 80%.", "wanted boxes"),
         ("[1200, 1300, 1400, 1500]", "outside the frame 'thousand'"),
         ("[100, 200, 5000, 400]", "outside the frame"),
     ],
@@ -404,6 +417,7 @@ def test_questions_need_words():
         ("Qwen/Qwen2-VL-2B-Instruct", "qwen2_vl"),
         ("Qwen/Qwen3-VL-30B-A3B-Instruct", "qwen3_vl"),
         ("qwen3-vl:8b", "qwen3_vl"),
+        ("Qwen3.8-Flash", "qwen3_vl"),
         ("google/gemma-3-12b-it", "gemma3"),
         ("gemma3:4b", "gemma3"),
         ("llava-hf/llava-1.5-7b-hf", "llava"),

@@ -64,6 +64,7 @@ KALIBR = f"""cam0:
   resolution: [640, 480]
   rostopic: /cam0/image_raw
 """
+SENSOR = KALIBR.replace("cam0:\n", "sensor_type: camera\n").replace("\n  ", "\n").replace("coeffs", "coefficients")
 
 
 def read(tmp_path, text, name="camera.yaml", **values):
@@ -88,6 +89,7 @@ def rays(lens, count=200):
         (ROS, "plumb_bob", PLUMB), (ROS, "rational_polynomial", RATIONAL), (OPENCV, "", PLUMB), (OPENCV, "", RATIONAL),
         (XML, "", PLUMB), (XML, "", RATIONAL),
         (ECHO, "plumb_bob", PLUMB), (KALIBR, "radtan", PLUMB[:4]), (KALIBR, "none", ()),
+        (SENSOR, "radial-tangential", PLUMB[:4]),
     ],
 )  # fmt: skip
 def test_a_lens_is_opencv_s(tmp_path, text, model, values):
@@ -107,6 +109,11 @@ def test_a_fisheye_is_opencv_s(tmp_path, text, model):
     camera = np.array([[lens.focal, 0, CX], [0, lens.focal, CY], [0, 0, 1]])  # one focal length: the mean
     wanted = cv2.fisheye.projectPoints(theirs[:, None], np.zeros(3), np.zeros(3), camera, np.array(ROUND))[0][:, 0]
     np.testing.assert_allclose(np.stack(lens.project(own)[:2], axis=-1), wanted + 0.5, atol=1e-6)
+
+
+def test_a_fisheye_without_distortion_is_equidistant(tmp_path):
+    lens = read(tmp_path, ROS, model="equidistant", values=[], count=0)
+    assert lens.reach == pytest.approx(lens.radius / lens.focal)
 
 
 @pytest.mark.parametrize(
@@ -198,6 +205,10 @@ def test_what_topic_echo_prints_is_read_up_to_its_first_line(tmp_path, more):
         ("image_width: 6\nimage_height: 4\ncamera_matrix: {data: [1, 2]}", "line 3: camera_matrix.data has 2 numbers"),
         ("image_width: 6\nimage_height: x\nK: [5, 0, 3, 0, 5, 2, 0, 0, 1]", "line 2: image_height is 'x'; wanted"),
         ("image_width: 6\nimage_height: 4\nK: [0, 0, 3, 0, 5, 2, 0, 0, 1]", "focal above 0"),
+        ("image_width: 6\nimage_height: 4\nK: [5, 0, 0, 0, 5, 0, 3, 2, 1]", "column by column"),
+        ("image_width: 6e300\nimage_height: 4\nK: [5, 0, 3, 0, 5, 2, 0, 0, 1]", "wanted pixels up to 1e+06"),
+        ("image_width: 6\nimage_height: 4\nK: [5, 0, 3, 0, 0, 2, 0, 0, 1]\nfisheye_model: 1", "lengths are 5 and 0"),
+        (ROS.format(matrix=MATRIX, model="equidistant", count=4, values=[1e308, -1e308, 0, 0]), "has the polynomial"),
         (ROS.format(matrix=MATRIX, model="plumb_bob", count=8, values=list(RATIONAL)), "at most 5"),
         (ROS.format(matrix=MATRIX, model="thin_prism", count=1, values=[0]), "'thin_prism'; wanted one of plumb_bob"),
         (KALIBR.format(model="fov", values=[1]), "distortion model 'fov'"),

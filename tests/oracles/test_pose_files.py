@@ -66,8 +66,21 @@ FORMS = {
     "milliseconds, named": text("timestamp_ms,x,y,z,qx,qy,qz,qw", ",", unit=1e3),
     "a topic's": text("stamp,pose.pose.position.x,pose.pose.position.y,pose.pose.position.z,"
                       + ",".join(f"pose.pose.orientation.{axis}" for axis in "xyzw"), ","),
+    "PlotJuggler": text("__time," + ",".join(f"/odom/pose/pose/{name}" for name in (
+        *(f"position/{axis}" for axis in "xyz"), *(f"orientation/{axis}" for axis in "xyzw"))), ","),
+    "rostopic echo -p": text("%time," + ",".join(f"field.pose.{name}" for name in (
+        *(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))), ",", unit=1e9),
     "Windows": "\ufeff" + text("stamp,x,y,z,qx,qy,qz,qw", ",", end="\r\n"),
 }  # fmt: skip
+
+
+def transforms(poses, name="images/{:.6f}.png"):
+    frames = []
+    for at, turn, place in poses:
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = turn, place
+        frames.append({"file_path": name.format(at), "transform_matrix": matrix.tolist()})
+    return json.dumps({"camera_model": "EQUIRECTANGULAR", "frames": frames[::-1]})
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -98,6 +111,14 @@ def test_radians_by_name_and_powershells_encoding(tmp_path):
             "no rotation",
         ),
         ("1 0 0 0 0 0 0 0 1 a.png\n\n", "images.txt has a line that cannot be"),
+        ("1 1e308 1e308 0 0 0 0 0 1 a.png\n", "cannot be: a number without end"),
+        ("1 1 0 0 0 0 0 0 1 a.png\n2 1 0 0 " + "[" * 900 + " 0 0 0 1 b.png\n", "cannot be: could not .{0,300}$"),
+        (transforms([(0, np.full((3, 3), 1e308), np.zeros(3))]), "a number without end"),  # LAPACK would not end
+        ("stamp,qx,qy,qz,qw\n0,1e308,1e308,0,1\n", "line 2: .* its length is "),
+        (
+            "timestamp_s,yaw_deg,pitch_deg,roll_deg\n1,0,0,0\n1e13,0,0,0\n",
+            "line 3: stamp = 10{13}.0; .* not milliseconds",
+        ),
     ],
 )
 def test_what_is_in_no_form_is_said(tmp_path, content, words):
@@ -128,10 +149,17 @@ def test_counts_that_are_hardly_seconds_are_asked_about(tmp_path, scale, unit):
         (["000", "001"], None),
         (["IMG_20240101_120000"], None),
         (["0.5", "last"], None),
+        (["9" * 400 + ".5"], None),
     ],
 )
 def test_names_that_are_times(names, times):
     assert times_of(names) == (None if times is None else pytest.approx(times, abs=1e-6))
+
+
+def test_numbers_in_names_may_have_any_length_and_digits(tmp_path):
+    names = ["a٣", "b2", "b10", "b" + "9" * 5000, "²", "³"]
+    (tmp_path / "images.txt").write_text("".join(f"1 1 0 0 0 0 0 0 1 {name}\n" for name in reversed(names)))
+    assert [pose.frame for pose in read_poses(tmp_path / "images.txt")] == names
 
 
 # --- axes ---
@@ -168,15 +196,6 @@ def right(shots, tmp_path_factory):
     path = tmp_path_factory.mktemp("right") / "ours.csv"
     path.write_text(FORMS["ours"])
     return found_in(shots, path)
-
-
-def transforms(poses, name="images/{:.6f}.png"):
-    frames = []
-    for at, turn, place in poses:
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = turn, place
-        frames.append({"file_path": name.format(at), "transform_matrix": matrix.tolist()})
-    return json.dumps({"camera_model": "EQUIRECTANGULAR", "frames": frames[::-1]})
 
 
 def images_txt(poses):

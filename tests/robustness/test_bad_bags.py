@@ -73,6 +73,36 @@ def test_folders_whose_description_is_wrong(tmp_path, metadata, said):
         Bag(tmp_path)
 
 
+@pytest.mark.parametrize("odd", ["uint32 high\nstring frame_id\n", "string height\nuint32 width\n"])
+def test_a_type_that_the_bag_defines_otherwise_is_said(tmp_path, odd):
+    """What reads pictures would look for fields in vain, or find another kind of value."""
+    schema = struct.pack("<H", 1) + text(m.IMAGE) + text("ros2msg") + text(odd)
+    named = record(4, struct.pack("<HH", 1, 1) + text("/a") + text("cdr") + text(""))
+    (tmp_path / "a.mcap").write_bytes(
+        MAGIC + record(1, text("ros2") + text("")) + record(3, schema) + named + message(1, 99)
+    )
+    with (
+        pytest.warns(UserWarning, match="cut off"),
+        pytest.raises(FormatError, match=r"has not the h.* of ROS 2's sensor_msgs/msg/Image"),
+    ):
+        list(read_bag(tmp_path / "a.mcap"))
+
+
+def test_files_of_a_bag_that_is_compressed_by_message_or_by_file(tmp_path):
+    """As they are named without their folder, or copied without its description."""
+    (tmp_path / "a.mcap").write_bytes(
+        MAGIC + record(1, text("ros2") + text("")) + channel()
+        + record(5, struct.pack("<HIQQ", 1, 0, 1, 1) + packed(b"\0\1\0\0" + bytes(99), "zstd"))
+    )  # fmt: skip
+    said = f"{tmp_path} is compressed by message; unpack it: rosbags-convert --src {tmp_path} --dst"
+    with pytest.warns(UserWarning, match="cut off"), pytest.raises(FormatError, match=said):
+        list(read_bag(tmp_path / "a.mcap"))
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.db3.zstd").write_bytes(b"x")
+    with pytest.raises(FormatError, match=r"is compressed by file, and lacks metadata.yaml; unpack it: zstd -d"):
+        Bag(tmp_path / "bag")
+
+
 def test_what_is_not_there(tmp_path):
     with pytest.raises(FormatError, match=r"cannot be read .No such file"):
         Bag(tmp_path / "none")

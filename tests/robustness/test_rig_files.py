@@ -5,8 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import HOSTILE
 
-from eagor.errors import EagorError, FormatError
+from eagor.errors import EagorError, FormatError, ImageError
 from eagor.media.rigs import read_rig
+from eagor.media.stitching import Stitcher
 
 pytest.importorskip("yaml")
 GOOD = """pictures:
@@ -32,6 +33,15 @@ def test_the_example_is_read(tmp_path):
     assert rig.lenses[1].body_R_lens[0, 0] == pytest.approx(-1)
 
 
+def test_a_lens_that_wants_too_large_a_panorama(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(GOOD.replace("radius: 100", "radius: 100000"))
+    with pytest.raises(
+        ImageError, match=r"rows = \d{6}; wanted 2 to 16384: is a lens' focal length or radius too large"
+    ):
+        Stitcher(read_rig(path))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
@@ -47,6 +57,7 @@ def test_the_example_is_read(tmp_path):
         ("name: front", "name: front\n    name: front", r"line 5: .*name is there twice"),
         ("name: front", "name: front\n    kind: mirror", r"line 5: .*kind is 'mirror'; wanted fisheye or pinhole"),
         ("name: front", "name: front\n    picture: 1", r"line 5: .*picture is 1; wanted 0 to 0"),
+        ("width: 400", "width: 40000000", r"a rig has pictures of .*; wanted pixels, 1 to 1e.06 along each side"),
         ("width: 400", "width: 40.5", r"line 2: .*width is '40.5'; wanted a whole number"),
         (", height: 200", "", r"line 2: .*lacks a side"),
         ("lenses:", "lens:", r"line 3: lens is no key here; did you mean lenses\?"),

@@ -93,7 +93,7 @@ class Loop:
       a source of odometry, or a function that opens one; None: the camera stands still.
     - `perception`: text for `eagor.load`, a perception, or any function that `eagor.Detector` takes. In real time it
       runs in a process of its own, which is killed and started anew if one look takes more than `patience` seconds. It
-      is started by spawning: a script needs ``if __name__ == "__main__":``. What cannot be sent there, such as a lambda,
+      is spawned: a script needs ``if __name__ == "__main__":``. What cannot be sent there, such as a lambda,
       works in this process, with a warning.
     - `sinks` see all that comes in and out. `record`: a new folder for a bag of all that happens
       (`eagor.live.recording`), with the `pictures` as "jpeg", "png" or "none".

@@ -21,7 +21,9 @@ from typing import Any, Self
 
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError, StorageError
+from eagor.media.panorama import in_order
 from eagor.media.ros_messages import (
+    CAMERA_INFO,
     COMPRESSED,
     IMAGE,
     IMU,
@@ -42,6 +44,7 @@ __all__ = [
 
 SUFFIXES = (".mcap", ".db3")
 PACKED = ("file", "message")  # how a recorder compresses beside what MCAP does itself
+ZSTANDARD = b"\x28\xb5\x2f\xfd"
 ROS_1, ROS_1_SUFFIX = b"#ROSBAG V", ".bag"
 PICTURES = (IMAGE, COMPRESSED)
 MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS, POSE_WITH_COVARIANCE, TRANSFORM)  # the best first
@@ -102,6 +105,8 @@ class Bag:
                 except Exception as error:  # as the libraries happen to meet the damage
                     raise FormatError(f"{file.path} is damaged ({error}); copy or record it again") from error
                 channel, stamp = wanted[number], nanos / NANO
+                if data[:4] == ZSTANDARD:  # as no message begins; metadata.yaml says it, where the folder is named
+                    raise FormatError(_packed(file.path.parent, "message"))
                 if number not in decode:
                     decode[number] = _decoder(self.path, channel)
                 try:
@@ -159,7 +164,7 @@ def _files(path: Path) -> Sequence[Path]:
             if not path.is_file():
                 raise OSError(ENOENT, "it is a pipe or a device" if path.exists() else "No such file or directory")
             return [path]
-        inside = sorted((file for file in path.iterdir() if file.suffix.lower() in SUFFIXES), key=_numbered)
+        inside = in_order([file for file in path.iterdir() if file.suffix.lower() in SUFFIXES])
         text = about.read_text("utf-8", "replace") if about.is_file() else ""
     except OSError as error:
         wanted = "give a ROS 2 bag: a folder, .mcap or .db3"
@@ -174,20 +179,22 @@ def _files(path: Path) -> Sequence[Path]:
         except Exception as error:  # the library's, or those of another shape
             raise FormatError(f"{about} is not that of a bag ({type(error).__name__}: {error})") from error
         if packed in PACKED:
-            to = f"rosbags-convert --src {path} --dst {path.name}-unpacked"
-            raise FormatError(f"{path} is compressed by {packed}; unpack it: {to}")
+            raise FormatError(_packed(path, packed))
         if missing := [file.name for file in named if not file.is_file()]:
             raise FormatError(f"{path} lacks {', '.join(missing)}, which {about.name} names; copy the whole folder")
         inside = named
     if not inside:
+        if any(path.glob("*.zstd")):
+            raise FormatError(
+                f"{path} is compressed by file, and lacks metadata.yaml; unpack it: zstd -d {path}/*.zstd"
+            )
         raise FormatError(f"{path} holds no bag: no metadata.yaml, no {' or '.join(SUFFIXES)} file")
     return inside
 
 
-def _numbered(path: Path) -> tuple[int, str]:
-    """Sorts name_2 before name_10."""
-    last = path.stem.rpartition("_")[2]
-    return (int(last) if last.isdigit() else 0, path.name)
+def _packed(folder: Path, how: str) -> str:
+    to = f"rosbags-convert --src {folder} --dst {folder.name}-unpacked"
+    return f"{folder} is compressed by {how}; unpack it: {to}"
 
 
 def _decoder(path: Path, channel: Any) -> Any:
@@ -209,6 +216,11 @@ def _decoder(path: Path, channel: Any) -> Any:
             types = get_types_from_msg(text, kind)
         if all(name in known.fielddefs and known.fielddefs[name][1] == about[1] for name, about in types.items()):
             return known.deserialize_cdr
+        for name, about in types.items() if kind in (*PICTURES, *MOTION, CAMERA_INFO) else ():
+            if lost := [
+                field for field, told in known.fielddefs.get(name, ((), ()))[1] if (field, told) not in about[1]
+            ]:
+                raise ValueError(f"it has not the {lost[0]} of ROS 2's {name}")
         own = get_typestore(Stores.EMPTY)
         own.register({name: about for name, about in types.items() if name not in own.fielddefs})
         return own.deserialize_cdr

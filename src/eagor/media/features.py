@@ -21,9 +21,9 @@ import numpy as np
 
 from eagor._extras import need
 from eagor._values import lazy
-from eagor.grids import PerspectiveGrid
+from eagor.grids import PerspectiveGrid, tangent_views
 from eagor.media.consensus import SPHERE
-from eagor.media.panorama import checked_picture, cut, tangent_views
+from eagor.media.panorama import checked_picture, cut
 
 FIELD = math.radians(100)  # of a view; six such views cover the sphere
 SIZE = 320  # pixels of a view

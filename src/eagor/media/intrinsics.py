@@ -12,7 +12,7 @@ it knows by what is in them:
 - OpenCV's FileStorage (YAML with its own first line, JSON, XML): ``image_width``, ``image_height``, ``camera_matrix``,
   ``distortion_coefficients``; ``fisheye_model: 1`` for the module fisheye.
 - Kalibr's camchain: ``cam0`` with ``camera_model``, ``intrinsics``, ``distortion_model``, ``distortion_coeffs``,
-  ``resolution``. Its extrinsics are not used.
+  ``resolution``; the same without ``cam0`` in EuRoC's sensor.yaml. Their extrinsics are not used.
 - COLMAP's ``cameras.txt``: CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS.
 - A rig of ours with one lens (`eagor.media.rigs`), also with its pose in the body.
 
@@ -249,7 +249,7 @@ SIZES = (("image_width", "image_height"), ("width", "height"))
 MATRICES = ("camera_matrix", "cameramatrix", "k", "mtx")
 COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "dist_coeff", "distcoeffs", "d", "dist")
 # Distortion models of ROS and Kalibr, and how many numbers each has at most.
-PLANE_MODELS = {"plumb_bob": 5, "rational_polynomial": 8, "radtan": 4, "none": 0, "": 8}
+PLANE_MODELS = {"plumb_bob": 5, "rational_polynomial": 8, "radtan": 4, "radial-tangential": 4, "none": 0, "": 8}
 ROUND_MODELS = {"equidistant": 4, "kannala_brandt": 4}
 KALIBR = re.compile(r"cam\d+")
 SQUARE = 0.01  # by which the two focal lengths of a fisheye may differ
@@ -268,22 +268,20 @@ def read_camera(path: str | os.PathLike[str]) -> Rig:
     try:
         entries = {key.lower(): value for key, value in root.mapping().items()}
         if "lenses" in entries:
-            return _only(read_rig(name), name)
-        lens, size = _kalibr(root, entries) if any(map(KALIBR.fullmatch, entries)) else _opencv(root, entries)
+            rig = read_rig(name)
+            if max(len(rig.lenses), len(rig.sizes)) > 1:
+                raise FormatError(
+                    f"{name} holds {len(rig.lenses)} lenses in {len(rig.sizes)} pictures; wanted one lens in one "
+                    "picture. For a camera with several lenses: --rig"
+                )
+            return rig
+        as_kalibr = "intrinsics" in entries or any(map(KALIBR.fullmatch, entries))
+        lens, size = (_kalibr if as_kalibr else _opencv)(root, entries)
+        return Rig((size,), (lens,))
     except FormatError as error:
         raise error if str(error).startswith(name) else FormatError(f"{name}, {error}") from error
     except EagorError as error:  # numbers that no lens has
         raise FormatError(f"{name}: {error}") from error
-    return Rig((size,), (lens,))
-
-
-def _only(rig: Rig, name: str) -> Rig:
-    if len(rig.lenses) > 1 or len(rig.sizes) > 1:
-        raise FormatError(
-            f"{name} holds {len(rig.lenses)} lenses in {len(rig.sizes)} pictures; wanted one lens in one picture. "
-            "For a camera with several lenses: --rig"
-        )
-    return rig
 
 
 # --- ROS and OpenCV ---
@@ -300,9 +298,11 @@ def _opencv(root: Place, entries: Mapping[str, Place]) -> tuple[Lens, tuple[int,
             "has no image_width and image_height; wanted the pixels of the pictures that it was calibrated with: add "
             "two lines, such as image_width: 1920"
         )
-    width, height = _size(entries[sides[0]], entries[sides[1]])
+    size = _size(entries[sides[0]], entries[sides[1]])
     k = _numbers(matrix, "9 numbers, row by row: fx 0 cx 0 fy cy 0 0 1", (9,))
-    fx, skew, cx, _, fy, cy = k[:6]
+    fx, skew, cx, zero, fy, cy = k[:6]
+    if (zero, *k[6:]) != (0, 0, 0, 1):
+        raise matrix.wrong(f"has the last row {k[6:]}; wanted 0 0 1. Is it written column by column?")
     if abs(skew) > 1e-6 * fx:
         raise matrix.wrong(f"has the skew {skew:g}; wanted 0: pixels with right angles")
     model = entries["distortion_model"].text().lower() if "distortion_model" in entries else ""
@@ -311,8 +311,7 @@ def _opencv(root: Place, entries: Mapping[str, Place]) -> tuple[Lens, tuple[int,
     values = () if place is None else _numbers(place, "up to 8 numbers", range(15))
     if fisheye and not model:
         model = "equidistant"
-    wrong = (place or matrix).wrong
-    return _lens(wrong, model, (width, height), (fx, fy), (cx + 0.5, cy + 0.5), values), (width, height)
+    return _lens((place or matrix).wrong, model, size, (fx, fy), (cx + 0.5, cy + 0.5), values), size
 
 
 def _first(entries: Mapping[str, Place], names: Sequence[str]) -> Place | None:
@@ -348,7 +347,7 @@ def _kalibr(root: Place, entries: Mapping[str, Place]) -> tuple[Lens, tuple[int,
     cameras = [name for name in entries if KALIBR.fullmatch(name)]
     if len(cameras) > 1:
         raise root.wrong(f"holds {len(cameras)} cameras, {', '.join(cameras)}; keep the one that took the pictures")
-    place = entries[cameras[0]]
+    place = entries[cameras[0]] if cameras else root
     fields = place.mapping()
     for key in ("camera_model", "intrinsics", "resolution"):
         if key not in fields:
@@ -361,7 +360,7 @@ def _kalibr(root: Place, entries: Mapping[str, Place]) -> tuple[Lens, tuple[int,
         raise fields["resolution"].wrong(f"has {len(sides)} members; wanted width and height, pixels")
     size = _size(*sides)
     model = fields["distortion_model"].text().lower() if "distortion_model" in fields else "none"
-    told = fields.get("distortion_coeffs")
+    told = fields.get("distortion_coeffs") or fields.get("distortion_coefficients")
     values = () if told is None else _numbers(told, "up to 4 numbers", range(5))
     return _lens((told or place).wrong, model, size, (fx, fy), (cx + 0.5, cy + 0.5), values), size
 
@@ -489,13 +488,13 @@ def _fisheye(
     size: tuple[int, int], focal: tuple[float, float], centre: tuple[float, float], polynomial: Sequence[float]
 ) -> FisheyeLens:
     """A fisheye up to the farthest corner of its picture, or as far as its curve rises."""
-    if abs(focal[0] / focal[1] - 1) > SQUARE:
+    if not min(focal) > 0 or abs(focal[0] / focal[1] - 1) > SQUARE:
         raise FormatError(f"the fisheye's focal lengths are {focal[0]:g} and {focal[1]:g}; wanted square pixels")
     mean = math.sqrt(focal[0] * focal[1])
     corner = max(math.dist(centre, (x, y)) for x in (0, size[0]) for y in (0, size[1]))
     angles = np.linspace(0, WIDEST / 2, STEEP)[1:]
-    powers = np.stack([angles ** (2 * k + 3) for k in range(len(polynomial))], axis=-1)
-    radii = mean * (angles + powers @ np.array(polynomial, dtype=float)) if len(polynomial) else mean * angles
-    rising = np.flatnonzero(np.diff(np.concatenate([[0.0], radii])) <= 0)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that no lens has
+        radii = mean * np.sum([k * angles ** (2 * n + 1) for n, k in enumerate((1.0, *polynomial))], axis=0)
+        rising = np.flatnonzero(np.diff(np.concatenate([[0.0], radii])) <= 0)
     last = float(radii[rising[0] - 1]) if rising.size and rising[0] > 0 else float(radii[-1])
     return FisheyeLens("camera", centre, mean, min(corner, 0.999 * last), tuple(polynomial))

@@ -67,7 +67,7 @@ GOPRO = (
 GPANO = "http://ns.google.com/photos/1.0/panorama/"
 GSPHERICAL = "http://ns.google.com/videos/1.0/spherical/"
 LARGEST = 1 << 29  # pixels of a sphere of which a picture is a part
-LONGEST_XMP = 1 << 22  # bytes
+LONGEST_XMP, LONGEST = 1 << 22, 100  # bytes of a packet, characters of a value: errors show them
 AREA = (
     "FullPanoWidthPixels", "FullPanoHeightPixels", "CroppedAreaImageWidthPixels", "CroppedAreaImageHeightPixels",
     "CroppedAreaLeftPixels", "CroppedAreaTopPixels",
@@ -427,5 +427,5 @@ def properties(xmp: bytes, namespace: str) -> dict[str, str]:
     found, prefix = {}, f"{{{namespace}}}"
     for element in root.iter():
         pairs = [*element.items(), (element.tag, element.text or "")]
-        found |= {name[len(prefix) :]: text.strip() for name, text in pairs if name.startswith(prefix)}
+        found |= {name[len(prefix) :]: text.strip()[:LONGEST] for name, text in pairs if name.startswith(prefix)}
     return found

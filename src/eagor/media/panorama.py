@@ -4,8 +4,8 @@ Images are ``(H, W)`` or ``(H, W, C)`` arrays in the layout of `eagor.sphere`: t
 grow to the right. A photograph has no depth, so the camera can turn in it, but not move. `read_photograph` also tells
 what a file says of itself (Photo Sphere XMP Metadata, "GPano").
 
-`tangent_views` says where ordinary pictures look so that they cover the sphere, `cut` what they show. Detectors and
-models know such pictures better than panoramas, and none of them has a seam.
+`cut` gives what ordinary pictures show of a panorama (`eagor.grids.tangent_views`: so that they cover the sphere).
+Detectors and models know such pictures better than panoramas, and none of them has a seam.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from eagor._checks import is_twice_as_wide
 from eagor._extras import need
 from eagor._srgb import to_coded
-from eagor.errors import GridError, ImageError, MissingExtraError
+from eagor.errors import ImageError, MissingExtraError
 from eagor.grids import ErpGrid, Grid, PerspectiveGrid, ViewKey, forward_view, view_key
 from eagor.media.metadata import GPANO, Projection, of_photograph, properties
-from eagor.sphere import check_rotation, direction, world_R_body
+from eagor.sphere import check_rotation
 
 # Pillow starts no other program for any of these; AVIF since its version 11.3.
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", *(("AVIF",) if find_spec("PIL.AvifImagePlugin") else ()))
@@ -272,8 +272,12 @@ def _sample(image: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """`image` read bilinearly at `directions` ``(..., 3)``, around the seam and over the poles."""
     height, width = image.shape[:2]
     x, y, _ = ErpGrid(height, width).project(directions)
+    exact = image.dtype.itemsize <= 2 or image.dtype == np.float32  # float32 holds the values
+    rows = image.astype(np.float32 if exact else np.float64)
     # Beyond a pole the image continues half a turn away: one such row is added above and one below.
-    rows = np.concatenate([_half_turn(image[:1]), image.astype(_working(image)), _half_turn(image[-1:])])
+    above, below = (sum(np.roll(row, half, axis=1) for half in (width // 2, width - width // 2)) / 2
+                    for row in (rows[:1], rows[-1:]))  # fmt: skip
+    rows = np.concatenate([above, rows, below])
     u, v = x - 0.5, np.clip(y, 0, height) + 0.5
     left, top = np.floor(u).astype(np.intp), np.clip(np.floor(v).astype(np.intp), 0, height)
     channels = (1,) * (image.ndim - 2)
@@ -283,21 +287,7 @@ def _sample(image: np.ndarray, directions: np.ndarray) -> np.ndarray:
     upper = rows[top, left] * (1 - right_share) + rows[top, right] * right_share
     lower = rows[top + 1, left] * (1 - right_share) + rows[top + 1, right] * right_share
     values = upper * (1 - lower_share) + lower * lower_share
-    if image.dtype.kind in "ui":
-        return np.rint(values).astype(image.dtype)
-    return values.astype(image.dtype)
-
-
-def _working(image: np.ndarray) -> np.dtype:
-    """The floating type to interpolate in: float32 where that holds the values, float64 otherwise."""
-    return np.dtype(np.float32 if image.dtype.itemsize <= 2 or image.dtype == np.float32 else np.float64)
-
-
-def _half_turn(row: np.ndarray) -> np.ndarray:
-    """One row ``(1, W, ...)`` as seen half a turn further; the mean of two columns if W is odd."""
-    row = row.astype(_working(row))
-    width = row.shape[1]
-    return (np.roll(row, width // 2, axis=1) + np.roll(row, width - width // 2, axis=1)) / 2
+    return (np.rint(values) if image.dtype.kind in "ui" else values).astype(image.dtype)
 
 
 # --- sizes ---
@@ -384,9 +374,10 @@ def in_order(paths: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(sorted(paths, key=lambda path: (natural(path.name), str(path))))
 
 
-def natural(name: str) -> list[tuple[int, str | int]]:
+def natural(name: str) -> list[tuple[int, int, str]]:
     """A key to sort names by, numbers in them by value."""
-    return [(0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
+    parts = enumerate(re.split(r"0*([0-9]+)", name))  # every other one is a number
+    return [(0, len(part), part) if at % 2 else (1, 0, part) for at, part in parts if part]
 
 
 def read_photograph(path: str | os.PathLike[str], warn: bool = True, force: bool = False) -> Picture:
@@ -461,91 +452,6 @@ def _xmp(image: Image.Image) -> bytes:
 
 
 # --- ordinary pictures cut from a panorama ---
-
-
-OVERLAP = math.radians(10)
-_ROUNDING = 1e-6  # radians, or views: what neighbours that touch exactly may miss by
-
-
-def tangent_views(
-    size: int, hfov: float = math.radians(100), overlap: float = OVERLAP, reach: float = math.pi / 2
-) -> tuple[PerspectiveGrid, ...]:
-    """Square views of `size` pixels and field `hfov` that cover all directions up to elevation +-`reach` (radians).
-
-    Views narrower by `overlap` would still cover them, so that `lift` with half of it as margin covers each direction
-    fully. The views stand in rings at even elevations (one view at each pole), the first of each ring
-    towards azimuth 0; of such layouts the one with the fewest views is taken: 6, as a cube, for 100 degrees with
-    10 of overlap. Raises `GridError` if the views are too narrow for the overlap, or wider than a plane can show.
-    """
-    check_fields(hfov, overlap, reach)
-    poses = _poses(round((hfov - overlap) / 2, 9), round(reach, 9))
-    return tuple(PerspectiveGrid(size, size, hfov, world_R_body(yaw, -pitch)) for yaw, pitch in poses)
-
-
-def check_fields(hfov: float, overlap: float, reach: float) -> None:
-    """Raise `GridError` where `tangent_views` would, for these angles (radians)."""
-    least = math.radians(30) - 1e-9  # 40 degrees less 10 are 30, whatever is rounded on the way to radians
-    if not (0 <= overlap < hfov <= math.radians(150) and hfov - overlap >= least and 0 < reach <= math.pi / 2):
-        raise GridError(
-            f"views of {math.degrees(hfov):g} degrees with {math.degrees(overlap):g} of overlap up to elevation "
-            f"{math.degrees(reach):g}; wanted fields up to 150, at least 30 wider than the overlap, and 0 < reach <= 90"
-        )
-
-
-@lru_cache(maxsize=16)
-def _poses(inner: float, reach: float) -> tuple[tuple[float, float], ...]:
-    """(yaw left, pitch up) of the fewest views of half-angle `inner` that cover the sphere up to `reach`."""
-    # Rings at the poles only where they are to be seen; a single ring may do for a narrow band.
-    fewest = math.ceil(math.pi / (2 * inner) - _ROUNDING) + 1
-    layouts = [np.linspace(-math.pi / 2, math.pi / 2, rings) for rings in range(max(fewest, 3), fewest + 4)]
-    fewest = math.ceil(reach / inner - _ROUNDING)
-    layouts += [np.linspace(-1, 1, rings) * max(reach - inner, 0.0) for rings in range(max(fewest, 2), fewest + 4)]
-    layouts += [np.zeros(1)]
-    tests = [_points(reach, inner / per) for per in (4, 12, 40)]  # most layouts fail a coarse one already
-    best: tuple[tuple[float, float], ...] = ()
-    for rings in layouts:
-        for around in range(math.ceil(math.pi / inner - _ROUNDING), 4 * math.ceil(math.pi / inner)):
-            poses = _ring_poses(rings, around)
-            if best and len(poses) >= len(best):
-                break
-            if all(_covered(points, poses, inner) for points in tests):
-                best = poses
-                break
-    return best
-
-
-def _points(reach: float, spacing: float) -> np.ndarray:
-    """Directions ``(n, 3)`` every `spacing` radians from the equator up to `reach`: the layouts are symmetric."""
-    elevations = np.linspace(0, reach, math.ceil(reach / spacing) + 1)
-    azimuths = np.arange(math.ceil(2 * math.pi / spacing)) * (2 * math.pi / math.ceil(2 * math.pi / spacing))
-    return direction(*np.meshgrid(azimuths, elevations)).reshape(-1, 3)
-
-
-def _ring_poses(rings: np.ndarray, around: int) -> tuple[tuple[float, float], ...]:
-    poses = []
-    for pitch in sorted(rings.tolist(), key=abs):
-        count = 1 if math.cos(pitch) < 1e-9 else max(3, math.ceil(around * math.cos(pitch) - 1e-9))
-        poses += [(2 * math.pi * index / count, pitch) for index in range(count)]
-    return tuple(poses)
-
-
-def _covered(points: np.ndarray, poses: Sequence[tuple[float, float]], inner: float) -> bool:
-    """Whether each of `points` ``(n, 3)`` lies at least within the inner field of one view."""
-    left = points
-    for yaw, pitch in poses:
-        left = left[depth_inside(left @ world_R_body(yaw, -pitch), inner, inner) < -_ROUNDING]
-        if len(left) == 0:
-            return True
-    return False
-
-
-def depth_inside(rays: np.ndarray, half_width: float, half_height: float) -> np.ndarray:
-    """How much narrower (radians, on each side) a view could be and still show directions ``(..., 3)``.
-
-    They are in the view's own frame; negative outside.
-    """
-    x, y, z = rays[..., 0], np.abs(rays[..., 1]), np.abs(rays[..., 2])
-    return np.minimum(half_width - np.arctan2(y, x), half_height - np.arctan2(z, x))
 
 
 def cut(panorama: np.ndarray, *views: PerspectiveGrid) -> list[np.ndarray]:

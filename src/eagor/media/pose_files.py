@@ -28,11 +28,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from eagor._checks import LATEST, checked_stamp
 from eagor._files import read_file
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
 from eagor.media import Pose
-from eagor.media.pose_forms import Placed, Table, base_name, colmap, nerfstudio, table_of
+from eagor.media.pose_forms import MUCH, Placed, Table, base_name, colmap, nerfstudio, table_of
 from eagor.sphere import world_R_body
 from eagor.tracking.poses import FARTHEST, PoseHistory
 
@@ -173,9 +174,9 @@ def _at_once(table: Table) -> tuple[FramePose, ...] | None:
         for columns in (("stamp",), QUATERNION if "qw" in names else ANGLES, POSITION)
     )
     stamps = stamps / table.unit
-    lengths = np.linalg.norm(turns, axis=1) if "qw" in names else np.ones(1)
-    if not all(np.isfinite(part).all() for part in (stamps, turns, places)):
+    if not all((np.abs(part) < MUCH).all() for part in (turns, places)) or not (np.abs(stamps) <= LATEST).all():
         return None
+    lengths = np.linalg.norm(turns, axis=1) if "qw" in names else np.ones(1)
     if (np.abs(lengths - 1) > _NORM_TOLERANCE).any() or (np.diff(stamps[:, 0]) <= 0).any():
         return None
     if "qw" in names:
@@ -322,7 +323,8 @@ def _pose(table: Table, fields: Sequence[str]) -> FramePose:
     else:
         matrix = world_R_body(*(math.radians(_number(row, n) * table.degree) for n in ANGLES))
     position = np.array([_number(row, n) for n in POSITION]) if "x" in row else None
-    return FramePose(_number(row, "stamp") / table.unit, matrix, position, row.get("frame") or None)
+    stamp = checked_stamp(_number(row, "stamp") / table.unit)
+    return FramePose(stamp, matrix, position, row.get("frame") or None)
 
 
 def _from_quaternion(wxyz: Sequence[float]) -> np.ndarray:

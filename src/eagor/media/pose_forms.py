@@ -26,13 +26,13 @@ from eagor.errors import EagorError, FormatError
 from eagor.media.panorama import natural
 from eagor.media.times import UNITS, times_of, unit_of
 
-__all__ = ["Placed", "Table", "base_name", "colmap", "nerfstudio", "table_of"]
+__all__ = ["MUCH", "Placed", "Table", "base_name", "colmap", "nerfstudio", "table_of"]
 
 # Columns as others call them, in small letters and without units in brackets; our own names count first.
-_POSITION = r"(?:t|p_rs_r_|p_|pos_|pos\.|position_|position\.|.*position\.)"
-_TURN = r"(?:q_rs_|q_|quat_|orientation_|orientation\.|.*orientation\.)"
+_POSITION = r"(?:t|p_rs_r_|p_|pos_|pos\.|position_|(?:.*[./])?position[./])"
+_TURN = r"(?:q_rs_|q_|quat_|orientation_|(?:.*[./])?orientation[./])"
 ALIASES = {
-    "stamp": re.compile(r"(?:stamp|timestamp|time|t)(?:_(?P<unit>s|sec|ms|msec|us|usec|ns|nsec))?"),
+    "stamp": re.compile(r"(?:__|%)?(?:stamp|timestamp|time|t)(?:_(?P<unit>s|sec|ms|msec|us|usec|ns|nsec))?"),
     **{axis: re.compile(rf"{_POSITION}{axis}") for axis in "xyz"},
     **{f"q{axis}": re.compile(rf"{_TURN}{axis}") for axis in "wxyz"},
     **{f"{angle}_deg": re.compile(rf"{angle}_rad") for angle in ("yaw", "pitch", "roll")},
@@ -40,6 +40,7 @@ ALIASES = {
 TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 EUROC = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 EUROC_COLUMNS = 17  # with velocities and biases
+MUCH = 1e100  # of anything: products of more have no end
 _UNIT = re.compile(r"[\[(]\s*(\w*)[^\])]*[\])]\s*$")
 
 
@@ -178,12 +179,12 @@ def colmap(text: str) -> Placed | None:
         return None
     try:
         table = np.array([[float(field) for field in row[1:8]] for row in rows])
+        if not (np.abs(table) < MUCH).all():
+            raise ValueError("a number without end")
         turns = np.swapaxes(rotation_from_wxyz(table[:, :4]), -1, -2)
     except (ValueError, EagorError) as error:
-        raise FormatError(f"COLMAP's images.txt has a line that cannot be: {error}") from error
+        raise FormatError(f"COLMAP's images.txt has a line that cannot be: {str(error)[:300]}") from error
     places = -np.einsum("nij,nj->ni", turns, table[:, 4:])
-    if not np.isfinite(places).all():
-        raise FormatError("COLMAP's images.txt has a position without end")
     return _placed([row[9].strip() for row in rows], turns, places, "optical", "COLMAP's images.txt")
 
 
@@ -195,12 +196,12 @@ def nerfstudio(text: str) -> Placed:
         matrices = np.array([frame["transform_matrix"] for frame in found["frames"]], dtype=np.float64)
         if matrices.ndim != 3 or matrices.shape[1] not in (3, 4) or matrices.shape[2] != 4:
             raise ValueError(f"the matrices have the shape {matrices.shape}")
+        if not (np.abs(matrices) < MUCH).all():  # of some, no decomposition ends
+            raise ValueError("a matrix has a number without end")
         turns, places = matrices[:, :3, :3], matrices[:, :3, 3]
         left, lengths, right = np.linalg.svd(turns)
         turns = left @ right
-        if not (
-            np.isfinite(matrices).all() and np.allclose(lengths, 1, atol=0.01) and (np.linalg.det(turns) > 0).all()
-        ):
+        if not (np.allclose(lengths, 1, atol=0.01) and (np.linalg.det(turns) > 0).all()):
             raise ValueError("a matrix is no rotation")
     except (ValueError, TypeError, KeyError, OverflowError, np.linalg.LinAlgError) as error:
         raise FormatError(

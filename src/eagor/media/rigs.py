@@ -46,11 +46,12 @@ from xml.parsers.expat import ExpatError, ParserCreate
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from eagor._checks import shown
 from eagor._extras import need
 from eagor._files import read_file, written
 from eagor.conventions import OPTICAL_R_BODY, is_optical, rotation_from_wxyz
 from eagor.errors import EagorError, FormatError, GridError, ImageError
-from eagor.lenses import FisheyeLens, Lens, PinholeLens
+from eagor.lenses import MOST, FisheyeLens, Lens, PinholeLens
 from eagor.sphere import world_R_body
 
 __all__ = ["Place", "Rig", "dual_fisheye", "read_rig", "read_yaml", "sizes_of", "write_rig"]
@@ -80,6 +81,8 @@ class Rig:
     def __post_init__(self) -> None:
         if not self.lenses or not self.sizes:
             raise GridError("a rig needs at least one lens and one picture")
+        if not all(0 < side <= MOST for size in self.sizes for side in size):
+            raise GridError(f"a rig has pictures of {shown(self.sizes)}; wanted pixels, 1 to {MOST:g} along each side")
         for lens in self.lenses:
             if not 0 <= lens.picture < len(self.sizes):
                 raise GridError(

@@ -327,7 +327,7 @@ def pose_of(received: Any) -> Pose:
 def rotation_of(q: Any) -> np.ndarray:
     """The rotation ``(3, 3)`` of a geometry_msgs/Quaternion. Raises `PoseError` unless its length is 1."""
     values = np.array([q.x, q.y, q.z, q.w], dtype=np.float64)
-    length = float(np.linalg.norm(values))
+    length = math.hypot(*values)
     if not abs(length - 1) <= _NORM:
         raise PoseError(
             f"a quaternion x, y, z, w = {values.tolist()} has the length {length:.3g}, wanted 1: is it unset?"

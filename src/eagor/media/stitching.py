@@ -26,6 +26,8 @@ RIM = 1.5  # pixels along the rim that are left out: interpolation would mix the
 PAD = 8  # columns, and rows over the poles, that are added around a panorama before it is sampled
 STRIP = 1024  # width of the tables of the overlap; OpenCV takes sides below 32768
 
+MOST_ROWS = 1 << 14  # of a panorama: the directions of its pixels take 13 GB
+
 MAKE = "Give its lenses with --rig FILE.yaml (eagor camera calibrate makes one)"
 
 
@@ -55,8 +57,8 @@ class Stitcher:
     def __init__(self, rig: Rig, rows: int | None = None) -> None:
         need("stitching pictures of lenses", "photos", "cv2")
         rows = rig.rows if rows is None else rows
-        if rows < 2:
-            raise ImageError(f"rows = {rows}; wanted at least 2")
+        if not 2 <= rows <= MOST_ROWS:
+            raise ImageError(f"rows = {rows}; wanted 2 to {MOST_ROWS}: is a lens' focal length or radius too large?")
         self.grid = ErpGrid(rows, 2 * rows)
         self.rig = rig.scaled(min(1.0, rows / rig.rows))
         self._offsets = np.cumsum([0, *(width for width, _ in self.rig.sizes)])

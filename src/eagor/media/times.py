@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from eagor._checks import LATEST
+
 __all__ = ["UNITS", "times_of", "unit_of"]
 
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e3, "msec": 1e3, "us": 1e6, "usec": 1e6, "ns": 1e9, "nsec": 1e9}  # in a second
@@ -28,5 +30,7 @@ def times_of(names: Sequence[str]) -> list[float] | None:
         if found and all(found):
             parts = [each.groups() for each in found if each is not None]
             whole = [float(first) / (1.0 if "." in first else unit_of(float(first))) for first, *_ in parts]
+            if max(whole) > LATEST:
+                return None
             return [at + sum(float(f"0.{part}") for part in more) for at, (_, *more) in zip(whole, parts, strict=True)]
     return None

@@ -29,7 +29,8 @@ from eagor.media.posed_frames import PosedFrame
 from eagor.perception import NoEvidenceError, Perception
 from eagor.perception.records import Footage
 from eagor.perception.replay import ReplayPerception, look_if_recorded
-from eagor.perception.views import Seen, Views
+from eagor.perception.things import Seen
+from eagor.perception.views import Views
 from eagor.tracking import DirectionTracker, Estimate, ThingSeen, TrackerConfig
 from eagor.tracking.follower import Follower
 

@@ -24,7 +24,7 @@ from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
 from eagor.lenses import PinholeLens
 from eagor.media.pose_files import FramePose
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
-from eagor.perception.views import Boxes, Seen, combined
+from eagor.perception.things import Boxes, Seen, combined, labels_of
 from eagor.perception.words import fitting, plain, same_name
 from eagor.sphere import direction, world_R_body
 
@@ -230,7 +230,8 @@ class Record:
         if self.kind == "views":
             if self.query is None and wanted is None and among:
                 wanted = fitting(query, among)
-            return combined(self.views, query, wanted, detector, self.stamp)
+            fit = fitting(query, labels_of(each.boxes for each in self.views), wanted)
+            return combined(self.views, fit, detector, self.stamp)
         if self.kind == "response" and self.grid is not None:
             return Evidence.from_response(self.values, self.grid, calibration=calibration, stamp=self.stamp)
         own = [label for label in self.labels if label is not None]

@@ -9,17 +9,18 @@ length. Extended things are the connected regions of a response map.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from eagor._values import lazy
+from eagor.errors import ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
-from eagor.evidence.shapes import box_samples, moments_of
+from eagor.evidence.shapes import WHOLE_SPHERE, box_samples, moments_of
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
 from eagor.sphere import unit
 
@@ -27,6 +28,22 @@ BORDER = 0.01  # of a view's side
 SAME = 0.5  # of the smaller box, where both views look: with more in common, two boxes are of one thing
 # The visible part of a thing that is cut at a random place is on average (in the median) half of it.
 HIDDEN = 1.0  # of the visible length: by how much a thing goes on behind an open side
+BEYOND = 0.1  # of the picture: a box that lies farther outside is in the pixels of another one
+
+
+class Boxes(NamedTuple):
+    """Boxes ``(n, 4)`` x0, y0, x1, y1 in pixels, scores ``(n,)`` in [0, 1], and n labels, or None where none came."""
+
+    boxes: np.ndarray
+    scores: np.ndarray
+    labels: list[str] | None = None
+
+
+class Seen(NamedTuple):
+    """What a detector found in one view, before a query chooses: the view, and boxes in its pixels."""
+
+    grid: PerspectiveGrid
+    boxes: Boxes
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,3 +283,40 @@ def blurred(cells: np.ndarray, wrap: bool = True) -> np.ndarray:
     across = (wide[..., :-2] + 2 * cells + wide[..., 2:]) / 4
     tall = np.pad(across, [*flat, (1, 1), (0, 0)], mode="edge")
     return (tall[..., :-2, :] + 2 * across + tall[..., 2:, :]) / 4
+
+
+# --- what a detector found, and a query chooses of it ---
+
+
+def combined(
+    seen: Sequence[Seen], fit: Collection[str], detector: DetectorModel | None = None, stamp: float | None = None
+) -> Evidence:
+    """The evidence of a look from what was `seen` in its views: one view, or several that cover the whole sphere.
+
+    `fit`: the labels that count (`eagor.perception.words.fitting`).
+    """
+    pieces = [piece for number, each in enumerate(seen) for piece in pieces_of(number, *each, fit)]
+    view = View(seen[0].grid if len(seen) == 1 else WHOLE_SPHERE)
+    return spread_evidence(things(pieces), detector or DetectorModel(), view, stamp)
+
+
+def pieces_of(number: int, grid: PerspectiveGrid, seen: Boxes, fit: Collection[str]) -> Iterator[ViewBox]:
+    """The boxes of view `number` whose labels `fit`."""
+    boxes, scores, labels = seen
+    size = np.array([grid.width, grid.height] * 2, dtype=np.float64)
+    for box, score, label in zip(boxes, scores, labels or [None] * len(boxes), strict=True):
+        if label is not None and label not in fit:
+            continue
+        inside = np.clip(box, 0, size)
+        if np.abs(inside - box).reshape(2, 2).min(axis=0).max() > BEYOND * size.max():
+            raise ResponseError(
+                f"the box {np.round(box, 1).tolist()} lies outside of the {grid.width} x {grid.height} picture; wanted "
+                "its pixels: if the detector resizes pictures, scale its boxes back"
+            )
+        if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
+            yield ViewBox(number, grid, inside, float(score))
+
+
+def labels_of(seen: Iterable[Boxes]) -> set[str]:
+    """The labels in the views of a look."""
+    return {label for boxes in seen for label in boxes.labels or ()}

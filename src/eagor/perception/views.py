@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +25,10 @@ from eagor._checks import shown, warn_unless_whole, within
 from eagor.errors import EagorError, GridError, ImageError, QueryError, ResponseError
 from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE, are_fractions
-from eagor.grids import PerspectiveGrid
-from eagor.media.panorama import checked_picture, cut, tangent_views
+from eagor.grids import PerspectiveGrid, tangent_views
+from eagor.media.panorama import checked_picture, cut
 from eagor.perception.colour import colour_in, share_of
-from eagor.perception.things import Thing, ViewBox, spread_evidence, things
+from eagor.perception.things import Boxes, Seen, Thing, ViewBox, labels_of, pieces_of, spread_evidence, things
 from eagor.perception.words import fitting, meant, same_name
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 from eagor.tracking import Around
@@ -39,13 +39,6 @@ COLOURED = 0.25
 
 Detect = Callable[[np.ndarray, str], Any]
 Shown = list[tuple[PerspectiveGrid, np.ndarray]]  # pictures of one moment
-
-
-class Seen(NamedTuple):
-    """What a detector found in one view, before a query chooses: the view, and boxes in its pixels."""
-
-    grid: PerspectiveGrid
-    boxes: Boxes
 
 
 class Views:
@@ -175,15 +168,15 @@ class Views:
     def _meant(self, shown: Shown, seen: Sequence[Boxes], query: str, wanted: Sequence[str] | None) -> list[Thing]:
         """What was `seen` in what was `shown` that `query` means, one `Thing` each."""
         pieces: list[ViewBox] = []
-        fit = _fitting(seen, query, wanted)
+        fit = fitting(query, labels_of(seen), wanted)
         self._name_strangers(seen, query, fit)
         for number, ((grid, picture), boxes) in enumerate(zip(shown, seen, strict=True)):
-            pieces += self._weighed(_pieces(number, grid, boxes, fit), picture, query)
+            pieces += self._weighed(pieces_of(number, grid, boxes, fit), picture, query)
         return things(pieces)
 
     def _name_strangers(self, seen: Sequence[Boxes], query: str, fit: Collection[str]) -> None:
         """Warn, once for each query, of labels that say nothing of it: nobody looked in vain."""
-        strangers = {label for label in _labels(seen) if not same_name(label, self.classes or ())}
+        strangers = {label for label in labels_of(seen) if not same_name(label, self.classes or ())}
         if not strangers or query in self._settled or (fit and self.classes is None):
             self._settled.update([query] if fit else [])
             return
@@ -245,50 +238,6 @@ class Views:
         return None if self.classes is None else meant(query, self.classes, coloured=True)
 
 
-def combined(
-    seen: Sequence[Seen],
-    query: str,
-    wanted: Collection[str] | None = None,
-    detector: DetectorModel | None = None,
-    stamp: float | None = None,
-) -> Evidence:
-    """The evidence of a look from what was `seen` in its views: one view, or several that cover the whole sphere.
-
-    `wanted`: the classes that `query` means; None: the query itself decides about labels, of an open vocabulary.
-    """
-    fit = _fitting([each.boxes for each in seen], query, wanted)
-    pieces = [piece for number, each in enumerate(seen) for piece in _pieces(number, *each, fit)]
-    view = View(seen[0].grid if len(seen) == 1 else WHOLE_SPHERE)
-    return spread_evidence(things(pieces), detector or DetectorModel(), view, stamp)
-
-
-def _pieces(number: int, grid: PerspectiveGrid, seen: Boxes, fit: Collection[str]) -> Iterator[ViewBox]:
-    """The boxes of view `number` whose labels `fit`."""
-    boxes, scores, labels = seen
-    size = np.array([grid.width, grid.height] * 2, dtype=np.float64)
-    for box, score, label in zip(boxes, scores, labels or [None] * len(boxes), strict=True):
-        if label is not None and label not in fit:
-            continue
-        inside = np.clip(box, 0, size)
-        if np.abs(inside - box).reshape(2, 2).min(axis=0).max() > BEYOND * size.max():
-            raise ResponseError(
-                f"the box {np.round(box, 1).tolist()} lies outside of the {grid.width} x {grid.height} picture; wanted "
-                "its pixels: if the detector resizes pictures, scale its boxes back"
-            )
-        if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
-            yield ViewBox(number, grid, inside, float(score))
-
-
-def _labels(seen: Iterable[Boxes]) -> set[str]:
-    return {label for boxes in seen for label in boxes.labels or ()}
-
-
-def _fitting(seen: Iterable[Boxes], query: str, wanted: Collection[str] | None) -> Collection[str]:
-    """The labels of a look that are among the `wanted` classes; of an open vocabulary, those that fit the query."""
-    labels = _labels(seen)
-    return fitting(query, labels) if wanted is None else {label for label in labels if same_name(label, wanted)}
-
-
 @lru_cache(maxsize=16)
 def _layout(size: int, hfov: float, count: int) -> tuple[PerspectiveGrid, ...]:
     """At most `count` views of `hfov` degrees that cover the sphere and overlap as far as they can."""
@@ -306,7 +255,6 @@ def _layout(size: int, hfov: float, count: int) -> tuple[PerspectiveGrid, ...]:
 
 # --- what detectors return --------------------------------------------------------------------------------------------
 
-BEYOND = 0.1  # of the picture: a box that lies farther outside is in the pixels of another one
 _SLACK = 1e-6  # by which rounding may take a probability out of [0, 1]
 
 Names = Sequence[str] | Mapping[int, str]
@@ -315,14 +263,6 @@ WANTED = (
     "boxes, scores, labels; MediaPipe's results; an SSD blob (1, 1, n, 7); a list of dictionaries with bbox (x, y, w, "
     "h) or box"
 )
-
-
-class Boxes(NamedTuple):
-    """Boxes ``(n, 4)`` x0, y0, x1, y1 in pixels, scores ``(n,)`` in [0, 1], and n labels, or None where none came."""
-
-    boxes: np.ndarray
-    scores: np.ndarray
-    labels: list[str] | None = None
 
 
 def boxes_of(found: Any, names: Names | None = None, shape: Sequence[int] | None = None) -> Boxes:
@@ -335,7 +275,7 @@ def boxes_of(found: Any, names: Names | None = None, shape: Sequence[int] | None
     else, boxes with x0 > x1 or y0 > y1, numbers that are not finite, lengths that differ, fractions where pixels were
     wanted, scores outside [0, 1], and numbers of classes without names.
     """
-    if isinstance(found, Sequence) and len(found) == 1 and _reader(found[0]) and not isinstance(found[0], Mapping):
+    if isinstance(found, Sequence) and len(found) == 1 and _reader(found[0]):
         found = found[0]  # a batch of one
     read = _reader(found)
     if read is None:
@@ -480,18 +420,12 @@ def _blob(found: Any, shape: Sequence[int] | None) -> _Read:
 
 
 def _records(found: Sequence[Mapping[str, Any]], _: Any) -> _Read:
-    boxes, scores, labels = [], [], []
-    for each in found:
-        boxes.append(_box(each))
-        scores.append(each["confidence" if "confidence" in each else "score"])
-        labels.append(
-            next((each[key] for key in ("label", "category", "name", "class", "category_id") if key in each), None)
-        )
-    if any(label is None for label in labels):
-        if not all(label is None for label in labels):
-            raise ResponseError("some dictionaries came with a label, some without; wanted all or none")
-        return boxes, scores, None, None
-    return boxes, scores, labels, None
+    keys = ("label", "category", "name", "class", "category_id")
+    labels = [next((each[key] for key in keys if key in each), None) for each in found]
+    if None in labels and any(label is not None for label in labels):
+        raise ResponseError("some dictionaries came with a label, some without; wanted all or none")
+    scores = [each["confidence" if "confidence" in each else "score"] for each in found]
+    return [_box(each) for each in found], scores, None if None in labels else labels, None
 
 
 def _box(record: Mapping[str, Any]) -> list[float]:
@@ -531,6 +465,4 @@ def _reader(found: Any) -> Callable[[Any, Sequence[int] | None], _Read] | None:
         return None
     if all(isinstance(each, Mapping) and ("bbox" in each or "box" in each) for each in found):
         return _records
-    if len(found) == 1 and isinstance(found[0], Mapping):
-        return (lambda batch, shape: _mapping(batch[0], shape)) if _reader(found[0]) else None
     return _plain if len(found) in (2, 3) and not isinstance(found[0], Mapping | str) else None

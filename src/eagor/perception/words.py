@@ -102,8 +102,10 @@ def _looked_up(asked: tuple[str, ...], classes: tuple[str, ...]) -> tuple[tuple[
     return _found(noun, classes), noun, left_out
 
 
-def fitting(query: str, labels: Iterable[str]) -> frozenset[str]:
+def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = None) -> frozenset[str]:
     """Those of `labels` that may be what `query` asks for: the one rule for detectors that take any words.
+
+    `wanted`: the classes that the query means, of a detector that has some: the labels that name these.
 
     Articles, prompts ("a photo of a chair"), plurals and signs do not matter. A label that is the query itself wins.
     Otherwise a label fits that names the query's thing, by another name, or more widely or narrowly, too ("fridge" and
@@ -111,6 +113,8 @@ def fitting(query: str, labels: Iterable[str]) -> frozenset[str]:
     "red chair", "blue chair" does not. What follows a preposition is left out: "the chair by the table" is no table. A
     label without words says nothing against its box, and fits.
     """
+    if wanted is not None:
+        return frozenset(label for label in labels if same_name(label, wanted))
     asked, known = _bare(query), {label: _bare(label) for label in labels}
     noun, colours = " ".join(_noun(asked)[0]), _colours(asked)
     exact = any(_same(words, asked) for words in known.values())

@@ -26,8 +26,8 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import WHOLE_SPHERE, canvas_of
-from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.media.panorama import check_fields, checked_picture, cut, resized, tangent_views
+from eagor.grids import Grid, PatchGrid, PerspectiveGrid, check_fields, tangent_views
+from eagor.media.panorama import checked_picture, cut, resized
 from eagor.perception.endpoint.addresses import shown_address
 from eagor.perception.endpoint.client import Answer, Picture, Request, question
 from eagor.perception.endpoint.server import Asker, Server, named

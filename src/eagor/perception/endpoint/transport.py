@@ -142,7 +142,7 @@ def _honest(status: int, body: bytes) -> tuple[int, bytes]:
     if not error:
         return status, body
     codes = [error.get(key) for key in ("code", "status")] if isinstance(error, dict) else []
-    numbers = [int(code) for code in map(str, codes) if code.isdecimal() and 400 <= int(code) < 600]
+    numbers = [int(code) for code in map(str, codes) if re.fullmatch("[45][0-9]{2}", code)]
     guess = 429 if re.search(r"rate.?limit|too many requests", str(error).lower()) else 500
     if UNFIT in codes:
         guess = 400

@@ -21,8 +21,8 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import WHOLE_SPHERE
-from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.media.panorama import checked_picture, cut, resized, tangent_views
+from eagor.grids import Grid, PatchGrid, PerspectiveGrid, tangent_views
+from eagor.media.panorama import checked_picture, cut, resized
 from eagor.perception.vlm import (
     MAX_TOKENS,
     Account,

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Literal
 
 from eagor.errors import AnswerError
-from eagor.perception.vlm.lenient import Node, values
+from eagor.perception.vlm.lenient import Node, share, values
 
 __all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "without_thoughts"]
 
@@ -43,6 +43,8 @@ _GENERIC = {
 }
 _CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1 y1 x2 y2", "left top right bottom")
 _SIDES = ("x y width height", "x y w h", "left top width height")
+_OPPOSITE = (("top_left", "bottom_right"), ("topleft", "bottomright"), ("upper_left", "lower_right"), ("min", "max"))
+_WIDE = str.maketrans("（）［］｛｝，：；％", "()[]{},:;%")  # as Chinese and Japanese texts have them
 _WORDS_OF = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _ABSENT = re.compile("|".join(line for each in _WORDS_OF["absent"].values() for line in each.strip().splitlines()))
 # Marks of thoughts; some chat templates open them themselves, so that the answer only closes them.
@@ -133,7 +135,7 @@ def parse_boxes(
 
 def spoken(text: str) -> str:
     """`text` without thoughts. Raises `AnswerError` if it is far too long."""
-    answer = without_thoughts(text) if len(text) <= _MOST_THOUGHTS else text
+    answer = without_thoughts(text).translate(_WIDE) if len(text) <= _MOST_THOUGHTS else text
     if len(answer.strip()) > _LONGEST:
         raise AnswerError(
             f"the model answered {shortened(text)} and so on, {len(text)} characters; wanted a short answer. Allow "
@@ -246,7 +248,7 @@ def _boxes_of_object(node: Node, order: Order, label: str, since: int) -> Iterat
     named = next((fields[key].value for key in _LABEL_KEYS if key in fields), None)
     label = named if isinstance(named, str) else label
     score = _score(next((fields[key].value for key in _SCORE_KEYS if key in fields), None))
-    corners = _named_corners(fields)
+    corners = _named_corners(fields) or _opposite_corners(fields, order)
     if corners:
         yield _Found(corners, (since, node.start + 1), label, score)
         return
@@ -290,10 +292,19 @@ def _named_corners(fields: dict[str, Node]) -> tuple[Node, ...]:
     return ()
 
 
+def _opposite_corners(fields: dict[str, Node], order: Order) -> tuple[Node, ...]:
+    for names in _OPPOSITE:
+        points = [[*_points(fields[name], order)] for name in names if name in fields]
+        if [len(each) for each in points] == [1, 1]:
+            return (*points[0][0][:2], *points[1][0][:2])
+    return ()
+
+
 # Without lists: XML, names, tokens of places, or bare numbers.
 _N = r"[-+]?(?:\d+(?:\.\d+)?|\.\d+)"
 _NAMES = sorted({name for names in (*_CORNERS, *_SIDES) for name in names.split()}, key=len, reverse=True)
-_NAMED = re.compile(rf"\b({'|'.join(_NAMES)})[\"'`*]*\s*(?:=|:|>|\bis\b)\s*[\"'`]?({_N})", re.IGNORECASE)
+_RANGE = r"(?!\d|\.\d|\s?%|\s*(?:[-–—~]|to\b)\s*[\d.])"  # x: 30 to 50 is no corner
+_NAMED = re.compile(rf"\b({'|'.join(_NAMES)})[\"'`*]*\s*(?:=|:|>|\bis\b)\s*[\"'`]?({_N})(\s?%)?{_RANGE}", re.IGNORECASE)
 _POINT_TAG = re.compile(r"<points?\b([^<>]*)>([^<]*)", re.IGNORECASE)
 _ATTRIBUTE = re.compile(rf"\b[xy]\d*\s*=\s*[\"']?({_N})", re.IGNORECASE)
 _LOC = re.compile(r"<loc(_?)(\d+)>" + r"\s*<loc_?(\d+)>" * 3)
@@ -325,7 +336,9 @@ def _marked(text: str, order: Order) -> Iterator[_Found]:
     for match in _NAMED.finditer(text):
         name = match[1].lower()
         fields = {} if name in fields else fields
-        fields[name] = nodes([match], 2)[0]
+        (fields[name],) = nodes([match], 2)
+        if match[3]:
+            fields[name] = replace(fields[name], value=share(fields[name].value))
         if corners := _named_corners(fields):
             found.append(_Found(corners))
             fields = {}

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Any
 
 _SPACE = re.compile(r"(?:\s|//[^\n]*|#[^\n]*)*")
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(\s?%)?")
 _WORD = re.compile(r"[^\s,:\[\](){}\"'<>]+")
 _STRING = {quote: re.compile(rf"(?:[^{quote}\\]|\\.)*", re.DOTALL) for quote in "\"'"}
 _ESCAPE = re.compile(r"\\(u[0-9a-fA-F]{4}|U00[0-9a-fA-F]{6}|x[0-9a-fA-F]{2}|.|\Z)", re.DOTALL)
@@ -43,6 +44,11 @@ def values(text: str) -> list[Node]:
     return found
 
 
+def share(percent: float) -> float:
+    """What a number with a sign of percent is, by which it is no whole number."""
+    return math.nextafter(percent / 100, 0.5)
+
+
 def _skip(text: str, place: int) -> int:
     """The place after white space and comments."""
     match = _SPACE.match(text, place)
@@ -62,7 +68,8 @@ def _value(text: str, place: int, depth: int) -> Node | None:
         return Node(_unescaped(text[place + 1 : end]), place, min(end + 1, len(text)), whole=end < len(text))
     number = _NUMBER.match(text, place)
     if number:
-        return Node(float(number.group()), place, number.end(), whole=number.end() < len(text))
+        value = share(float(number[1])) if number[2] else float(number[1])
+        return Node(value, place, number.end(), whole=number.end() < len(text))
     word = _WORD.match(text, place)
     if word is None:
         return None
@@ -88,11 +95,13 @@ def _collection(text: str, place: int, depth: int) -> Node:
     opening = text[place]
     closing, keyed = _CLOSING[opening], opening == "{"
     entries: list[Node] = []
+    parted: list[int] = []  # how many entries there are before each semicolon
     pairs: dict[str, list[Node]] = {}
     at, whole = place + 1, False
     while True:
         at = _skip(text, at)
         while at < len(text) and text[at] in ",;":
+            parted += [len(entries)] * (text[at] == ";")
             at = _skip(text, at + 1)
         if at < len(text) and text[at] == closing:
             at, whole = at + 1, True
@@ -114,6 +123,10 @@ def _collection(text: str, place: int, depth: int) -> Node:
         if not node.whole:
             break
     if not keyed:
+        places = [*range(0, len(entries), 4)]
+        if parted and [0, *parted] == places and len(entries) % 4 == 0:  # of CogVLM: one box after the other
+            fours = [entries[k : k + 4] for k in places]
+            entries = [Node(four, four[0].start, four[-1].end) for four in fours]
         return Node(entries, place, at, whole)
     # A key that occurs several times holds all its values, in one list.
     held = {key: Node(several, several[0].start, several[-1].end) for key, several in pairs.items()}

@@ -18,8 +18,8 @@ from eagor.evidence import Evidence
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import ANYWHERE, MIN_SPREAD, bump, moments
-from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.media.panorama import OVERLAP, checked_picture, depth_inside, resized
+from eagor.grids import OVERLAP, Grid, PatchGrid, PerspectiveGrid, depth_inside
+from eagor.media.panorama import checked_picture, resized
 from eagor.perception.things import spread_evidence
 from eagor.perception.vlm.answers import Box
 from eagor.sphere import angular_distance
