@@ -22,10 +22,9 @@ from eagor.evidence.detector import DetectorModel
 from eagor.grids import PerspectiveGrid
 from eagor.perception import Perception
 from eagor.perception import look as one_look
-from eagor.perception.colour import colour_in
 from eagor.perception.partial import ViewPerception, look_at_view
 from eagor.perception.records import Record, parse_record, read_looks, read_records, write_record
-from eagor.perception.words import fitting, meant
+from eagor.perception.words import colour_of, fitting, meant
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
@@ -95,7 +94,7 @@ class ReplayPerception:
         if self.footage is None or self.footage.classes is None:
             return None
         wanted = meant(query, self.footage.classes, coloured=True)
-        if colour_in(query) is not None and query not in self.footage.classes:
+        if colour_of(query, self.footage.classes) is not None:
             raise QueryError(
                 f"the query {query!r} names a colour, and {self.name} holds boxes without pictures; ask for "
                 f"{wanted[0]!r}, or look at the footage itself: eagor track FRAMES {query!r}"

@@ -27,9 +27,9 @@ from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE, are_fractions
 from eagor.grids import PerspectiveGrid
 from eagor.media.panorama import checked_picture, cut, tangent_views
-from eagor.perception.colour import colour_in, share_of
+from eagor.perception.colour import share_of
 from eagor.perception.things import Thing, ViewBox, spread_evidence, things
-from eagor.perception.words import fitting, meant, same_name
+from eagor.perception.words import colour_of, fitting, meant, same_name
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 from eagor.tracking import Around
 
@@ -228,8 +228,7 @@ class Views:
 
     def _weighed(self, pieces: Iterable[ViewBox], picture: np.ndarray, query: str) -> Iterator[ViewBox]:
         """The boxes of a picture, with lower scores where they show little of the colour that the query names."""
-        # An orange is a thing, whatever its colour.
-        colour = None if self.classes is None or query in self.classes else colour_in(query)
+        colour = None if self.classes is None else colour_of(query, self.classes)
         for piece in pieces:
             if colour is None:
                 yield piece

@@ -18,10 +18,13 @@ from pathlib import Path
 from eagor._extras import how_to_install
 from eagor.errors import QueryError
 from eagor.perception.colour import COLOURS as SHADES
-from eagor.perception.colour import SYNONYMS, is_colour
+from eagor.perception.colour import SYNONYMS, Colour, colour_in, is_colour
 from eagor.queries import COLOURS
 
-__all__ = ["fitting", "for_any_words", "meant", "plain", "same_name", "singular"]
+__all__ = [
+    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "meant", "plain", "same_name",
+    "singular",
+]  # fmt: skip
 
 _TABLES = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 
@@ -54,6 +57,7 @@ on in at by near next beside behind under above below between with without to fr
 around that which who
 """
 RELATIONS = frozenset(_PLACES.split())
+_ANYTHING = {"something", "anything", "thing", "things", "stuff"}
 _HOLDING = {"cup", "glass", "mug", "bottle", "bowl", "vase", "box", "can", "jar", "pot"}  # a cup of tea is a cup
 _PARTS = {"slice", "piece", "pair", "bunch", "group", "kind", "sort", "couple"}  # a slice of pizza is pizza
 # What detectors of an open vocabulary are asked with, and label with: "a photo of a chair", "an image of the chair".
@@ -100,6 +104,25 @@ def _looked_up(asked: tuple[str, ...], classes: tuple[str, ...]) -> tuple[tuple[
         return found, words, []
     noun, left_out = _noun(words)
     return _found(noun, classes), noun, left_out
+
+
+def colour_of(query: str, classes: Sequence[str]) -> Colour | None:
+    """The colour by which `query` tells a thing of these classes from others; none of "the orange" and "hot dog"."""
+    return colour_in(" ".join(_looked_up(tuple(plain(query).split()), tuple(classes))[2]))
+
+
+def is_bare_colour(query: str, classes: Sequence[str]) -> bool:
+    """Whether `query` names a colour and no thing, as "red" and "something red" do; "the orange" may be a class."""
+    words = plain(query).split()
+    named = [word for word in words if word not in OPENERS and word not in _ANYTHING]
+    return is_colour(" ".join(named)) and (len({*words} & _ANYTHING) > 0 or not _looked_up((*words,), (*classes,))[0])
+
+
+def by_colour_alone(query: str, classes: Sequence[str]) -> str:
+    """How to look for the colour of `query` alone, to end an error with; "" where it names none beside the noun."""
+    if not plain(query) or colour_of(query, classes) is None:
+        return ""
+    return ". For all that has the colour, whatever it is: --perception colour"
 
 
 def fitting(query: str, labels: Iterable[str]) -> frozenset[str]:
@@ -302,7 +325,7 @@ def _unknown(query: str, words: Sequence[str], classes: Sequence[str]) -> QueryE
         hint += ", and none spelt like it"
     return QueryError(
         f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. To look for any "
-        f"words: {for_any_words()}"
+        f"words: {for_any_words()}{by_colour_alone(query, classes)}"
     )
 
 
