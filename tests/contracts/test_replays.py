@@ -219,3 +219,12 @@ def test_the_orange_of_recorded_looks_is_a_thing_and_a_green_one_is_not_told(tmp
         assert len(found.detections) == 1
     with pytest.raises(QueryError, match="names a colour"):
         replay.looks("the green orange", 1.0)
+
+
+@pytest.mark.parametrize(("query", "words"), [("chairs", ""), ("footstool", "chair"), ("couch", "sofa")])
+def test_a_replay_names_the_label_that_stands_for_the_query(tmp_path, query, words):
+    path = tmp_path / "boxes.jsonl"
+    path.write_text(line(boxes=[{"box": [1, 2, 30, 40], "score": 0.5, "label": label} for label in ("chair", "sofa")]))
+    assert [look.looked_for for look in ReplayPerception(path).looks(query, 1.0)] == [words]
+    path.write_text(line(query=query))
+    assert [look.looked_for for look in ReplayPerception(path).looks(query, 1.0)] == [""], "it was asked so"

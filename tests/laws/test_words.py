@@ -15,6 +15,7 @@ from eagor.perception.words import (
     colour_of,
     fitting,
     is_bare_colour,
+    looked_for,
     meant,
     plain,
     same_name,
@@ -193,6 +194,21 @@ def test_what_is_a_bare_colour(query):
 )
 def test_what_is_no_bare_colour(query):
     assert not is_bare_colour(query, COCO)
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [("footstool", "chair"), ("the red footstool", "chair"), ("desk", "dining table"), ("woman", "person"),
+     ("toy car", "car"), ("office chair", "chair"), ("fridge", "refrigerator"), ("fruit", "banana or apple or orange"),
+     ("bag", "backpack or handbag or suitcase"), ("chairs", ""), ("where is the red chair?", ""), ("TVs", ""),
+     ("dining table", ""), ("people", ""), ("oranges", "")],
+)  # fmt: skip
+def test_what_was_looked_for_is_named_where_it_is_another_word(query, words):
+    assert looked_for(query, meant(query, COCO, coloured=True)) == words
+
+
+def test_of_many_names_the_first_are_told():
+    assert looked_for("animal", meant("animal", COCO)).endswith("elephant or bear or 2 more")
 
 
 @pytest.mark.parametrize("query", ["", "  ", "?!", None, 7])

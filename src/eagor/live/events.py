@@ -82,6 +82,7 @@ class Answer:
         return {
             "stamp": _number(self.stamp, digits),
             "query": self.query,
+            **({"looked_for": e.looked_for} if e.looked_for else {}),
             **_angles(e.azimuth, e.elevation, digits),
             "direction": None if e.direction is None else [_number(float(each), digits) for each in e.direction],
             "credible_angle_deg": None if e.direction is None else _degrees(e.credible_angle, digits),

@@ -24,7 +24,7 @@ from eagor.perception import Perception
 from eagor.perception import look as one_look
 from eagor.perception.partial import ViewPerception, look_at_view
 from eagor.perception.records import Record, parse_record, read_looks, read_records, write_record
-from eagor.perception.words import colour_of, fitting, meant
+from eagor.perception.words import colour_of, fitting, meant, named
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
@@ -83,8 +83,13 @@ class ReplayPerception:
             return ()
 
     def _evidence(self, records: Sequence[Record], query: str) -> tuple[Evidence, ...]:
+        return tuple(self._of(record, query) for record in records)
+
+    def _of(self, record: Record, query: str) -> Evidence:
         wanted = self._wanted(query)
-        return tuple(r.evidence(query, self.calibration, self.detector, self.labels, wanted) for r in records)
+        found = record.evidence(query, self.calibration, self.detector, self.labels, wanted)
+        asked = record.query is not None  # the detector had these words
+        return found if asked else named(found, query, wanted or sorted(fitting(query, self.labels)))
 
     def _wanted(self, query: str) -> tuple[str, ...] | None:
         """The classes of the detector that `query` means; None where the file does not name them.
@@ -179,7 +184,7 @@ class ReplayPerception:
                 f"{self.name} has {1 + len(others)} records for {query!r} at stamp {record.stamp:.6f}; wanted one. "
                 "If they are views of one moment, use each of looks(query, stamp)"
             )
-        return record.evidence(query, self.calibration, self.detector, self.labels, self._wanted(query))
+        return self._of(record, query)
 
 
 def takes_pictures(perception: Perception) -> bool:

@@ -29,7 +29,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.media.panorama import checked_picture, cut, tangent_views
 from eagor.perception.colour import share_of
 from eagor.perception.things import Thing, ViewBox, spread_evidence, things
-from eagor.perception.words import colour_of, fitting, meant, same_name
+from eagor.perception.words import colour_of, fitting, meant, named, same_name
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 from eagor.tracking import Around
 
@@ -121,7 +121,7 @@ class Views:
         `EagorError` if the detector returns something else than boxes.
         """
         (found,) = self.things(panorama, (query,), world_R_body)
-        return spread_evidence(found, self.detector, View(WHOLE_SPHERE), stamp)
+        return self._evidence(found, query, View(WHOLE_SPHERE), stamp)
 
     def things(
         self,
@@ -152,7 +152,7 @@ class Views:
         seen = self._detected(shown, queries[0] if queries else "")
 
         def look(query: str, wanted: Sequence[str] | None) -> Evidence:
-            return spread_evidence(self._meant(shown, seen, query, wanted), self.detector, view, stamp)
+            return self._evidence(self._meant(shown, seen, query, wanted), query, view, stamp)
 
         def answer(query: str) -> Evidence | QueryError:
             try:
@@ -224,7 +224,7 @@ class Views:
         if not isinstance(grid, PerspectiveGrid):
             raise ImageError(f"grid is {type(grid).__name__}; wanted eagor.PerspectiveGrid(height, width, hfov)")
         (found,) = self.things(image, (query,), grid=grid)
-        return spread_evidence(found, self.detector, View(grid), stamp)
+        return self._evidence(found, query, View(grid), stamp)
 
     def _weighed(self, pieces: Iterable[ViewBox], picture: np.ndarray, query: str) -> Iterator[ViewBox]:
         """The boxes of a picture, with lower scores where they show little of the colour that the query names."""
@@ -237,6 +237,14 @@ class Views:
             share = share_of(colour, picture[y0:y1, x0:x1])
             if share > 0:
                 yield replace(piece, score=piece.score * min(1.0, share / COLOURED))
+
+    def _evidence(self, found: list[Thing], query: str, view: View, stamp: float | None) -> Evidence:
+        evidence = spread_evidence(found, self.detector, view, stamp)
+        return (
+            evidence
+            if self.classes is None or not query
+            else named(evidence, query, meant(query, self.classes, described=True))
+        )
 
     def _wanted(self, query: str) -> tuple[str, ...] | None:
         if not isinstance(query, str) or not query.strip():

@@ -11,19 +11,21 @@ import difflib
 import re
 import tomllib
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from eagor._extras import how_to_install
 from eagor.errors import QueryError
+from eagor.evidence import Evidence
 from eagor.perception.colour import COLOURS as SHADES
 from eagor.perception.colour import SYNONYMS, Colour, colour_in, is_colour
 from eagor.queries import COLOURS
 
 __all__ = [
-    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "meant", "plain", "same_name",
-    "singular",
+    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "looked_for", "meant", "named",
+    "plain", "same_name", "singular",
 ]  # fmt: skip
 
 _TABLES = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
@@ -109,6 +111,24 @@ def _looked_up(asked: tuple[str, ...], classes: tuple[str, ...]) -> tuple[tuple[
 def colour_of(query: str, classes: Sequence[str]) -> Colour | None:
     """The colour by which `query` tells a thing of these classes from others; none of "the orange" and "hot dog"."""
     return colour_in(" ".join(_looked_up(tuple(plain(query).split()), tuple(classes))[2]))
+
+
+def looked_for(query: str, names: Collection[str]) -> str:
+    """What was looked for instead of `query`, of which these classes or labels are meant: "chair" for "footstool".
+
+    "" where one of them is the word that was asked, whatever its article, number or colour.
+    """
+    _, noun, _ = _looked_up(tuple(plain(query).split()), tuple(names))
+    if not names or _named(plain(query), names) or _named(" ".join(noun), names):
+        return ""
+    shown, rest = [*names][:_EVERY], len(names) - _EVERY
+    return " or ".join(shown) + (f" or {rest} more" if rest > 0 else "")
+
+
+def named(evidence: Evidence, query: str, names: Collection[str]) -> Evidence:
+    """`evidence` that names what was `looked_for`."""
+    words = looked_for(query, names)
+    return replace(evidence, looked_for=words) if words else evidence
 
 
 def is_bare_colour(query: str, classes: Sequence[str]) -> bool:
@@ -257,7 +277,7 @@ def _called(name: str, classes: Sequence[str]) -> tuple[str, ...]:
     return _named(name, classes) or _other(name, classes) or _wider(name, classes)
 
 
-def _named(name: str, classes: Sequence[str]) -> tuple[str, ...]:
+def _named(name: str, classes: Collection[str]) -> tuple[str, ...]:
     """The classes that are called `name`, in the singular or as written."""
     ways = _spelt(tuple(classes))
     for way in (name, singular(name), singular(name).replace(" ", "")):
