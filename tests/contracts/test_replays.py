@@ -205,3 +205,26 @@ def test_what_the_camera_never_sees_says_nothing():
     assert len(evidence.detections) == 1
     assert evidence.detections.directions[0, 2] > 0
     assert evidence.detections.share(np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])).tolist() == [0.0, 1.0]
+
+
+def test_the_orange_of_recorded_looks_is_a_thing_and_a_green_one_is_not_told(tmp_path):
+    path = tmp_path / "looks.jsonl"
+    about = {"footage": {"of": "bowl.mp4", "perception": "coco", "classes": ["apple", "orange"]}}
+    box = {"box": [10, 10, 20, 20], "score": 0.8, "label": "orange"}
+    look = {"stamp": 1.0, "image": {"projection": "equirectangular", "width": 64, "height": 32}, "boxes": [box]}
+    path.write_text("\n".join(map(json.dumps, [about, look])))
+    replay = ReplayPerception(path)
+    for query in ("orange", "the orange", "where are the oranges?"):
+        (found,) = replay.looks(query, 1.0)
+        assert len(found.detections) == 1
+    with pytest.raises(QueryError, match="names a colour"):
+        replay.looks("the green orange", 1.0)
+
+
+@pytest.mark.parametrize(("query", "words"), [("chairs", ""), ("footstool", "chair"), ("couch", "sofa")])
+def test_a_replay_names_the_label_that_stands_for_the_query(tmp_path, query, words):
+    path = tmp_path / "boxes.jsonl"
+    path.write_text(line(boxes=[{"box": [1, 2, 30, 40], "score": 0.5, "label": label} for label in ("chair", "sofa")]))
+    assert [look.looked_for for look in ReplayPerception(path).looks(query, 1.0)] == [words]
+    path.write_text(line(query=query))
+    assert [look.looked_for for look in ReplayPerception(path).looks(query, 1.0)] == [""], "it was asked so"

@@ -32,6 +32,7 @@ from eagor.lab.agents.methods import NAMES
 from eagor.lab.eval import calibration
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media.panorama import read_panorama, turn
+from eagor.perception import coco
 from eagor.perception import words as query_words
 from eagor.perception.replay import write_record
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
@@ -445,30 +446,34 @@ def test_a_detector_that_does_not_know_the_query_is_not_recommended(room, no_mod
     assert "--perception google/owlv2-base-patch16-ensemble; or a model on a server" in line
 
 
-def test_packages_that_are_missing_come_first(monkeypatch):
-    monkeypatch.setattr(models, "version_of", lambda name: None)
+def test_packages_that_are_missing_come_first(monkeypatch, tmp_path):
+    monkeypatch.setenv("EAGOR_CACHE", str(tmp_path))
+    monkeypatch.setattr(coco, "find_spec", lambda name: None)
     assert f"everyday things: {how_to_install('photos')}; then eagor models get coco" in how_to_find("chair")
     monkeypatch.setattr(query_words, "find_spec", lambda name: None)
     assert f"For any words: {how_to_install('vlm')}; then --perception google/owlv2" in how_to_find("door")
 
 
-def test_without_the_detector_a_colour_is_looked_for_alone_and_that_is_said(room, no_model):
-    done = eagor("locate", room, "red chair", "--json")
+@pytest.mark.parametrize("query", ["red chair", "olive oil", "golden retriever", "ice cream", "the white board marker"])
+def test_a_colour_before_a_noun_is_no_answer_without_a_detector_that_knows_the_noun(room, no_model, query):
+    assert f"no detector for {query!r} is installed" in refused("locate", room, query)
+
+
+@pytest.mark.parametrize("query", ["red", "the red thing", "something dark red", "an orange thing", "the red one"])
+def test_a_bare_colour_needs_no_detector(room, no_model, query):
+    done = eagor("locate", room, query, "--json")
     assert json.loads(done.stdout)["perception"] == "colour"
-    (line,) = done.stderr.splitlines()
-    assert line.startswith("eagor: 'red chair' is looked for by its colour alone (perception colour); ")
-    assert line.endswith("eagor models get coco (fetches 145 MB once)")
-    assert eagor("locate", room, "the red thing").stderr == "", "nothing but a colour was asked for"
+    assert done.stderr == ""
 
 
 @pytest.mark.registry
 def test_with_the_detector_a_colour_only_weighs_what_it_knows(room, coco_model):
-    assert {answer("locate", room, query)["perception"] for query in ("chair", "red chair")} == {"coco"}
-    done = eagor("locate", room, "red door", "--json")
-    assert json.loads(done.stdout)["perception"] == "colour"
-    assert "'red door' is looked for by its colour alone" in done.stderr
-    assert "the detector coco knows no such thing" in done.stderr
-    assert "names none of this detector's" in refused("locate", room, "door")
+    assert {answer("locate", room, query)["perception"] for query in ("chair", "red chair", "the orange")} == {"coco"}
+    assert answer("locate", room, "something orange")["perception"] == "colour"
+    for query in ("red door", "orange juice", "door"):
+        line = refused("locate", room, query)
+        assert f"the query {query!r} names none of this detector's" in line
+        assert ("--perception colour" in line) == (query != "door")
 
 
 def test_a_corrupt_image_is_refused_and_debug_shows_where(tmp_path):

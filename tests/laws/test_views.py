@@ -8,14 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import find_objects, label
 
-from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence
+from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence, PerspectiveGrid
+from eagor.drawing.style import answer_in_words, candidates_in_words
 from eagor.errors import EagorError, GridError, ImageError, QueryError
+from eagor.evidence import BodyMask
 from eagor.grids import tangent_views
+from eagor.live.events import Answer
 from eagor.media.panorama import cut, turn
 from eagor.perception import check_perception, look
 from eagor.perception.things import ViewBox, things
 from eagor.perception.views import Views
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
+from eagor.studio import steps
 
 GREY = 90
 GRID = ErpGrid(256, 512)
@@ -235,6 +239,28 @@ def test_a_colour_in_the_query_weighs_the_boxes_of_a_detector_that_knows_none():
     assert np.sort(seen.scores)[:-1].sum() < 0.1
     with pytest.raises(QueryError, match="by the window"):
         views(panorama, "red chair by the window")
+
+
+def test_the_answer_names_what_was_looked_for_where_that_was_not_asked():
+    def chairs(picture, query):
+        boxes, scores = red(picture, query)
+        return boxes, scores, ["chair"] * len(boxes)
+
+    panorama, view = painted((direction(0.6, 0.0), math.radians(8))), PerspectiveGrid(64, 64, 1.0)
+    views = Views(chairs, size=128, classes=["chair"])
+    for query, words in (("chairs", ""), ("footstool", "chair")):
+        tracker = DirectionTracker()
+        tracker.observe(views(panorama, query, stamp=1.0))
+        estimate = tracker.estimate(2.0)
+        turned = estimate.turned(3.0, np.eye(3))
+        for found in (estimate, turned, views.view(np.zeros((64, 64, 3), np.uint8), view, query)):
+            assert found.looked_for == words
+        (looks,), _ = views.around(panorama, [query])
+        assert looks.looked_for == looks.covered(BodyMask(np.ones((8, 16), bool))).looked_for == words
+        assert estimate.as_dict().get("looked_for", "") == words
+        assert Answer(2.0, query, estimate, None, 1.0, 1.0).as_json().get("looked_for", "") == words
+        for said in (answer_in_words(turned), candidates_in_words(estimate), steps.in_words(estimate), repr(estimate)):
+            assert ("looked for chair" in said) == bool(words)
 
 
 def test_wrong_settings_and_pictures_are_refused():

@@ -7,7 +7,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import QueryError
-from eagor.perception.words import GROUPS, IRREGULAR, KIN, WIDER, fitting, meant, plain, same_name, singular
+from eagor.perception.words import (
+    GROUPS,
+    IRREGULAR,
+    KIN,
+    WIDER,
+    colour_of,
+    fitting,
+    is_bare_colour,
+    looked_for,
+    meant,
+    plain,
+    same_name,
+    singular,
+)
 from eagor.queries import SYNONYMS
 
 _COCO = """
@@ -157,6 +170,45 @@ def test_a_colour_alone_is_no_thing():
     with pytest.raises(QueryError, match=r"names a colour and no thing.*--perception colour"):
         meant("the red", COCO)
     assert meant("orange", COCO) == ("orange",)
+
+
+@pytest.mark.parametrize(
+    ("query", "coloured"),
+    [("the orange", 0), ("oranges", 0), ("hot dog", 0), ("green orange", 1), ("an orange orange", 1), ("red chair", 1),
+     ("dark blue office chair", 1), ("ice cream", 0), ("cream cake", 0)],
+)  # fmt: skip
+def test_a_word_of_the_things_name_is_no_colour_of_it(query, coloured):
+    assert (colour_of(query, COCO) is not None) == bool(coloured)
+    assert not is_bare_colour(query, COCO)
+
+
+@pytest.mark.parametrize(
+    "query", ["red", "the red", "something orange", "an orange thing", "where is the pale blue one?"]
+)
+def test_what_is_a_bare_colour(query):
+    assert is_bare_colour(query, COCO)
+
+
+@pytest.mark.parametrize(
+    "query", ["something", "the thing", "", "olive oil", "golden retriever", "orange juice", "orange"]
+)
+def test_what_is_no_bare_colour(query):
+    assert not is_bare_colour(query, COCO)
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [("footstool", "chair"), ("the red footstool", "chair"), ("desk", "dining table"), ("woman", "person"),
+     ("toy car", "car"), ("office chair", "chair"), ("fridge", "refrigerator"), ("fruit", "banana or apple or orange"),
+     ("bag", "backpack or handbag or suitcase"), ("chairs", ""), ("where is the red chair?", ""), ("TVs", ""),
+     ("dining table", ""), ("people", ""), ("oranges", "")],
+)  # fmt: skip
+def test_what_was_looked_for_is_named_where_it_is_another_word(query, words):
+    assert looked_for(query, meant(query, COCO, coloured=True)) == words
+
+
+def test_of_many_names_the_first_are_told():
+    assert looked_for("animal", meant("animal", COCO)).endswith("elephant or bear or 2 more")
 
 
 @pytest.mark.parametrize("query", ["", "  ", "?!", None, 7])

@@ -6,13 +6,17 @@ import re
 import numpy as np
 import pytest
 from commands import answer, eagor, refused
+from moving_rooms import PatternRoom
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from eagor.errors import EagorError, PoseError
+from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, paint
+from eagor.media.panorama import Picture, cut
+from eagor.media.panorama import turn as turned
 from eagor.media.pose_axes import AXES, odometry_of_file, settled, with_axes
-from eagor.media.pose_files import read_poses
+from eagor.media.pose_files import FramePose, Poses, read_poses
 from eagor.media.times import times_of
 from eagor.sphere import world_R_body
 
@@ -265,7 +269,86 @@ def test_radians_called_degrees_are_noticed_by_the_pictures(tmp_path, shots):
     lines = [f"{at},{np.radians(20 - 11 * k):.6f},0,0" for k, at in enumerate(STAMPS)]
     (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *lines]))
     said = refused("track", shots, "red", "--poses", tmp_path / "p.csv", "--perception", "colour")
-    assert "they are radians" in said
+    assert "its angles are radians" in said
+
+
+# --- poses against the pictures ---
+
+SWEEP = [world_R_body(0.9 * np.sin(0.5 * k), 0.06 * np.sin(k), 0.05 * np.cos(k)) for k in range(14)]
+VIEW = PerspectiveGrid(160, 208, np.radians(80))
+CAMERAS = ["panorama", "ordinary"]
+
+
+@pytest.fixture(scope="module")
+def sweep():
+    """What a camera shows that looks to and fro in a room with patterns: whole panoramas, and an ordinary picture."""
+    room = PatternRoom(3).panorama(np.eye(3), rows=256)
+    panoramas = [turned(room, pose.T) for pose in SWEEP]
+    return {"panorama": [Picture(each) for each in panoramas],
+            "ordinary": [Picture(cut(each, VIEW)[0], grid=VIEW) for each in panoramas]}  # fmt: skip
+
+
+def settled_with(poses, pictures, said, axes="auto", form=""):
+    read = Poses(FramePose(0.5 * k, pose, None, None) for k, pose in enumerate(poses))
+    read.axes = form
+    frames = [(pose, lambda k=k: pictures[k]) for k, pose in enumerate(read)]
+    return settled(read, axes, "p.csv", lambda: frames, said.append), read
+
+
+def yawed(poses, times):
+    return [world_R_body(*times(np.array(Rotation.from_matrix(pose).as_euler("ZYX")))) for pose in poses]
+
+
+WRONG = {
+    "inverted": ([pose.T for pose in SWEEP], "the other way round"),
+    "yaw to the right": (yawed(SWEEP, lambda angles: angles * [-1, 1, -1]), "change the sign of the yaw"),
+    "radians": (yawed(SWEEP, np.radians), "its angles are radians"),
+    "optical": ([pose @ AXES["optical"][0] for pose in SWEEP], "--axes optical"),
+}
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("wrong", WRONG)
+def test_poses_that_contradict_the_pictures_are_refused_with_what_settles_it(sweep, camera, wrong):
+    poses, says = WRONG[wrong]
+    with pytest.raises(PoseError, match=rf"contradicts the pictures: from .* by what it shows.*{says}.*--axes body"):
+        settled_with(poses, sweep[camera], [], form="body")
+    said = []
+    found, read = settled_with(poses, sweep[camera], said, axes="body")
+    assert found is read
+    assert not said, "who says that nothing is wrong is taken at his word"
+
+
+@pytest.mark.parametrize("wrong", [[SWEEP[0]] * 14, [*SWEEP[5:], *SWEEP[:5]]], ids=["they do not turn", "another time"])
+def test_poses_of_another_camera_or_time_are_warned_of(sweep, wrong):
+    said = []
+    settled_with(wrong, sweep["panorama"], said, form="body")
+    assert re.search("warning: p.csv contradicts the pictures: .*stamps of the pictures' clock", said[0])
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+@pytest.mark.parametrize("noise", [0, 1.5])
+def test_right_poses_pass_in_silence_though_they_are_noisy(sweep, camera, noise):
+    random = np.random.default_rng(5)
+    shaken = [pose @ Rotation.from_rotvec(np.radians(noise) * random.normal(size=3)).as_matrix() for pose in SWEEP]
+    for form in ("body", ""):
+        said = []
+        found, read = settled_with(shaken, sweep[camera], said, form=form)
+        assert found is read
+        assert not said
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_camera_that_stands_or_sees_nothing_contradicts_nothing(sweep, camera):
+    random, shape = np.random.default_rng(6), sweep[camera][0].picture.shape
+    grey = [Picture(np.clip(random.normal(90, 3, shape), 0, 255).astype(np.uint8), grid=sweep[camera][0].grid)] * 14
+    still = [
+        pose @ Rotation.from_rotvec(np.radians(1) * random.normal(size=3)).as_matrix() for pose in [np.eye(3)] * 14
+    ]
+    for poses, pictures in ((SWEEP, grey), (WRONG["inverted"][0], grey), (still, [sweep[camera][3]] * 14)):
+        said = []
+        settled_with(poses, pictures, said, form="body")
+        assert not said
 
 
 # --- pairs of pictures and poses ---

@@ -12,7 +12,6 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 MAX_DEGREE = 63
 LEAST_ROWS = 8
 MOST_DRIFT = 90  # degrees
-NO_THING = ("a", "the", "something", "thing", "one")  # a query of these and a colour names nothing else
 SHARED = ("coco", "onnx")  # perceptions that look at several views at the same time, one core each
 
 
@@ -204,36 +202,21 @@ def keep_picture(picture: Image.Image, path: Path) -> None:
 def perception_for(query: str, spec: str | None) -> str:
     """The perception to use: ``--perception``, or the one that suits the query.
 
-    By default that is the detector ``coco``. A colour before the noun weighs its boxes. Where it is not installed, or
-    does not know the noun, a query that names a colour is answered by ``colour``, and a line on stderr says so. Raises
-    `QueryError` for a query without a colour if the detector is not installed.
+    By default that is the detector ``coco``, whose boxes a colour before the noun weighs. A bare colour ("red",
+    "something red", "a red thing") is answered by ``colour``. Raises `QueryError` where ``coco`` cannot run here; of
+    what it does not know it says so itself, and what does.
     """
-    from eagor.perception.coco import CLASSES, COCO
-    from eagor.perception.colour import colour_in, is_colour
+    from eagor.cli.models import how_to_find
+    from eagor.perception.coco import CLASSES, wanted
+    from eagor.perception.words import is_bare_colour
 
     if spec is not None:
         return spec
-    if colour_in(query) is None:
-        if COCO.path.is_file():
-            return "coco"
-        from eagor.cli.models import how_to_find
-
+    if is_bare_colour(query, CLASSES):
+        return "colour"
+    if wanted():
         raise QueryError(how_to_find(query))
-    from eagor.perception.words import meant, plain
-
-    try:
-        meant(query, CLASSES, coloured=True)
-    except QueryError:
-        why = "the detector coco knows no such thing, and docs/models.md says which models know any words"
-    else:
-        if COCO.path.is_file() and find_spec("onnxruntime") is not None:
-            return "coco"
-        from eagor.cli.models import how_to_get_coco
-
-        why = f"to get a detector that knows the thing, too: {how_to_get_coco()}"
-    if not is_colour(" ".join(word for word in plain(query).split() if word not in NO_THING)):
-        log(f"{query!r} is looked for by its colour alone (perception colour); {why}")
-    return "colour"
+    return "coco"
 
 
 def perception_for_all(queries: Sequence[str], spec: str | None) -> str:

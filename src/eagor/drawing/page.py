@@ -180,8 +180,6 @@ class BeliefPage:
 
     def _answer(self) -> str:
         _, estimate, *_ = self._newest
-        if estimate.azimuth is None:
-            return "No direction is known."
         words, far = candidates_in_words(estimate), far_in_words(estimate)
         return f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}, in the last frame."
 

@@ -262,7 +262,7 @@ class RerunLog:
 
     def _status(self, name: str, query: str, estimate: Estimate, problem: str | None) -> None:
         """A line where the status changes, or something is wrong."""
-        told = answer_in_words(estimate) if estimate.direction is not None else "direction not known"
+        told = answer_in_words(estimate)
         if self._said.get(name) != (said := estimate.status):
             self._said[name] = said
             self._line(f"“{query}”: {said}: {told}", LEVELS.get(estimate.status, "INFO"))

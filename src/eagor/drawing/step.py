@@ -230,9 +230,9 @@ class StepPainter:
         if far := far_in_words(estimate):
             told.append(far)
         told += [f"presence {moment.presence:.2f}", f"{moment.stamp:.2f} s"]
-        shown, known = _short(query, LONGEST_QUERY), moment.azimuth is not None
+        shown = _short(query, LONGEST_QUERY)
         self._words["query"].set_text(f"“{shown}”" if shown else "")
-        self._words["answer"].set_text(candidates_in_words(estimate) if known else "direction not known")
+        self._words["answer"].set_text(candidates_in_words(estimate))
         self._words["status"].set_text(estimate.status)
         self._words["status"].set_color(COLOURS[moment.status])
         self._words["rest"].set_text("   ".join(told))

@@ -59,10 +59,19 @@ def in_words(azimuth: float, elevation: float) -> str:
 
 
 def answer_in_words(estimate: Estimate) -> str:
-    """The answer of an estimate as `in_words`, or "not known"."""
+    """The answer of an estimate as `in_words`, or "direction not known"; and what was `looked_for`."""
+    return _where(estimate) + looked_for(estimate)
+
+
+def _where(estimate: Estimate) -> str:
     if estimate.azimuth is None or estimate.elevation is None:
-        return "not known"
+        return "direction not known"
     return in_words(estimate.azimuth, estimate.elevation)
+
+
+def looked_for(estimate: Estimate) -> str:
+    """What was looked for, where that is another word than was asked: " (looked for chair)"; else ""."""
+    return f" (looked for {estimate.looked_for})" if estimate.looked_for else ""
 
 
 def status_in_words(status: str, presence: float) -> str:
@@ -72,11 +81,10 @@ def status_in_words(status: str, presence: float) -> str:
 
 def candidates_in_words(estimate: Estimate) -> str:
     """The answer as `answer_in_words`; where it is ambiguous, with the next candidate: "straight ahead; or ..."."""
-    said = answer_in_words(estimate)
     if estimate.status != "ambiguous" or len(estimate.modes) < 2:
-        return said
+        return answer_in_words(estimate)
     second = estimate.modes[1]
-    return f"{said}; or {in_words(second.azimuth, second.elevation)}"
+    return f"{_where(estimate)}; or {in_words(second.azimuth, second.elevation)}{looked_for(estimate)}"
 
 
 def sureness(estimate: Estimate) -> str:

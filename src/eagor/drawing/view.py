@@ -362,7 +362,7 @@ class ViewScene:
             downs, foot = (0, 40), top + height
         else:
             top, downs = top + height, (14, 56)
-        said = answer_in_words(estimate) if estimate.direction is not None else "direction not known"
+        said = answer_in_words(estimate)
         columns = max(12, int(width / (11.5 * scale)))
         if len(said) > columns:  # where the height begins
             kept = said.replace(" degrees)", "\u00a0degrees)")  # a number stays with its unit

@@ -59,7 +59,8 @@ class Evidence:
 
     Make it with `from_response`, `from_boxes`, `from_mask` or `from_points`. `stamp` is the time of CAPTURE in seconds
     (None where time plays no role). `source`: what produced it (model, revision, token counts, milliseconds, ...),
-    plain values for people and reports; nothing here reads them. Evidence is immutable.
+    plain values for people and reports; nothing here reads them. `looked_for`: what the perception looked for, in
+    words, where that is another word than was asked. Evidence is immutable.
 
         >>> picture = eagor.ErpGrid(512, 1024)
         >>> eagor.Evidence.from_boxes([[500, 240, 540, 280]], picture, scores=[0.9], stamp=0.0)
@@ -75,6 +76,7 @@ class Evidence:
     source: Mapping[str, object] | None = None
     coverage: np.ndarray | None = field(default=None, repr=False)  # (H, W) in [0, 1]; None: the whole grid
     detections: Detections | None = None  # the detections, if a `DetectorModel` reads the evidence
+    looked_for: str = ""
 
     def __repr__(self) -> str:
         rows, columns = self.grid.shape
@@ -351,9 +353,8 @@ class Evidence:
         share = mask.share(self.grid)
         coverage = share if self.coverage is None else share * self.coverage
         if self.calibration.scale_to_max:  # the maximum may have been under the mask
-            return Evidence.from_response(
-                self.response, self.grid, self.calibration, self.stamp, coverage=coverage, source=self.source
-            )
+            found = Evidence.from_response(self.response, self.grid, self.calibration, self.stamp, coverage=coverage)
+            return replace(found, source=self.source, looked_for=self.looked_for)
         ratio = self.log_ratio * table_like(share, self.log_ratio)
         kept = None if (coverage == 1).all() else frozen(coverage)
         return replace(self, drawn=ratio, coverage=kept, seen=region(self.grid, coverage > 0))

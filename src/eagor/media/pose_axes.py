@@ -1,7 +1,7 @@
 """The axes that poses of other programs have: told by the file's form, or found from how the pictures turn.
 
 A turn to the left is about another axis, or the other way round, for each convention: so a few pairs of pictures tell
-which it is.
+which it is. They also tell where a file contradicts its pictures: radians for degrees, rotations that are inverted.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,6 +21,7 @@ from eagor.conventions import HABITAT_R_BODY, OPTICAL_R_BODY
 from eagor.errors import EagorError, PoseError
 from eagor.media import Pose
 from eagor.media.footage import Read
+from eagor.media.panorama import Picture
 from eagor.media.pose_files import FramePose, Poses, read_poses
 
 __all__ = ["AXES", "odometry_of_file", "settled", "with_axes"]
@@ -30,8 +33,15 @@ AXES = {  # the axes of the poses in the body: body_R_pose; x, y, z in words
     "euroc": (np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]]), "x up, y right, z ahead"),
 }
 LEAST, MOST = math.radians(5), math.radians(60)  # of a turn between two pictures that are compared
-PAIRS, LOOKED = 6, 400  # pairs that are compared, pictures that are looked through for them
+# Pairs that tell how the camera turns, those that are compared at most, pictures that are looked through for them, and
+# seconds after which two are compared although the poses hardly turn.
+PAIRS, TRIED, LOOKED, APART = 6, 9, 400, 1.0
+ROWS = 256  # of panoramas that are compared: two of 64 rows still tell their turn to half a degree
 FITS, DIFFERS = 0.3, 0.6  # of the squares: what is left over of turns that fit, and of others
+# Poses contradict where most turns differ from those of the pictures by half, and by these degrees; what is wrong with
+# them fits where it leaves less. Of a camera that walks, one pair in ten may be off by 20 degrees: without a reason,
+# many have to be.
+OFF, CLOSE, MANY = math.radians(8), math.radians(3), 4
 LEVEL = 0.7  # cosine: a camera whose up is mostly this near to the world's
 STILL = 0.05  # metres: a camera that moves no farther stands
 
@@ -68,20 +78,33 @@ def settled(
 ) -> Poses:
     """The poses in our axes. `axes`: "auto", or a name of `AXES`; `frames`: poses with what reads their pictures.
 
-    Raises `PoseError` where nothing tells the axes of a file in which they may be others.
+    Raises `PoseError` where nothing tells the axes of a file in which they may be others, and where the pictures tell
+    what is wrong with the poses. With `axes` that is only said, and of "body" nothing is.
     """
-    if axes == "auto" and poses.small and frames is not None:
-        _check_degrees(list(_turns(frames(), math.degrees(1))), name)
-    if axes == "auto" and poses.axes in AXES:
+    if axes == "body":
+        return poses
+    given, pairs = axes != "auto", [] if frames is None else list(_pairs(frames(), poses))
+    if not given and poses.axes in AXES:
         axes = poses.axes
         if poses.form:
             say(f"{name} is {poses.form}: its axes are {AXES[axes][1]}")
-    if axes != "auto":
-        return with_axes(poses, axes)
+    elif not given:
+        axes = _found(poses, pairs, name, say)
+    wrong = _contradiction(pairs, axes)
+    if wrong is not None:
+        text, reason = wrong
+        if reason and not given:
+            raise PoseError(f"{name} contradicts the pictures: {text}; --axes body reads them as they stand")
+        say(f"warning: {name} contradicts the pictures: {text}")
+    return with_axes(poses, axes)
+
+
+def _found(poses: Poses, pairs: Sequence[Pair], name: str, say: Callable[[str], object]) -> str:
+    """The axes of a file that does not tell them. Raises `PoseError` where it has to."""
     odd = _is_odd(poses)
     if not odd and poses.axes == "body?":
-        return poses
-    found = _fitting([] if frames is None else list(_turns(frames(), 1.0)))
+        return "body"
+    found = _fitting(pairs)
     if found is None and (odd or not _tells(poses)) and poses.axes != "body?":
         raise PoseError(
             f"{name} does not tell the axes of its poses, and the pictures do not show how they turn: wanted --axes "
@@ -95,7 +118,7 @@ def settled(
         )
     if found not in (None, "body"):
         say(f"{name}: its axes are {AXES[found][1]}, as the pictures turn (--axes {found}); --axes body: as they stand")
-    return with_axes(poses, found or "body")
+    return found or "body"
 
 
 def odometry_of_file(path: str | Path, axes: str = "auto") -> list[Pose]:
@@ -135,43 +158,81 @@ def _tells(poses: Sequence[FramePose]) -> bool:
     return bool(turned or not moved or np.arccos(np.clip((np.trace(poses[0].world_R_body) - 1) / 2, -1, 1)) > LEAST)
 
 
-def _turns(frames: Iterable[tuple[FramePose, Read | None]], scale: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Rotation vectors ``(3,)`` of the poses, and of the pictures that were taken there, of some pairs."""
+class Pair(NamedTuple):
+    """Two poses of a file ``(3, 3)`` at their stamps, and the turn ``(3, 3)`` of the pictures that were taken there."""
+
+    stamps: tuple[float, float]
+    before: np.ndarray
+    after: np.ndarray
+    seen: np.ndarray
+
+    @property
+    def turn(self) -> np.ndarray:
+        """How the pose turns ``(3, 3)``, in its axes."""
+        return self.before.T @ self.after
+
+
+def _pairs(frames: Iterable[tuple[FramePose, Read | None]], poses: Sequence[FramePose]) -> Iterator[Pair]:
+    """Pairs of pictures between which the camera turns, by its poses or by the pictures themselves."""
     from eagor._extras import need
+    from eagor.media.features import lens_of
     from eagor.media.rotation import VisualOdometer
 
     try:
         need("the rotation from pictures", "photos", "cv2")
     except EagorError:
         return
-    last, found = None, 0
+    last, found, tried, apart = None, 0, 0, min(APART, (poses[-1].stamp - poses[0].stamp) / PAIRS)
     for pose, read in islice((each for each in frames if each[1] is not None), LOOKED):
-        turn = np.zeros(3) if last is None else Rotation.from_matrix(last[0].T @ pose.world_R_body).as_rotvec()
-        far = scale * float(np.linalg.norm(turn))
-        if found >= PAIRS:
+        if found >= PAIRS or tried >= TRIED:
             return
-        if last is not None and far < LEAST:
+        far = 0.0 if last is None else _angle(last[0].world_R_body.T @ pose.world_R_body)
+        if last is not None and far < LEAST and pose.stamp - last[0].stamp < apart:
             continue
         try:
             assert read is not None
-            picture = read()
+            picture = _small(read())
+            if last is not None and lens_of(picture.grid) != lens_of(last[1].grid):
+                continue
             if last is not None and far < MOST:
+                tried += 1
                 odometer = VisualOdometer()
                 odometer.add(last[1].picture, 0.0, last[1].grid)
                 seen = odometer.add(picture.picture, 1.0, picture.grid)
-                if not seen.lost and seen.matches:
+                if seen.lost or not seen.matches:  # too far apart, perhaps
+                    apart /= 2
+                elif max(far, _angle(seen.world_R_body)) < LEAST:  # what stands may stand for long
+                    apart *= 2
+                else:
                     found += 1
-                    yield turn, Rotation.from_matrix(seen.world_R_body).as_rotvec()
+                    stamps = last[0].stamp, pose.stamp
+                    yield Pair(stamps, last[0].world_R_body, pose.world_R_body, seen.world_R_body)
         except EagorError:  # who looks at it meets it again, and says so
             continue
-        last = pose.world_R_body, picture
+        last = pose, picture
 
 
-def _fitting(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> str | None:
+def _small(picture: Picture) -> Picture:
+    """A panorama with few rows: it is compared sooner."""
+    import cv2
+
+    if picture.grid is not None or len(picture.picture) <= ROWS:
+        return picture
+    return replace(picture, picture=cv2.resize(picture.picture, (2 * ROWS, ROWS), interpolation=cv2.INTER_AREA))
+
+
+def _angle(rotation: np.ndarray) -> float:
+    return float(Rotation.from_matrix(rotation).magnitude())
+
+
+def _fitting(pairs: Sequence[Pair]) -> str | None:
     """The one convention in which the turns of the poses are those of the pictures."""
     if not pairs:
         return None
-    told, seen = map(np.array, zip(*pairs, strict=True))
+    told, seen = (
+        Rotation.from_matrix(np.array(turns)).as_rotvec()
+        for turns in zip(*((each.turn, each.seen) for each in pairs), strict=True)
+    )
     left = {
         axes: float(((seen - told @ body_R_pose.T) ** 2).sum() / (told**2).sum())
         for axes, (body_R_pose, _) in AXES.items()
@@ -180,12 +241,49 @@ def _fitting(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> str | None:
     return best if left[best] < FITS and left[other] > DIFFERS else None
 
 
-def _check_degrees(pairs: Sequence[tuple[np.ndarray, np.ndarray]], name: str) -> None:
+def _contradiction(pairs: Sequence[Pair], axes: str) -> tuple[str, bool] | None:
+    """Where poses with these axes contradict the pictures, in words, and whether it is known why."""
     if not pairs:
-        return
-    told, seen = (float(np.linalg.norm(each, axis=1).sum()) for each in map(np.array, zip(*pairs, strict=True)))
-    if seen > 30 * told:
-        raise PoseError(
-            f"{name}: the pictures turn {seen / told:.0f} times as far as its angles in degrees say: they are radians. "
-            "Name the columns yaw_rad,pitch_rad,roll_rad"
-        )
+        return None
+
+    def turns(turn: Callable[[Pair], np.ndarray], axes: str = axes) -> np.ndarray:
+        body_R_pose = AXES[axes][0]
+        return np.array([body_R_pose @ turn(pair) @ body_R_pose.T for pair in pairs])
+
+    def off(turned: np.ndarray) -> np.ndarray:
+        return Rotation.from_matrix(turned.transpose(0, 2, 1) @ seen).magnitude()
+
+    seen, told = np.array([pair.seen for pair in pairs]), turns(lambda pair: pair.turn)
+    size = np.maximum(Rotation.from_matrix(told).magnitude(), Rotation.from_matrix(seen).magnitude())
+    wrong = off(told) > np.maximum(OFF, size / 2)
+    if wrong.mean() < 0.75:
+        return None
+    worst = int(np.argmax(off(told)))
+    begin, end = pairs[worst].stamps
+    text = f"from {begin:.10g} to {end:.10g} s the camera turns {_in_words(told[worst])} by its poses, and "
+    text += f"{_in_words(seen[worst])} by what it shows"
+    mirror = np.diag([1.0, -1, 1])
+    reasons = {
+        "the other way round. Wanted are rotations of the camera in the world (world_R_body), with yaw positive to the "
+        "left: transpose them, or change the sign of the yaw": (
+            turns(lambda pair: pair.before @ pair.after.T), mirror @ told @ mirror,
+        ),
+        "57 times as far: its angles are radians. Name the columns yaw_rad,pitch_rad,roll_rad": (
+            Rotation.from_rotvec(np.degrees(Rotation.from_matrix(told).as_rotvec())).as_matrix(),
+        ),
+    }  # fmt: skip
+    for other, (_, words) in AXES.items():
+        reasons[f"its axes are {words}: --axes {other}"] = (turns(lambda pair: pair.turn, other),)
+    left = {reason: min(float(np.median(off(each))) for each in fits) for reason, fits in reasons.items()}
+    best = min(left, key=left.__getitem__)
+    if left[best] < max(CLOSE, 0.4 * float(np.median(size))):
+        return f"{text}: {best}", True
+    if len(pairs) < MANY:
+        return None
+    return f"{text}. Are they the poses of this camera, with stamps of the pictures' clock?", False
+
+
+def _in_words(turn: np.ndarray) -> str:
+    vector = np.degrees(Rotation.from_matrix(turn).as_rotvec())
+    angle, side = float(np.linalg.norm(vector)), "left" if vector[2] > 0 else "right"
+    return f"by {angle:.0f} degrees" + (f" to the {side}" if abs(vector[2]) > 0.8 * angle and angle >= 0.5 else "")

@@ -64,11 +64,11 @@ class FramePose(NamedTuple):
 class Poses(tuple[FramePose, ...]):
     """The poses of a file. `axes`: those of `eagor.media.pose_axes` that its form tells, "" if none, "body?": ours.
 
-    `form`: that of another program, in words. `small`: its angles may be radians. `partial`: it may lack pictures.
+    `form`: that of another program, in words. `partial`: it may lack pictures.
     """
 
     axes = form = ""
-    small = partial = False
+    partial = False
 
     def made(self, poses: Iterable[FramePose]) -> Poses:
         """Others of the same file."""
@@ -129,17 +129,13 @@ def _of_placed(placed: Placed) -> Poses:
 
 
 def _say_units(path: str | Path, table: Table, poses: Poses) -> None:
-    """Warn of stamps and angles that are hardly seconds and degrees; keeps whether the latter are small."""
+    """Warn of stamps that are hardly seconds."""
     stamps = np.array([pose.stamp for pose in poses])
     apart = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     if table.unit == 1 and apart >= APART:
         what, short = next(names for most, names in COUNTS if apart < most)
         text = f"{path}: its poses are {apart:g} s apart. Are the stamps {what}? Then call that column stamp_{short}"
         warnings.warn(text, UserWarning, stacklevel=3)
-    if "qw" not in table.names and table.degree == 1:
-        some = np.array([pose.world_R_body for pose in poses[:: 1 + len(poses) // 1000]])
-        angles = Rotation.from_matrix(some).as_euler("ZYX", degrees=True)
-        poses.small = bool(0.02 < np.abs(angles).max() < 6.3 and (np.abs(angles - angles.round()) > 1e-3).any())
 
 
 def _is_another_order(poses: Sequence[FramePose]) -> bool:

@@ -66,8 +66,7 @@ def look_at_view(
     cells = _kept(found.grid)
     covered = coverage(*cells.shape, grid)
     seen = Evidence.from_response(found.response, cells, found.calibration, stamp, coverage=covered >= BORDER)
-    source: dict[str, Any] = {"source": getattr(found, "source", None)}  # metadata of the perception
-    return replace(seen, **source) if source["source"] else seen
+    return replace(seen, source=found.source, looked_for=found.looked_for)
 
 
 def _in_view(found: Evidence, grid: PerspectiveGrid) -> Evidence:
@@ -77,7 +76,8 @@ def _in_view(found: Evidence, grid: PerspectiveGrid) -> Evidence:
     inside = grid.project(detections.directions)[2]
     parts = {key: getattr(detections, key)[inside] for key in ("directions", "axes", "ratios", "clutter", "scores")}
     seen = replace(detections, views=(View(grid),), **parts)
-    return replace(Evidence.from_detections(seen, canvas_of(grid), found.stamp), source=found.source)
+    made = Evidence.from_detections(seen, canvas_of(grid), found.stamp)
+    return replace(made, source=found.source, looked_for=found.looked_for)
 
 
 def pasted(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> np.ndarray:

@@ -22,10 +22,9 @@ from eagor.evidence.detector import DetectorModel
 from eagor.grids import PerspectiveGrid
 from eagor.perception import Perception
 from eagor.perception import look as one_look
-from eagor.perception.colour import colour_in
 from eagor.perception.partial import ViewPerception, look_at_view
 from eagor.perception.records import Record, parse_record, read_looks, read_records, write_record
-from eagor.perception.words import fitting, meant
+from eagor.perception.words import colour_of, fitting, meant, named
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
@@ -84,8 +83,13 @@ class ReplayPerception:
             return ()
 
     def _evidence(self, records: Sequence[Record], query: str) -> tuple[Evidence, ...]:
+        return tuple(self._of(record, query) for record in records)
+
+    def _of(self, record: Record, query: str) -> Evidence:
         wanted = self._wanted(query)
-        return tuple(r.evidence(query, self.calibration, self.detector, self.labels, wanted) for r in records)
+        found = record.evidence(query, self.calibration, self.detector, self.labels, wanted)
+        asked = record.query is not None  # the detector had these words
+        return found if asked else named(found, query, wanted or sorted(fitting(query, self.labels)))
 
     def _wanted(self, query: str) -> tuple[str, ...] | None:
         """The classes of the detector that `query` means; None where the file does not name them.
@@ -95,7 +99,7 @@ class ReplayPerception:
         if self.footage is None or self.footage.classes is None:
             return None
         wanted = meant(query, self.footage.classes, coloured=True)
-        if colour_in(query) is not None and query not in self.footage.classes:
+        if colour_of(query, self.footage.classes) is not None:
             raise QueryError(
                 f"the query {query!r} names a colour, and {self.name} holds boxes without pictures; ask for "
                 f"{wanted[0]!r}, or look at the footage itself: eagor track FRAMES {query!r}"
@@ -180,7 +184,7 @@ class ReplayPerception:
                 f"{self.name} has {1 + len(others)} records for {query!r} at stamp {record.stamp:.6f}; wanted one. "
                 "If they are views of one moment, use each of looks(query, stamp)"
             )
-        return record.evidence(query, self.calibration, self.detector, self.labels, self._wanted(query))
+        return self._of(record, query)
 
 
 def takes_pictures(perception: Perception) -> bool:

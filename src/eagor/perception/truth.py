@@ -20,6 +20,7 @@ from eagor.errors import EagorError, GridError, ImageError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.perception.words import named
 from eagor.queries import Named, matching, parse_query
 from eagor.sphere import check_rotation
 
@@ -101,7 +102,8 @@ class TruthEpisode:
         """
         reports = self.look(panorama, query, world_R_body)
         response = drawn(reports, self._grid, self._noise.floor)
-        return Evidence.from_response(response, self._grid, self._calibration, stamp)
+        meant = parse_query(query, [thing.category for thing in self._labels]).category
+        return named(Evidence.from_response(response, self._grid, self._calibration, stamp), query, (meant,))
 
     def look(self, ids: np.ndarray, query: str, world_R_body: np.ndarray | None = None) -> list[Report]:
         """The next look as a list of reports; arguments and errors as for a call."""

@@ -27,9 +27,9 @@ from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE, are_fractions
 from eagor.grids import PerspectiveGrid, tangent_views
 from eagor.media.panorama import checked_picture, cut
-from eagor.perception.colour import colour_in, share_of
+from eagor.perception.colour import share_of
 from eagor.perception.things import Boxes, Seen, Thing, ViewBox, labels_of, pieces_of, spread_evidence, things
-from eagor.perception.words import fitting, meant, same_name
+from eagor.perception.words import colour_of, fitting, meant, named, same_name
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 from eagor.tracking import Around
 
@@ -114,7 +114,7 @@ class Views:
         `EagorError` if the detector returns something else than boxes.
         """
         (found,) = self.things(panorama, (query,), world_R_body)
-        return spread_evidence(found, self.detector, View(WHOLE_SPHERE), stamp)
+        return self._evidence(found, query, View(WHOLE_SPHERE), stamp)
 
     def things(
         self,
@@ -145,7 +145,7 @@ class Views:
         seen = self._detected(shown, queries[0] if queries else "")
 
         def look(query: str, wanted: Sequence[str] | None) -> Evidence:
-            return spread_evidence(self._meant(shown, seen, query, wanted), self.detector, view, stamp)
+            return self._evidence(self._meant(shown, seen, query, wanted), query, view, stamp)
 
         def answer(query: str) -> Evidence | QueryError:
             try:
@@ -217,12 +217,11 @@ class Views:
         if not isinstance(grid, PerspectiveGrid):
             raise ImageError(f"grid is {type(grid).__name__}; wanted eagor.PerspectiveGrid(height, width, hfov)")
         (found,) = self.things(image, (query,), grid=grid)
-        return spread_evidence(found, self.detector, View(grid), stamp)
+        return self._evidence(found, query, View(grid), stamp)
 
     def _weighed(self, pieces: Iterable[ViewBox], picture: np.ndarray, query: str) -> Iterator[ViewBox]:
         """The boxes of a picture, with lower scores where they show little of the colour that the query names."""
-        # An orange is a thing, whatever its colour.
-        colour = None if self.classes is None or query in self.classes else colour_in(query)
+        colour = None if self.classes is None else colour_of(query, self.classes)
         for piece in pieces:
             if colour is None:
                 yield piece
@@ -231,6 +230,14 @@ class Views:
             share = share_of(colour, picture[y0:y1, x0:x1])
             if share > 0:
                 yield replace(piece, score=piece.score * min(1.0, share / COLOURED))
+
+    def _evidence(self, found: list[Thing], query: str, view: View, stamp: float | None) -> Evidence:
+        evidence = spread_evidence(found, self.detector, view, stamp)
+        return (
+            evidence
+            if self.classes is None or not query
+            else named(evidence, query, meant(query, self.classes, described=True))
+        )
 
     def _wanted(self, query: str) -> tuple[str, ...] | None:
         if not isinstance(query, str) or not query.strip():

@@ -11,17 +11,22 @@ import difflib
 import re
 import tomllib
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from eagor._extras import how_to_install
 from eagor.errors import QueryError
+from eagor.evidence import Evidence
 from eagor.perception.colour import COLOURS as SHADES
-from eagor.perception.colour import SYNONYMS, is_colour
+from eagor.perception.colour import SYNONYMS, Colour, colour_in, is_colour
 from eagor.queries import COLOURS
 
-__all__ = ["fitting", "for_any_words", "meant", "plain", "same_name", "singular"]
+__all__ = [
+    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "looked_for", "meant", "named",
+    "plain", "same_name", "singular",
+]  # fmt: skip
 
 _TABLES = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 
@@ -54,6 +59,7 @@ on in at by near next beside behind under above below between with without to fr
 around that which who
 """
 RELATIONS = frozenset(_PLACES.split())
+_ANYTHING = {"something", "anything", "thing", "things", "stuff"}
 _HOLDING = {"cup", "glass", "mug", "bottle", "bowl", "vase", "box", "can", "jar", "pot"}  # a cup of tea is a cup
 _PARTS = {"slice", "piece", "pair", "bunch", "group", "kind", "sort", "couple"}  # a slice of pizza is pizza
 # What detectors of an open vocabulary are asked with, and label with: "a photo of a chair", "an image of the chair".
@@ -100,6 +106,43 @@ def _looked_up(asked: tuple[str, ...], classes: tuple[str, ...]) -> tuple[tuple[
         return found, words, []
     noun, left_out = _noun(words)
     return _found(noun, classes), noun, left_out
+
+
+def colour_of(query: str, classes: Sequence[str]) -> Colour | None:
+    """The colour by which `query` tells a thing of these classes from others; none of "the orange" and "hot dog"."""
+    return colour_in(" ".join(_looked_up(tuple(plain(query).split()), tuple(classes))[2]))
+
+
+def looked_for(query: str, names: Collection[str]) -> str:
+    """What was looked for instead of `query`, of which these classes or labels are meant: "chair" for "footstool".
+
+    "" where one of them is the word that was asked, whatever its article, number or colour.
+    """
+    _, noun, _ = _looked_up(tuple(plain(query).split()), tuple(names))
+    if not names or _named(plain(query), names) or _named(" ".join(noun), names):
+        return ""
+    shown, rest = [*names][:_EVERY], len(names) - _EVERY
+    return " or ".join(shown) + (f" or {rest} more" if rest > 0 else "")
+
+
+def named(evidence: Evidence, query: str, names: Collection[str]) -> Evidence:
+    """`evidence` that names what was `looked_for`."""
+    words = looked_for(query, names)
+    return replace(evidence, looked_for=words) if words else evidence
+
+
+def is_bare_colour(query: str, classes: Sequence[str]) -> bool:
+    """Whether `query` names a colour and no thing, as "red" and "something red" do; "the orange" may be a class."""
+    words = plain(query).split()
+    named = [word for word in words if word not in OPENERS and word not in _ANYTHING]
+    return is_colour(" ".join(named)) and (len({*words} & _ANYTHING) > 0 or not _looked_up((*words,), (*classes,))[0])
+
+
+def by_colour_alone(query: str, classes: Sequence[str]) -> str:
+    """How to look for the colour of `query` alone, to end an error with; "" where it names none beside the noun."""
+    if not plain(query) or colour_of(query, classes) is None:
+        return ""
+    return ". For all that has the colour, whatever it is: --perception colour"
 
 
 def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = None) -> frozenset[str]:
@@ -238,7 +281,7 @@ def _called(name: str, classes: Sequence[str]) -> tuple[str, ...]:
     return _named(name, classes) or _other(name, classes) or _wider(name, classes)
 
 
-def _named(name: str, classes: Sequence[str]) -> tuple[str, ...]:
+def _named(name: str, classes: Collection[str]) -> tuple[str, ...]:
     """The classes that are called `name`, in the singular or as written."""
     ways = _spelt(tuple(classes))
     for way in (name, singular(name), singular(name).replace(" ", "")):
@@ -306,7 +349,7 @@ def _unknown(query: str, words: Sequence[str], classes: Sequence[str]) -> QueryE
         hint += ", and none spelt like it"
     return QueryError(
         f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. To look for any "
-        f"words: {for_any_words()}"
+        f"words: {for_any_words()}{by_colour_alone(query, classes)}"
     )
 
 

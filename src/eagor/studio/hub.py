@@ -57,12 +57,10 @@ def offers(given: str | None = None) -> list[Offer]:
 
 def _missing(name: str) -> str:
     if name == "coco":
-        from eagor.perception.coco import COCO
+        from eagor.perception.coco import wanted
 
-        if not COCO.path.is_file():
-            return "Its weights are not here: run eagor models get coco, then reload the page."
-        if find_spec("onnxruntime") is None:
-            return f"It needs onnxruntime: {how_to_install('photos')}"
+        if steps := wanted():
+            return f"It is not here yet: {'; then '.join(steps)}; then reload the page."
     if name in ("scout", "truth"):
         lacking = [each for each in ("onnxruntime", "trimesh", "gymnasium") if find_spec(each) is None]
         if lacking:

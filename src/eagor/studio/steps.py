@@ -57,11 +57,9 @@ def estimate_json(estimate: Estimate, entropy: float) -> dict[str, Any]:
 def in_words(estimate: Estimate) -> str:
     """The answer in a sentence: where, how far, how sure."""
     e = estimate
-    if e.direction is None:
-        return "No direction is known yet."
     where, far = answer_in_words(e), far_in_words(e)
-    cone = f"90 % within {math.degrees(e.credible_angle):.0f} degrees"
-    parts = [where, *([f"{far} away"] if far else []), cone]
+    cone = [] if e.direction is None else [f"90 % within {math.degrees(e.credible_angle):.0f} degrees"]
+    parts = [where, *([f"{far} away"] if far else []), *cone]
     meaning = status_in_words(e.status, e.presence)
     said = f"{', '.join(parts)}. Presence {100 * e.presence:.0f} %, {e.status}: {meaning}."
     return said[0].upper() + said[1:]

@@ -25,7 +25,7 @@ from eagor._files import open_regular, written
 from eagor._values import state_of
 from eagor.errors import FormatError
 
-VERSION = 6
+VERSION = 7
 FORMAT = "eagor tracker"
 LONGEST = 1000  # bytes of the first line
 # Only dataclasses of these, and of their modules, may be in a file.

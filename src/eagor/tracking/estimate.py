@@ -61,8 +61,8 @@ class Estimate:
 
     `stamp`: the time asked for; `age`: seconds since the newest evidence was captured (infinite before any);
     `hypotheses`: the posterior, in WORLD axes; `world_R_body`: the pose at that time; `alarms`: the number of false
-    alarms in a look, where it is learnt. `spread`: radians per axis by which that pose may be off; regions are as much
-    wider.
+    alarms in a look, where it is learnt. `looked_for`: what was looked for, where that is another word than was asked.
+    `spread`: radians per axis by which that pose may be off; regions are as much wider.
 
         >>> tracker = eagor.DirectionTracker()
         >>> tracker.observe(eagor.Evidence.from_points([[0, 1, 0]], stamp=0.0))
@@ -77,11 +77,13 @@ class Estimate:
     world_R_body: np.ndarray
     config: TrackerConfig
     alarms: Alarms | None = None
+    looked_for: str = ""
     spread: float = 0.0
     of: Estimate | None = field(default=None, repr=False)  # what this is `turned` from
 
     def __repr__(self) -> str:
         presence = f"presence {self.presence:.2f}, {self.status}"
+        presence += f", looked for {self.looked_for}" if self.looked_for else ""
         if self.azimuth is None or self.elevation is None:
             return f"Estimate(t={self.stamp:g} s, direction not known, {presence})"
         cone = f"90 % within {math.degrees(self.credible_angle):.0f}°"
@@ -329,9 +331,9 @@ class Estimate:
     def as_dict(self, modes: int = MOST_MODES, near: int | None = None, exact: bool = False) -> dict[str, Any]:
         """The answer as plain numbers, the form in which it is written everywhere; what is not known is None.
 
-        Angles in degrees. At most so many `modes`; the distance is left out while searching. `near`: degrees, adds the
-        probability that the target is `within` that angle of the answer. `exact`: numbers are not rounded, so that
-        answers can be compared bit for bit.
+        Angles in degrees. At most so many `modes`; the distance is left out while searching, "looked_for" where it is
+        what was asked. `near`: degrees, adds the probability that the target is `within` that angle of the answer.
+        `exact`: numbers are not rounded, so that answers can be compared bit for bit.
         """
         number = partial(plain_number, exact=exact)
 
@@ -347,6 +349,7 @@ class Estimate:
         }  # fmt: skip
         return {
             "stamp": number(self.stamp),
+            **({"looked_for": self.looked_for} if self.looked_for else {}),
             **angles(self.azimuth, self.elevation),
             "direction": None if self.direction is None else [number(each) for each in self.direction],
             "credible_angle_deg": degrees(self.credible_angle) if known else None,

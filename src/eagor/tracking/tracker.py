@@ -131,7 +131,7 @@ class DirectionTracker:
             raise TimeError(
                 "the evidence has no time stamp; pass stamp=... (time of capture, seconds) where it is made"
             )
-        stamp = evidence.stamp
+        stamp, looked_for = evidence.stamp, evidence.looked_for
         if evidence.detections is not None and self.config.detector is not None:
             evidence = evidence.with_detector(self.config.detector)
         elif self.config.calibration is not None:
@@ -140,6 +140,7 @@ class DirectionTracker:
         with self._turn:
             self._poses.check_ahead(stamp)
             track = self._tracks.get(target) or Track()
+            track.looked_for = looked_for
             place, moment = track.place_of(stamp)
             if moment is None:
                 pose, position = self._poses.at(stamp)
@@ -189,7 +190,7 @@ class DirectionTracker:
             state = track.state(self.config)
             assert state is not None
             state = state.at(now, position, self.config)
-            return Estimate(now, now - state.stamp, state.hypotheses, pose, self.config, state.alarms)
+            return Estimate(now, now - state.stamp, state.hypotheses, pose, self.config, state.alarms, track.looked_for)
 
     def next_look(
         self,

@@ -102,13 +102,15 @@ class Moment:
 class Track:
     """The moments of one target by rising stamp, and the state `base` before them (None: uniform).
 
-    `trimmed`: whether moments were folded into `base`; `used`: counter value at the last use of the target.
+    `trimmed`: whether moments were folded into `base`; `used`: counter value at the last use of the target;
+    `looked_for`: as its looks say.
     """
 
     moments: list[Moment] = field(default_factory=list)
     base: State | None = None
     trimmed: bool = False
     used: int = 0
+    looked_for: str = ""
 
     def copied(self) -> Track:
         """A copy with its own moments."""

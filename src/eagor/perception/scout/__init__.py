@@ -25,6 +25,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.perception.onnx.network import session
+from eagor.perception.words import named
 from eagor.queries import parse_query
 
 if TYPE_CHECKING:
@@ -81,7 +82,8 @@ class ScoutPerception:
         Raises `QueryError`, which lists the known words, for other words; `ImageError` for any other array.
         """
         response = self.respond(panorama, [query])[0]
-        return Evidence.from_response(response, self.grid, self.calibration, stamp)
+        meant = parse_query(query, self.categories).category
+        return named(Evidence.from_response(response, self.grid, self.calibration, stamp), query, (meant,))
 
     def respond(self, panorama: np.ndarray, queries: Sequence[str]) -> np.ndarray:
         """Responses ``(Q, h, w)`` float32 in [0, 1] to several queries, from one pass. Errors as for a call."""
