@@ -121,9 +121,9 @@ def look(folder: Path, files: Sequence[Path], wanted: Sequence[tuple[str, str]])
     if not any(missing.values()):
         return
     from eagor.perception.coco import coco_detector
-    from eagor.perception.views import Views
+    from eagor.perception.views import Detector
 
-    views = Views(coco_detector())
+    views = Detector(coco_detector())
     with files[0].open("a") as out:
         for (name, condition), frames in missing.items():
             say = told(condition)

@@ -48,12 +48,14 @@ if TYPE_CHECKING:
     from eagor.media.camera_sources import open_source
     from eagor.media.odometry import open_poses
     from eagor.perception import load
+    from eagor.perception.views import Detector
     from eagor.sphere import angular_distance, azimuth_elevation, direction
     from eagor.tracking import DirectionTracker, Estimate, Mode, MotionModel, TrackerConfig
 
 __all__ = [
     "Belief",
     "Calibration",
+    "Detector",
     "DetectorModel",
     "DirectionTracker",
     "EagorError",
@@ -89,6 +91,7 @@ _HOME = {
     "media.camera_sources": ("open_source",),
     "media.odometry": ("open_poses",),
     "perception": ("load",),
+    "perception.views": ("Detector",),
     "sphere": ("angular_distance", "azimuth_elevation", "direction"),
     "tracking": ("DirectionTracker", "Estimate", "Mode", "MotionModel", "TrackerConfig"),
 }

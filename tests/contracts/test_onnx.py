@@ -10,7 +10,7 @@ from onnx_files import onnx_file, seeing_file
 from eagor.errors import EagorError, FormatError, ImageError, ResponseError
 from eagor.perception import known, load
 from eagor.perception.onnx import LAYOUTS, OnnxDetector, from_text
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 
 SIDE = 64
 CELLS = 8 * 8 + 4 * 4 + 2 * 2  # of grids with strides 8, 16, 32
@@ -533,12 +533,12 @@ def test_a_picture_is_not_changed_and_the_detector_travels(tmp_path):
 def test_a_line_of_text_names_a_detector(tmp_path):
     path = onnx_file(tmp_path / "d.onnx", centernet(), (1, 3, None, None))
     (tmp_path / "80").write_text("\n".join(THREE))
-    made = load(f"onnx:{path}?labels={tmp_path / '80'}&size=96x128&threshold=0.3&hfov=100&count=12&order=bgr")
-    assert isinstance(made, Views)
+    made = load(f"onnx:{path}?labels={tmp_path / '80'}&size=96x128&threshold=0.3&hfov_deg=100&views=12&order=bgr")
+    assert isinstance(made, Detector)
     (view, *_), count = made.views(), len(made.views())
     assert (round(math.degrees(view.hfov)), count, view.width) == (100, 12, 128)
-    assert (made.detect.threshold, made.detect.order, made.detect.size) == (0.3, "bgr", (96, 128))
-    assert made.detect.classes == tuple(THREE)
+    assert (made.function.threshold, made.function.order, made.function.size) == (0.3, "bgr", (96, 128))
+    assert made.function.classes == tuple(THREE)
     assert from_text(f"{path}?size=64&view=256", threshold=0.1).views()[0].width == 256
     assert "onnx" in known()
 

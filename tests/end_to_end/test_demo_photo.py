@@ -15,7 +15,7 @@ from eagor.lab.agents.methods import NAMES
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media.panorama import turn
 from eagor.perception import load
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 
 RED_BALL = bearing(Room().balls[0], EYE, np.eye(3))[0]
@@ -135,23 +135,23 @@ def test_an_ordinary_camera_searches_by_turning(photo, tmp_path, capsys):
 
 def test_without_a_query_the_surest_class_is_taken():
     room = painted_room(128, 256)
-    assert demo_photo.best_query(Views(Knows()), room) == "ball"
-    assert demo_photo.best_query(Views(Knows(0.2)), room) == "cup"
+    assert demo_photo.best_query(Detector(Knows()), room) == "ball"
+    assert demo_photo.best_query(Detector(Knows(0.2)), room) == "cup"
     with pytest.raises(RunError, match="sees nothing that it knows"):
-        demo_photo.best_query(Views(Knows(0)), room)
+        demo_photo.best_query(Detector(Knows(0)), room)
     with pytest.raises(UsageError, match="say what to look for with --query"):
         demo_photo.best_query(load("colour"), room)
 
 
 def test_a_thing_that_is_never_seen_ends_the_run():
     with pytest.raises(RunError, match="saw no 'ball' in any of 24 looks"):
-        demo_photo.play(painted_room(128, 256), Views(Knows(0), size=64), "mine", "ball")
+        demo_photo.play(painted_room(128, 256), Detector(Knows(0), size=64), "mine", "ball")
 
 
 def test_a_large_photograph_is_shrunk():
-    rows = demo_photo.rows_for(Views(Knows()), np.zeros((4096, 8192, 3), np.uint8))
+    rows = demo_photo.rows_for(Detector(Knows()), np.zeros((4096, 8192, 3), np.uint8))
     assert rows <= demo_photo.MOST_ROWS
-    assert demo_photo.rows_for(Views(Knows()), np.zeros((200, 400, 3), np.uint8)) == 200
+    assert demo_photo.rows_for(Detector(Knows()), np.zeros((200, 400, 3), np.uint8)) == 200
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.live.loop import Loop
 from eagor.live.recording import Replay
 from eagor.media.panorama import view
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 from eagor.sphere import world_R_body
 from eagor.studio.replays import recorded
 
@@ -110,7 +110,7 @@ def test_what_else_is_here_is_listed_at_the_end_and_recorded(film, tmp_path, mon
     spec = "livemaking:balls"
 
     def loop_of(options, sinks, around):
-        eyes = Views(balls, count=8, hfov=100, size=160)
+        eyes = Detector(balls, views=8, hfov_deg=100, size=160)
         return Loop(str(film), "level", eyes, "ball", sinks=sinks, around=around, record=options.record)
 
     monkeypatch.setattr("eagor.cli.live.loop_of", loop_of)

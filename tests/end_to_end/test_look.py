@@ -20,7 +20,7 @@ from eagor.lenses import PinholeLens
 from eagor.media.panorama import cut, turn
 from eagor.media.rigs import Rig, write_rig
 from eagor.perception.calibrated import Calibrated
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 from eagor.sphere import world_R_body
 
 ROWS, COUNT, RATE = 192, 8, 4
@@ -53,7 +53,9 @@ def paints(monkeypatch):
     """The perception "paints" of the commands."""
     detect = Paints()
     for module in (look_command, checks):
-        monkeypatch.setattr(module, "make_perception", lambda spec, busy=False: Views(detect, size=128, detector=MODEL))
+        monkeypatch.setattr(
+            module, "make_perception", lambda spec, busy=False: Detector(detect, size=128, detector=MODEL)
+        )
     return detect
 
 
@@ -207,7 +209,7 @@ def test_an_interruption_says_what_is_kept(paints, eagor, tmp_path, monkeypatch)
     folder.mkdir()
     for k in range(4):
         Image.fromarray(painted_room(64, 128)).save(folder / f"{k}.png")
-    seen, two = Views.seen, [1, 2]
+    seen, two = Detector.seen, [1, 2]
 
     def broken_off(self, *of):
         if not two:
@@ -215,7 +217,7 @@ def test_an_interruption_says_what_is_kept(paints, eagor, tmp_path, monkeypatch)
         two.pop()
         return seen(self, *of)
 
-    monkeypatch.setattr(Views, "seen", broken_off)
+    monkeypatch.setattr(Detector, "seen", broken_off)
     code, out, err = eagor("look", folder, "--out", looks, "--perception", "paints", "--rate", 2)
     assert (code, out) == (130, "")
     assert err.splitlines()[-2:] == [f"eagor: kept: {looks}, 2 looks to 0.50 s", "eagor: interrupted"]

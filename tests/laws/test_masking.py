@@ -15,7 +15,7 @@ from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.colour import ColourPerception
 from eagor.perception.partial import Masked, read_mask
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 from eagor.sphere import direction, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
 
@@ -163,7 +163,7 @@ def test_any_perception_can_be_masked():
         dark = np.argwhere((picture < 30).all(axis=-1))
         return ([[*dark.min(axis=0)[::-1], *dark.max(axis=0)[::-1] + 1]], [0.9]) if len(dark) else ([], [])
 
-    cut = Views(detect, size=64)
+    cut = Detector(detect, size=64)
     assert len(cut(panorama, "backpack").detections) >= 1
     tilted = Masked(cut, nadir())(panorama, "backpack", world_R_body=world_R_body(0.3, 0.4, 0.1))
     assert len(tilted.detections) == 0

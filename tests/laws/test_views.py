@@ -1,12 +1,13 @@
 """Any detector for ordinary pictures, made to look all around."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import find_objects, label
+from scipy.ndimage import binary_dilation, find_objects, label
 
 from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence, PerspectiveGrid
 from eagor.drawing.style import answer_in_words, candidates_in_words
@@ -15,9 +16,9 @@ from eagor.evidence import BodyMask
 from eagor.grids import tangent_views
 from eagor.live.events import Answer
 from eagor.media.panorama import cut, turn
-from eagor.perception import check_perception, look
+from eagor.perception import as_perception, check_perception, look
 from eagor.perception.things import ViewBox, things
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
 from eagor.studio import steps
 
@@ -34,14 +35,15 @@ def painted(*discs):
 
 
 def red(picture, query):
-    """A detector: the boxes of what is red."""
-    parts, _ = label(picture[..., 0].astype(int) - picture[..., 1] > 60)
+    """A detector: the boxes of what is red; pixels that nearly touch at a view's border are one thing's."""
+    shown = picture[..., 0].astype(int) - picture[..., 1] > 60
+    parts = label(binary_dilation(shown, iterations=2))[0] * shown
     boxes = [[x.start, y.start, x.stop, y.stop] for y, x in find_objects(parts)]
     return np.array(boxes, dtype=float).reshape(-1, 4), np.full(len(boxes), 0.9)
 
 
 def found(panorama, pose=None, **settings):
-    return Views(red, size=128, **settings)(panorama, "thing", stamp=1.0, world_R_body=pose).detections
+    return Detector(red, size=128, **settings)(panorama, "thing", stamp=1.0, world_R_body=pose).detections
 
 
 DIRECTION = st.tuples(st.floats(0, 2 * math.pi), st.floats(-math.pi / 2, math.pi / 2)).map(lambda at: direction(*at))
@@ -78,7 +80,7 @@ def test_things_side_by_side_stay_two():
 @settings(max_examples=12, deadline=None)
 def test_views_are_level_however_the_camera_is_turned(where, yaw, pitch, roll):
     pose = world_R_body(yaw, pitch, roll)
-    perception = Views(red, size=128)
+    perception = Detector(red, size=128)
     for view in perception.views(pose):
         left = pose @ view.body_R_view[:, 1]
         assert abs(left[2]) < 1e-9, "the left side of each picture points at the horizon"
@@ -88,17 +90,17 @@ def test_views_are_level_however_the_camera_is_turned(where, yaw, pitch, roll):
 
 
 def test_without_a_pose_the_camera_counts_as_level():
-    told, untold = (Views(red, size=64).views(pose) for pose in (np.eye(3), None))
+    told, untold = (Detector(red, size=64).views(pose) for pose in (np.eye(3), None))
     for a, b in zip(told, untold, strict=True):
         np.testing.assert_allclose(a.body_R_view, b.body_R_view, atol=1e-12)
-    heading = Views(red, size=64).views(world_R_body(1.0))
+    heading = Detector(red, size=64).views(world_R_body(1.0))
     np.testing.assert_allclose(heading[0].body_R_view, untold[0].body_R_view, atol=1e-12)
 
 
 @pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
 def test_a_camera_that_looks_straight_up_or_down_has_level_views_too(pitch):
     pose = world_R_body(0.7, pitch)
-    for view in Views(red, size=64).views(pose):
+    for view in Detector(red, size=64).views(pose):
         assert abs((pose @ view.body_R_view[:, 1])[2]) < 1e-9
 
 
@@ -118,7 +120,7 @@ def test_upright_pictures_reach_the_detector():
 
     for roll in (0.0, 1.5, 3.0):
         pose = world_R_body(0.3, 0.2, roll)
-        Views(upright, size=128)(turn(flag, pose.T), "flag", world_R_body=pose)
+        Detector(upright, size=128)(turn(flag, pose.T), "flag", world_R_body=pose)
     assert len(seen) >= 3
     assert all(seen)
 
@@ -139,7 +141,7 @@ def test_an_open_side_widens_and_shifts_what_one_view_alone_has_seen():
 
 
 def test_nothing_found_is_a_look_that_saw_nothing():
-    evidence = Views(red, size=64)(painted(), "thing", stamp=2.0)
+    evidence = Detector(red, size=64)(painted(), "thing", stamp=2.0)
     assert isinstance(evidence, Evidence)
     assert len(evidence.detections) == 0
     assert evidence.stamp == 2.0
@@ -148,9 +150,9 @@ def test_nothing_found_is_a_look_that_saw_nothing():
 
 def test_the_contract_of_perceptions_is_kept():
     panorama = painted((direction(0.4, 0.2), math.radians(8)))
-    check_perception(Views(red, size=96), panorama, "thing")
+    check_perception(Detector(red, size=96), panorama, "thing")
     model = DetectorModel(detection_probability=0.8, spread=math.radians(3))
-    evidence = Views(red, size=96, detector=model)(panorama, "thing")
+    evidence = Detector(red, size=96, detector=model)(panorama, "thing")
     assert evidence.detections.model is model
 
 
@@ -161,16 +163,16 @@ def test_labels_that_the_query_does_not_mean_are_left_out():
 
     labelled.classes = ("sofa", "chair")
     panorama = painted((direction(0.4, 0.2), math.radians(8)))
-    assert len(Views(labelled, size=96)(panorama, "sofas").detections) == 1
-    assert len(Views(labelled, size=96)(panorama, "chair").detections) == 0
+    assert len(Detector(labelled, size=96)(panorama, "sofas").detections) == 1
+    assert len(Detector(labelled, size=96)(panorama, "chair").detections) == 0
     with pytest.raises(QueryError, match="zebra"):
-        Views(labelled, size=96)(panorama, "zebra")
+        Detector(labelled, size=96)(panorama, "zebra")
 
 
 @pytest.mark.parametrize(("classes", "says"), [(None, "none fits 'green lamp'"), (["lamp"], "is called so")])
 def test_labels_that_fit_nothing_are_named_once(classes, says):
     panorama = painted((direction(0.4, 0.2), math.radians(8)))
-    views = Views(lambda picture, query: (*red(picture, query), ["Zebra"] * len(red(picture, query)[0])), size=96)
+    views = Detector(lambda picture, query: (*red(picture, query), ["Zebra"] * len(red(picture, query)[0])), size=96)
     views.classes = classes
     with pytest.warns(UserWarning, match=rf"the detector says 'Zebra'; .*{says}.*classes=\[\.\.\.\]"):
         assert len(views(panorama, "green lamp").detections) == 0
@@ -187,7 +189,7 @@ def test_one_pass_answers_for_every_class_as_a_look_for_each_does():
         boxes, scores = red(picture, query)
         return boxes, scores, ["ball" if box[2] - box[0] < 20 else "door" for box in boxes]
 
-    views = Views(labelled, size=128, classes=("ball", "door", "lamp"))
+    views = Detector(labelled, size=128, classes=("ball", "door", "lamp"))
     looks, around = views.around(panorama, ("door", "balls", "zebra"), stamp=1.0, world_R_body=pose)
     assert len(asked) == len(views.views()), "each view is shown once"
     assert set(around.found) == {"ball", "door"}
@@ -197,9 +199,9 @@ def test_one_pass_answers_for_every_class_as_a_look_for_each_does():
     for query, seen in together:
         alone = views(panorama, query, stamp=1.0, world_R_body=pose)
         np.testing.assert_array_equal(seen.detections.directions, alone.detections.directions)
-    open_words = Views(red, size=128)
+    open_words = Detector(red, size=128)
     asked.clear()
-    open_words.detect = labelled
+    open_words.function = labelled
     open_words.things(panorama, ("door", "ball"))
     assert set(asked) == {"door", "ball"}, "a detector without classes is asked for each query"
 
@@ -218,7 +220,7 @@ def test_one_pass_answers_for_every_class_as_a_look_for_each_does():
 )
 def test_a_detector_that_returns_nonsense_is_told_so(nonsense):
     with pytest.raises(EagorError, match="want"):
-        Views(lambda picture, query: nonsense, size=64)(painted(), "thing")
+        Detector(lambda picture, query: nonsense, size=64)(painted(), "thing")
 
 
 def test_a_colour_in_the_query_weighs_the_boxes_of_a_detector_that_knows_none():
@@ -230,7 +232,7 @@ def test_a_colour_in_the_query_weighs_the_boxes_of_a_detector_that_knows_none():
         boxes, scores = red(picture, query)
         return boxes, scores, ["chair"] * len(boxes)
 
-    views = Views(chairs, size=128, classes=["chair"])
+    views = Detector(chairs, size=128, classes=["chair"])
     assert len(views(panorama, "chair", stamp=1.0).detections) == 2
     seen = views(panorama, "the red chair", stamp=1.0).detections
     surest = int(seen.scores.argmax())
@@ -247,7 +249,7 @@ def test_the_answer_names_what_was_looked_for_where_that_was_not_asked():
         return boxes, scores, ["chair"] * len(boxes)
 
     panorama, view = painted((direction(0.6, 0.0), math.radians(8))), PerspectiveGrid(64, 64, 1.0)
-    views = Views(chairs, size=128, classes=["chair"])
+    views = Detector(chairs, size=128, classes=["chair"])
     for query, words in (("chairs", ""), ("footstool", "chair")):
         tracker = DirectionTracker()
         tracker.observe(views(panorama, query, stamp=1.0))
@@ -265,17 +267,17 @@ def test_the_answer_names_what_was_looked_for_where_that_was_not_asked():
 
 def test_wrong_settings_and_pictures_are_refused():
     with pytest.raises(GridError, match="cover the sphere"):
-        Views(red, hfov=120, count=3)
+        Detector(red, hfov_deg=120, views=3)
     with pytest.raises(GridError, match="150"):
-        Views(red, hfov=170)
+        Detector(red, hfov_deg=170)
     with pytest.raises(EagorError, match="detect"):
-        Views("yolo.onnx")
+        Detector("yolo.onnx")
     with pytest.raises(EagorError, match="size"):
-        Views(red, size=0)
+        Detector(red, size=0)
     with pytest.raises(ImageError, match="uint8"):
-        Views(red, size=64)(np.zeros((4, 8)), "thing")
+        Detector(red, size=64)(np.zeros((4, 8)), "thing")
     with pytest.raises(QueryError, match="words"):
-        Views(red, size=64)(painted(), " ")
+        Detector(red, size=64)(painted(), " ")
 
 
 def test_a_look_tells_the_pose_only_to_who_takes_it():
@@ -300,7 +302,7 @@ def test_a_look_tells_the_pose_only_to_who_takes_it():
 
 def test_a_tumbling_camera_finds_the_thing():
     where, panorama = direction(2.0, 0.3), painted((direction(2.0, 0.3), math.radians(7)))
-    tracker, perception = DirectionTracker(), Views(red, size=96)
+    tracker, perception = DirectionTracker(), Detector(red, size=96)
     rng = np.random.default_rng(3)
     for stamp in range(4):
         pose = rotation(rng.normal(size=3), float(rng.uniform(0, 3)))
@@ -312,7 +314,7 @@ def test_a_tumbling_camera_finds_the_thing():
 
 
 def test_more_views_overlap_more():
-    few, many = Views(red, hfov=100, count=6), Views(red, hfov=100, count=14)
+    few, many = Detector(red, hfov_deg=100, views=6), Detector(red, hfov_deg=100, views=14)
     assert "6 views of 100" in repr(few)
     assert len(many.views()) == 14
     assert few.rows == many.rows
@@ -323,3 +325,60 @@ def test_cutting_is_the_same_for_one_view_and_for_all():
     views = tangent_views(64)
     for together, view in zip(cut(panorama, *views), views, strict=True):
         np.testing.assert_array_equal(together, cut(panorama, view)[0])
+
+
+class Yolo:
+    """As a model of Ultralytics: pictures in BGR, results with numbers of classes and their names."""
+
+    def __init__(self):
+        self.names = {0: "chair", 1: "ball"}
+
+    def __call__(self, source=None, stream=False, **options):
+        raise AssertionError("its call takes other arguments")
+
+    def predict(self, source, verbose=True):
+        assert not verbose
+        boxes, scores = red(source[..., ::-1], "")
+        found = SimpleNamespace(xyxy=boxes, conf=scores, cls=np.ones(len(boxes)), __len__=lambda: len(boxes))
+        return [SimpleNamespace(boxes=found, names=self.names)]
+
+
+class Pipeline:
+    """As a pipeline of Hugging Face."""
+
+    def __init__(self, task):
+        self.task = task
+        self.model = SimpleNamespace(config=SimpleNamespace(id2label={0: "chair", 1: "ball"}))
+
+    def __call__(self, picture, candidate_labels=("ball",)):
+        boxes, scores = red(np.asarray(picture), "")
+        corners = ("xmin", "ymin", "xmax", "ymax")
+        return [
+            {"score": score, "label": candidate_labels[0], "box": dict(zip(corners, box.tolist(), strict=True))}
+            for box, score in zip(boxes, scores, strict=True)
+        ]
+
+
+@pytest.mark.parametrize(
+    ("made", "classes"),
+    [
+        (lambda: Detector.from_ultralytics(Yolo(), size=128), ("chair", "ball")),
+        (lambda: Detector.from_transformers(Pipeline("object-detection"), size=128), ("chair", "ball")),
+        (lambda: Detector.from_transformers(Pipeline("zero-shot-object-detection"), size=128), None),
+        (lambda: Detector.from_supervision(lambda picture: red(picture, ""), size=128), None),
+        (lambda: as_perception(Yolo()), ("chair", "ball")),
+    ],
+)
+def test_models_of_known_libraries_tell_their_classes(made, classes):
+    where, perception = direction(0.5, 0.1), made()
+    assert perception.classes == classes
+    found = perception(painted((where, math.radians(6))), "ball", stamp=0.0).detections
+    assert angular_distance(found.directions[0], where) < math.radians(2)
+    if classes is not None:
+        with pytest.raises(QueryError):
+            perception(painted(), "lamp")
+
+
+def test_a_model_of_ultralytics_is_no_function():
+    with pytest.raises(EagorError, match="from_ultralytics"):
+        Detector(Yolo())

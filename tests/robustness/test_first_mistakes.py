@@ -14,7 +14,7 @@ from eagor.media.panorama import read_panorama, read_photograph, tone_mapped
 from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import PosedFrame, ahead
 from eagor.perception.colour import ColourPerception
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 from eagor.sphere import world_R_body
 
 UNIT = np.eye(3)
@@ -57,7 +57,7 @@ def test_names_that_are_nearly_right(name, meant):
     assert not hasattr(eagor, "__wrapped__")
 
 
-@pytest.mark.parametrize("perception", [ColourPerception(), Views(nothing, size=32)])
+@pytest.mark.parametrize("perception", [ColourPerception(), Detector(nothing, size=32)])
 def test_an_ordinary_picture_for_a_panorama(perception):
     with pytest.warns(UserWarning, match=r"640 x 480 came for a panorama, which is 2:1.*eagor\.PerspectiveGrid"):
         perception(np.zeros((480, 640, 3), np.uint8), "red", stamp=0.0)

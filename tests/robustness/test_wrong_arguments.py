@@ -13,7 +13,7 @@ import pytest
 import eagor
 from eagor.errors import EagorError
 from eagor.perception.colour import ColourPerception
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 
 GRID, WIDE = eagor.ErpGrid(64, 128), eagor.ErpGrid(512, 1024)
 VIEW = eagor.PerspectiveGrid(48, 64, math.radians(70))
@@ -83,11 +83,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "percent": (lambda: estimate().region(90), "probability"),
     "no unit vector": (lambda: estimate().log_density([3.0, 0, 0]), "not unit vectors"),  # type: ignore[arg-type]
     "NaN": (lambda: estimate().mass_above([math.nan, 0, 0]), "not unit vectors"),  # type: ignore[arg-type]
-    "half the picture": (lambda: Views(found(1, 1, 9, 9)).view(HALF, VIEW, "cup"), "its grid is for 64 x 48"),
+    "half the picture": (lambda: Detector(found(1, 1, 9, 9)).view(HALF, VIEW, "cup"), "its grid is for 64 x 48"),
     "the same, by colour": (lambda: ColourPerception().view(HALF, VIEW, "red"), "its grid is for 64 x 48"),
-    "a view without a grid": (lambda: Views(found(1, 1, 9, 9)).view(HALF, None, "cup"), "PerspectiveGrid"),  # type: ignore[arg-type]
+    "a view without a grid": (lambda: Detector(found(1, 1, 9, 9)).view(HALF, None, "cup"), "PerspectiveGrid"),  # type: ignore[arg-type]
     "boxes of a larger picture": (
-        lambda: Views(found(90, 60, 120, 90)).view(HALF, VIEW.resized(24, 32), "cup"),
+        lambda: Detector(found(90, 60, 120, 90)).view(HALF, VIEW.resized(24, 32), "cup"),
         "scale",
     ),
 }

@@ -23,7 +23,7 @@ from eagor.lab.eval.results import OURS
 from eagor.lab.worlds.render import Photograph
 from eagor.media.panorama import cut
 from eagor.perception import Perception, look, rows_of, short_name
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 from eagor.sphere import angular_distance, azimuth_elevation, world_R_body
 from eagor.tracking.estimate import Estimate
 
@@ -212,11 +212,11 @@ def poses() -> tuple[np.ndarray, ...]:
 
 def best_query(perception: Perception, panorama: np.ndarray) -> str:
     """The class that a detector finds with the highest score. Raises `UsageError`, `RunError` if there is none."""
-    if not isinstance(perception, Views) or perception.classes is None:
+    if not isinstance(perception, Detector) or perception.classes is None:
         raise UsageError("this perception has no list of classes to choose from; say what to look for with --query")
     best: tuple[float, str] = (0.0, "")
     for picture in cut(panorama, *perception.views()):
-        _, scores, labels = perception.detect(picture, perception.classes[0])
+        _, scores, labels = perception.function(picture, perception.classes[0])
         best = max([best, *((float(score), label) for score, label in zip(scores, labels, strict=True))])
     if not best[1]:
         raise RunError("the detector sees nothing that it knows in this photograph; try another, or --query")

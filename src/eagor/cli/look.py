@@ -21,7 +21,7 @@ from eagor.cli.track import journey_of
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
-    from eagor.perception.views import Views
+    from eagor.perception.views import Detector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,12 +102,12 @@ def look(options: Look) -> int:
     return terminal.INCOMPLETE if bad or broken or lost else terminal.OK
 
 
-def _views(options: Look, queries: list[str]) -> Views:
+def _views(options: Look, queries: list[str]) -> Detector:
     """The detector in its views. Raises `UsageError` for a perception that has none, or wants queries."""
-    from eagor.perception.views import Views
+    from eagor.perception.views import Detector
 
     views = make_perception(options.perception, busy=True)
-    if not isinstance(views, Views):
+    if not isinstance(views, Detector):
         raise terminal.UsageError(
             f"--perception {options.perception} gives no boxes that can be kept for later questions; wanted a detector "
             "in views: coco, or onnx:MODEL.onnx. Any other answers one question at a time: eagor track"

@@ -24,19 +24,29 @@ from eagor.errors import EagorError, QueryError, ResponseError
 from eagor.evidence import Evidence
 
 if TYPE_CHECKING:
-    from eagor.perception.views import Views
+    from eagor.perception.views import Detector
 
 __all__ = [
-    "Perception", "Views", "as_perception", "check_perception", "is_model", "known", "knows_classes", "load", "look",
-    "parse_options", "rows_of", "short_name",
+    "Detector",
+    "Perception",
+    "as_perception",
+    "check_perception",
+    "is_model",
+    "known",
+    "knows_classes",
+    "load",
+    "look",
+    "parse_options",
+    "rows_of",
+    "short_name",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name == "Views":  # it needs more than the others: loaded when it is asked for
-        from eagor.perception.views import Views
+    if name == "Detector":  # it needs more than the others: loaded when it is asked for
+        from eagor.perception.views import Detector
 
-        return Views
+        return Detector
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
@@ -123,7 +133,7 @@ def load(spec: str, **options: Any) -> Perception:
     only, it is options, as in ``colour:rows=512``. `options` are passed on by name. A folder with ``config.json``, or
     any other text with a slash, is a model for `eagor.perception.transformers`; options can follow it, as in
     ``folder?extractor=boxes&pixels=401408``. ``my_detector.py:detect`` is a function in a file of yours: a perception,
-    or one that `Views` takes. Raises `QueryError` for an unknown name, `EagorError` if the perception cannot be
+    or one that `Detector` takes. Raises `QueryError` for an unknown name, `EagorError` if the perception cannot be
     imported or does not take the arguments.
     """
     name, colon, text = str(spec).partition(":")
@@ -180,7 +190,7 @@ def _of_file(file: str, name: str, options: dict[str, Any]) -> Perception:
 
 
 def as_perception(perception: str | Perception | Callable[..., Any]) -> str | Perception:
-    """The same, with any other function that finds things in pictures (`Views`) made a perception.
+    """The same, with any other function that finds things in pictures (`Detector`) made a perception.
 
     A perception takes the `stamp` of a picture. Raises `EagorError` for what is no function.
     """
@@ -196,9 +206,9 @@ def as_perception(perception: str | Perception | Callable[..., Any]) -> str | Pe
             return perception
     except (TypeError, ValueError):  # built in: nothing tells what it takes
         pass
-    from eagor.perception.views import Views
+    from eagor.perception.views import Detector, is_ultralytics
 
-    return Views(perception)
+    return Detector.from_ultralytics(perception) if is_ultralytics(perception) else Detector(perception)
 
 
 def knows_classes(perception: Any) -> bool:

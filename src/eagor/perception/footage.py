@@ -30,7 +30,7 @@ from eagor.perception import NoEvidenceError, Perception
 from eagor.perception.records import Footage
 from eagor.perception.replay import ReplayPerception, look_if_recorded
 from eagor.perception.things import Seen
-from eagor.perception.views import Views
+from eagor.perception.views import Detector
 from eagor.tracking import DirectionTracker, Estimate, ThingSeen, TrackerConfig
 from eagor.tracking.follower import Follower
 
@@ -259,7 +259,7 @@ PIXELS, SCORES, TURNS, METRES = 3, 6, 12, 6  # decimals that are written
 # --- a file of looks: writing -----------------------------------------------------------------------------------------
 
 
-def first_line(of: str, perception: str, views: Views, poses: str, begins: float = 0.0) -> str:
+def first_line(of: str, perception: str, views: Detector, poses: str, begins: float = 0.0) -> str:
     """The line about the footage: what was looked at, by which perception, where its poses come from, in words."""
     about: dict[str, Any] = {"of": of, "perception": perception, "poses": poses, "begins": begins}
     about["detector"] = model_as_json(views.detector)
@@ -269,7 +269,7 @@ def first_line(of: str, perception: str, views: Views, poses: str, begins: float
 
 
 def looked_at(
-    frames: Iterable[PosedFrame], views: Views, queries: Sequence[str] = (), hidden: HiddenParts | None = None
+    frames: Iterable[PosedFrame], views: Detector, queries: Sequence[str] = (), hidden: HiddenParts | None = None
 ) -> Iterator[tuple[PosedFrame, list[dict[str, Any]]]]:
     """Each pose, and its entries, one for each line: one for a look; without classes, one for each of `queries`.
 

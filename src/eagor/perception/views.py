@@ -1,4 +1,4 @@
-"""Any detector for ordinary pictures, made to look all around: `Views`.
+"""Any detector for ordinary pictures, made to look all around: `Detector`.
 
 From boxes in overlapping views it makes things on the sphere (`eagor.perception.things`): one detection for each,
 however many views show it. A box that touches its view's border may be only a part of the thing.
@@ -11,14 +11,16 @@ that no library is imported. Whatever it is, it is checked.
 
 from __future__ import annotations
 
+import inspect
 import math
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from eagor._arrays import to_numpy
 from eagor._checks import shown, warn_unless_whole, within
@@ -37,58 +39,83 @@ MOST_LABELS = 8  # in a warning
 # Of a box's pixels, so many have the thing's colour at least: it fills about half of its box, and has others, too.
 COLOURED = 0.25
 
-Detect = Callable[[np.ndarray, str], Any]
 Shown = list[tuple[PerspectiveGrid, np.ndarray]]  # pictures of one moment
 
 
-class Views:
-    """A perception that cuts a panorama into ordinary pictures and shows each to `detect`.
+class Detector:
+    """A perception of any `function` that finds things in ordinary pictures: it is shown views all around a panorama.
 
     The views overlap, cover the whole sphere, poles included, and stand level with gravity where the pose is known:
     detectors have learnt upright things. Boxes of one thing in several views are one detection; all views are ONE look.
 
-    - `detect`: ``detect(picture, query) -> boxes, scores[, labels]`` for a picture ``(h, w, 3)`` uint8 RGB: boxes
-      ``(n, 4)`` x0, y0, x1, y1 in its pixels, scores in [0, 1]. What detectors of known libraries return is understood
-      too (`eagor.perception.views.boxes_of`). Of labels, those that fit the query are kept (without `classes`:
-      `eagor.perception.words.fitting`); where none ever fitted, a warning names them, once for each query. One with a
-      method ``many(pictures, query)``, a list of such results, gets all views of a look at once.
-    - `hfov`: field of each view, degrees.
-    - `count`: the most views per look. They overlap as far as it allows; more views cut fewer things apart.
-    - `size`: pixels along each side of a view.
-    - `detector`: how the detector errs (default: `DetectorModel()`, with the detector's own `threshold` if it has one).
+    - `function`: a picture ``(h, w, 3)`` uint8 RGB, and the query if it takes two arguments; ``boxes, scores[,
+      labels]`` out: boxes ``(n, 4)`` x0, y0, x1, y1 in its pixels, scores in [0, 1]. What detectors of known libraries
+      return is understood too (`eagor.perception.views.boxes_of`). Of labels, those that fit the query are kept
+      (without `classes`: `eagor.perception.words.fitting`); where none ever fitted, a warning names them, once for each
+      query. One with a method ``many(pictures, query)``, a list of such results, gets all views of a look at once.
     - `classes`: names of all that the detector knows (default: its own ``classes``); None: it takes any words. A
-      detector with classes knows no colours: where the query names one ("brown chair"), the colour weighs its boxes.
+      detector with classes answers several queries with one pass. It knows no colours: where the query names one
+      ("brown chair"), the colour weighs its boxes.
+    - `hfov_deg`: field of each view, degrees.
+    - `views`: the most views per look. They overlap as far as it allows; more views cut fewer things apart.
+    - `size`: pixels along each side of a view.
+    - `detector`: how it errs (default: `DetectorModel()`, with the function's own `threshold` if it has one).
 
     Raises `GridError` if so few views of this field cannot cover the sphere, `EagorError` for other wrong settings.
+
+        >>> detector = eagor.Detector(lambda picture: ([[10, 10, 60, 80]], [0.9], ["chair"]))
+        >>> detector(np.zeros((256, 512, 3), np.uint8), "chair", stamp=0.0)
+        Evidence(6 detections in a whole look, t=0 s)
     """
 
     takes_pose = True
 
     def __init__(
         self,
-        detect: Detect,
+        function: Callable[..., Any],
+        classes: Sequence[str] | None = None,
         *,
-        hfov: float = 110.0,
-        count: int = 6,
+        hfov_deg: float = 110.0,
+        views: int = 6,
         size: int = 512,
         detector: DetectorModel | None = None,
-        classes: Sequence[str] | None = None,
     ) -> None:
-        if not callable(detect):
-            raise EagorError(f"detect is a {type(detect).__name__}; wanted a function detect(picture, query)")
+        if not callable(function):
+            raise EagorError(f"the detector is a {type(function).__name__}; wanted a function that takes a picture")
+        if is_ultralytics(function):
+            raise EagorError("this is a model of Ultralytics; wanted Detector.from_ultralytics(model)")
         if not within(size, 16, 8192):
             raise EagorError(f"size = {size!r}; wanted pixels along a view's side, 16 to 8192")
-        self.detect = detect
-        self.detector = detector or DetectorModel.reporting_from(getattr(detect, "threshold", None))
-        known = getattr(detect, "classes", None) if classes is None else classes
+        self.function, self._takes_query = function, _takes_query(function)
+        self.detector = detector or DetectorModel.reporting_from(getattr(function, "threshold", None))
+        known = getattr(function, "classes", None) if classes is None else classes
         self.classes = None if known is None else tuple(known)
-        self._views = _layout(int(size), float(hfov), int(count))
+        self._views = _layout(int(size), float(hfov_deg), int(views))
         self._settled: set[str] = set()  # queries that a label fitted, or of which it was said that none does
+
+    @classmethod
+    def from_ultralytics(cls, model: Any, **settings: Any) -> Detector:
+        """Of a model of Ultralytics; its `names` are the classes. `settings`: as of `Detector`."""
+        settings.setdefault("classes", _names_of(model.names))
+        return cls(partial(_of_ultralytics, model), **settings)
+
+    @classmethod
+    def from_supervision(cls, function: Callable[..., Any], **settings: Any) -> Detector:
+        """Of a function whose ``Detections`` (supervision) have the names of classes in their data."""
+        return cls(function, **settings)
+
+    @classmethod
+    def from_transformers(cls, pipeline: Any, **settings: Any) -> Detector:
+        """Of a pipeline of Hugging Face: "object-detection", whose labels are the classes, or the zero-shot one."""
+        if str(getattr(pipeline, "task", "")).startswith("zero-shot"):
+            return cls(partial(_of_zero_shot, pipeline), **settings)
+        settings.setdefault("classes", _names_of(pipeline.model.config.id2label))
+        return cls(partial(_of_pipeline, pipeline), **settings)
 
     def __repr__(self) -> str:
         view = self._views[0]
         what = f"{len(self._views)} views of {math.degrees(view.hfov):g}°, {view.width} px"
-        return f"Views({getattr(self.detect, '__name__', type(self.detect).__name__)}, {what})"
+        return f"Detector({getattr(self.function, '__name__', type(self.function).__name__)}, {what})"
 
     @property
     def rows(self) -> int:
@@ -183,15 +210,14 @@ class Views:
         self._settled.add(query)
         shown = ", ".join(map(repr, sorted(strangers)[:MOST_LABELS])) + ", ..." * (len(strangers) > MOST_LABELS)
         what = f"none fits {query!r}" if self.classes is None else "none of its classes is called so"
-        text = (
-            f"the detector says {shown}; {what}. If it has its own words, name them all: Views(detect, classes=[...])"
-        )
+        text = f"the detector says {shown}; {what}. If these are its own words, name them: Detector(..., classes=[...])"
         warnings.warn(text, UserWarning, stacklevel=4)
 
     def _detected(self, shown: Shown, query: str) -> list[Boxes]:
         """What the detector finds in each picture: in all of them at once, if it has a method `many`."""
-        pictures, many = [picture for _, picture in shown], getattr(self.detect, "many", None)
-        found = [self.detect(each, query) for each in pictures] if many is None else many(pictures, query)
+        pictures, many = [picture for _, picture in shown], getattr(self.function, "many", None)
+        more = (query,) if self._takes_query else ()
+        found = [self.function(each, *more) for each in pictures] if many is None else many(pictures, query)
         return [boxes_of(each, self.classes) for each in found]
 
     def seen(
@@ -254,10 +280,46 @@ def _layout(size: int, hfov: float, count: int) -> tuple[PerspectiveGrid, ...]:
         if len(fewest) <= count:
             return fewest
     if not fewest:
-        raise GridError(f"hfov = {hfov:g}; wanted degrees from 35 to 150")
+        raise GridError(f"hfov_deg = {hfov:g}; wanted degrees from 35 to 150")
     raise GridError(
-        f"count = {count}: {len(fewest)} views of {hfov:g} degrees cover the sphere; allow so many, or widen them"
+        f"views = {count}: {len(fewest)} views of {hfov:g} degrees cover the sphere; allow so many, or widen them"
     )
+
+
+def _takes_query(function: Callable[..., Any]) -> bool:
+    """Whether a function wants the query beside the picture."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):  # built in: nothing tells
+        return True
+    wanted = [each for each in parameters if each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)]
+    needed = [each for each in wanted if each.default is each.empty]
+    several = any(each.kind is each.VAR_POSITIONAL for each in parameters)
+    return several or len(needed) > 1 or any(each.name == "query" for each in wanted)
+
+
+# --- models of known libraries ----------------------------------------------------------------------------------------
+
+
+def is_ultralytics(model: Any) -> bool:
+    """Whether it is a model of Ultralytics, whose call takes a source of pictures in another order of colours."""
+    return hasattr(model, "names") and hasattr(model, "predict")
+
+
+def _of_ultralytics(model: Any, picture: np.ndarray) -> Any:
+    return model.predict(np.ascontiguousarray(picture[..., ::-1]), verbose=False)  # it takes BGR
+
+
+def _of_pipeline(pipeline: Any, picture: np.ndarray) -> Any:
+    return pipeline(Image.fromarray(picture))
+
+
+def _of_zero_shot(pipeline: Any, picture: np.ndarray, query: str) -> Any:
+    return pipeline(Image.fromarray(picture), candidate_labels=[query])
+
+
+def _names_of(names: Mapping[Any, str] | Sequence[str]) -> list[str]:
+    return [*(names.values() if isinstance(names, Mapping) else names)]
 
 
 # --- what detectors return --------------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ from eagor.perception.coco.tfjs import Output, onnx_from_tfjs
 
 if TYPE_CHECKING:
     from eagor.perception.onnx import OnnxDetector
-    from eagor.perception.views import Views
+    from eagor.perception.views import Detector
 
 __all__ = [
     "CLASSES", "COCO", "MODELS", "Model", "NpmPackage", "coco_detector", "fetched", "from_text", "install", "members",
@@ -73,20 +73,20 @@ def coco_detector(together: int = 1) -> OnnxDetector:
     return OnnxDetector(path, together=together)
 
 
-def from_text(text: str = "", /, **options: Any) -> Views:
-    """The perception ``coco[:option=value&...]``: this detector in level views; options as `Views`, and `together`.
+def from_text(text: str = "", /, **options: Any) -> Detector:
+    """The perception ``coco[:option=value&...]``: this detector in level views; options as `Detector`, and `together`.
 
-    Raises `MissingExtraError` as `coco_detector` does, and `EagorError` for an option that `Views` does not have.
+    Raises `MissingExtraError` as `coco_detector` does, and `EagorError` for an option that `Detector` does not have.
     """
     from eagor.perception import parse_options
-    from eagor.perception.views import Views
+    from eagor.perception.views import Detector
 
     given: dict[str, Any] = {"detector": DETECTOR} | parse_options(text.removeprefix("?")) | options
     together = given.pop("together", 1)
-    known = [*inspect.signature(Views).parameters][1:]
+    known = [*inspect.signature(Detector).parameters][1:]
     if unknown := sorted(given.keys() - {*known}):
         raise EagorError(f"coco has no option {', '.join(unknown)}; it has {', '.join([*known, 'together'])}")
-    return Views(coco_detector(together), **given)
+    return Detector(coco_detector(together), **given)
 
 
 def wanted() -> list[str]:

@@ -183,12 +183,12 @@ class OnnxDetector:
 def from_text(text: str = "", /, **options: Any) -> Perception:
     """The perception that ``MODEL.onnx[?option=value&...]`` names: the detector in level views of a panorama.
 
-    Options are those of `OnnxDetector`, and of `eagor.perception.views.Views` ``hfov``, ``count``, ``detector`` and
-    ``view`` (pixels of a view's side; default: as many as the network takes); those that are passed by name win. Raises
+    Options are those of `OnnxDetector`, and of `eagor.Detector` ``hfov_deg``, ``views``, ``detector`` and ``view``
+    (pixels of a view's side; default: as many as the network takes); those that are passed by name win. Raises
     `EagorError` for options that do not exist, and as `OnnxDetector` does.
     """
     from eagor.perception import parse_options
-    from eagor.perception.views import Views
+    from eagor.perception.views import Detector
 
     path, _, written = text.partition("?")
     if not path:
@@ -203,10 +203,10 @@ def from_text(text: str = "", /, **options: Any) -> Perception:
     fields: dict[str, Any] = {"size": max(detect.size)} | {
         new: given[old] for old, new in _OF_VIEWS.items() if old in given
     }
-    return Views(detect, **fields)
+    return Detector(detect, **fields)
 
 
-_OF_VIEWS = {"hfov": "hfov", "count": "count", "view": "size", "detector": "detector"}
+_OF_VIEWS = {"hfov_deg": "hfov_deg", "views": "views", "view": "size", "detector": "detector"}
 
 
 def _check(made: dict[str, Any]) -> None:

@@ -90,7 +90,7 @@ def choose(name: str, graph: Graph) -> tuple[str, tuple[int, ...]]:
     some = f"could be {' or '.join(sure or fitting)}" if fitting else "fit no layout"
     raise EagorError(
         f"the outputs {some}: {graph.shown()}. Say which by layout=NAME: {_listed()}. For other outputs, call the "
-        "network yourself, and give eagor.perception.views.Views a function that returns boxes and scores"
+        "network yourself, and give eagor.Detector a function that returns boxes and scores"
     )
 
 

@@ -228,7 +228,7 @@ class Network:
             return np.ones((1, *sides), dtype=dtype)
         raise EagorError(
             f"{self.path} wants a further input {given.name} {given.shape}, which is not known here; export it "
-            "without, or call it yourself and give eagor.perception.views.Views a function"
+            "without, or call it yourself and give eagor.Detector a function"
         )
 
 
