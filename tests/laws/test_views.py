@@ -1,6 +1,7 @@
 """Any detector for ordinary pictures, made to look all around."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -260,6 +261,27 @@ def test_the_answer_names_what_was_looked_for_where_that_was_not_asked():
         assert Answer(2.0, query, estimate, None, 1.0, 1.0).as_json().get("looked_for", "") == words
         for said in (answer_in_words(turned), candidates_in_words(estimate), steps.in_words(estimate), repr(estimate)):
             assert ("looked for chair" in said) == bool(words)
+
+
+def test_the_names_in_results_are_the_classes_of_a_detector_that_tells_no_others():
+    panorama = painted((direction(0.6, 0.0), math.radians(8)))
+
+    def results(picture, query):
+        boxes, scores = red(picture, query)
+        found = SimpleNamespace(xyxy=boxes, conf=scores, cls=np.full(len(boxes), 56.0))
+        return [SimpleNamespace(boxes=found, obb=None, names={0: "person", 56: "chair"})]
+
+    views = Views(results, size=128)
+    for _ in range(2):
+        with pytest.raises(QueryError, match="'lamp' names none of this detector's 2 classes"):
+            views(panorama, "lamp")
+    assert views.classes == ("person", "chair")
+    assert len(views(panorama, "the chairs").detections) == 1
+    assert len(Views(results, size=128)(panorama, "footstool").detections) == 1
+    assert not len(views(panorama, "person").detections)
+    results.names = {0: "lamp", 56: "sofa"}
+    assert len(Views(results, size=128)(panorama, "couch").detections) == 1, "the detector's own names count"
+    assert len(Views(results, size=128, classes=["chair"] * 57)(panorama, "chair").detections) == 1
 
 
 def test_wrong_settings_and_pictures_are_refused():

@@ -29,13 +29,16 @@ from livemaking import (
     Unplugged,
     yawed,
 )
+from PIL import Image
 from processes import alive, sessions_of, wait_for
 
 from eagor.errors import DeviceError, EagorError, QueryError, StorageError, TimeError
+from eagor.lab.worlds.painted import painted_room
 from eagor.live import loop as looping
 from eagor.live.loop import LiveLoop
 from eagor.live.recording import Replay
 from eagor.media import Pose
+from eagor.media.camera_sources import open_camera
 from eagor.tracking import TrackerConfig
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -72,7 +75,7 @@ def well(answer):
 
 
 def loop_of(camera, perception, queries=("red chair",), **options):
-    return LiveLoop(camera, perception, queries, **{"config": CONFIG, "rate": 50.0} | options)
+    return LiveLoop(camera, perception, queries, **{"config": CONFIG, "rate": 50.0, "poses": None} | options)
 
 
 @pytest.fixture(autouse=True)
@@ -492,3 +495,17 @@ def test_a_camera_that_hangs_at_one_picture_while_it_turns_is_told():
     assert fault.part == "camera"
     still = followed(loop_of(Camera(changing=False), Seeing(), poses=Odometry(turn=0.0)), well, *[well] * 100)
     assert not any("stays the same" in answer.status_words for answer in still)
+
+
+def test_without_a_word_about_poses_the_pictures_tell_them_as_on_the_command_line(tmp_path):
+    pytest.importorskip("cv2")
+    room = painted_room(64, 128)
+    for number in range(8):
+        Image.fromarray(np.roll(room, 4 * number, axis=1)).save(tmp_path / f"{number / 10:.2f}.png")
+    told, still = (
+        list(LiveLoop(open_camera(str(tmp_path)), "colour", ["red"], fast=True, **how))[-1]
+        for how in ({}, {"poses": None})
+    )
+    assert told.pose_age is not None
+    assert still.pose_age is None
+    assert told.estimate.credible_angle < still.estimate.credible_angle

@@ -251,18 +251,14 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
 
 def _poses(options: Live, camera: CameraSource) -> Any:
     """What `LiveLoop` takes for ``--poses``."""
-    from eagor.live.threads import GivenPoses, MotionPoses
+    from eagor.live.threads import GivenPoses
     from eagor.media.bag_sources import BagCamera, bag_odometry
     from eagor.media.pose_axes import odometry_of_file
     from eagor.robots import GO2, ROS, open_poses
 
     text = options.poses
-    if isinstance(camera, BagCamera) and (text == "auto" or text.startswith(ROS)):
-        topic = text.removeprefix(ROS) if text != "auto" else None
-        return bag_odometry(camera.bag, topic, camera.frame) or text
-    motion = getattr(camera, "motion", None)
-    if text == "auto" and motion is not None:
-        return MotionPoses(motion)
+    if isinstance(camera, BagCamera) and text.startswith(ROS):
+        return bag_odometry(camera.bag, text.removeprefix(ROS), camera.frame)
     if text in BY_SIGHT:
         return text
     if text == "still":

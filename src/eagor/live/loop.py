@@ -30,6 +30,7 @@ from eagor.live.threads import (
     opener,
     paced_frames,
     paced_poses,
+    told_poses,
 )
 from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.perception import Perception
@@ -83,9 +84,10 @@ class LiveLoop:
     is not `live` is played at its own speed, or with `fast` as fast as the perception can look at every picture.
     `perception`: text for `eagor.perception.load`, or an object that can be pickled; it runs in a process of its own,
     which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
-    function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
-    the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.live.recording`), with
-    the `pictures` as "jpeg", "png" or "none". `acceleration`: see `LoopSettings`. `around`: follow all else that the
+    function that opens one; "auto": what a recording tells (`told_poses`), else rotation from the pictures; "level":
+    rotation from the pictures of a camera that stays level; None: the camera stands still. `record`: a new folder for a
+    bag of all that happens (`eagor.live.recording`), with the `pictures` as "jpeg", "png" or "none".
+    `acceleration`: see `LoopSettings`. `around`: follow all else that the
     perception sees, too (`LiveCore.around`), if it knows its classes. `mask`: what the camera never sees. `watchers`
     see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does, gives no
     answers meanwhile.
@@ -103,7 +105,7 @@ class LiveLoop:
         perception: str | Perception,
         queries: Sequence[str],
         *,
-        poses: Poses = None,
+        poses: Poses = "auto",
         config: TrackerConfig | None = None,
         rate: float = RATE,
         patience: float = PATIENCE,
@@ -128,6 +130,8 @@ class LiveLoop:
         open_camera, opened = opener(camera)
         self._camera: CameraSource = opened if open_camera is None else open_camera()
         self.live = self._camera.live
+        if poses == "auto":
+            poses = told_poses(self._camera) or poses
         self._visual_poses = VisualPoses(level=poses == "level") if poses in ("auto", "level") else None
         self._frames, self._odometry = self._readers(open_camera, poses)
         config = config or TrackerConfig()

@@ -22,7 +22,7 @@ from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.live.events import Event, PoseCame, PosesLost, Trouble
 from eagor.live.keeper import Failed, Keeper, Looked, UnusableError
-from eagor.media import Frame, Pose
+from eagor.media import Frame, Pose, PoseSource
 from eagor.media.motion import MotionTrack
 from eagor.media.rotation import VisualOdometer
 from eagor.sphere import heading
@@ -30,7 +30,7 @@ from eagor.tracking import Around
 
 __all__ = [
     "FrozenCamera", "GivenPoses", "LoopClock", "MotionPoses", "NewestPicture", "Pace", "PerceptionThread", "Picture",
-    "Reader", "VisualPoses", "VisualPosesThread", "already_open", "opener", "paced_frames", "paced_poses",
+    "Reader", "VisualPoses", "VisualPosesThread", "already_open", "opener", "paced_frames", "paced_poses", "told_poses",
 ]  # fmt: skip
 
 MOTION_RATE = 100.0  # poses per second that are taken from a motion track
@@ -71,6 +71,16 @@ class MotionPoses:
 
     def close(self) -> None:
         """Nothing is held."""
+
+
+def told_poses(camera: Any) -> PoseSource | None:
+    """How a recording says that its camera turns: by the odometry of its bag, or a video's IMU; None if it does not."""
+    from eagor.media.bag_sources import BagCamera, bag_odometry
+
+    if isinstance(camera, BagCamera):
+        return bag_odometry(camera.bag, None, camera.frame)
+    motion = getattr(camera, "motion", None)
+    return None if motion is None else MotionPoses(motion)
 
 
 def opener(source: Any) -> tuple[Callable[[], Any] | None, Any]:

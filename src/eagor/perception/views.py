@@ -63,8 +63,9 @@ class Views:
     - `count`: the most views per look. They overlap as far as it allows; more views cut fewer things apart.
     - `size`: pixels along each side of a view.
     - `detector`: how the detector errs (default: `DetectorModel()`, with the detector's own `threshold` if it has one).
-    - `classes`: names of all that the detector knows (default: its own ``classes``); None: it takes any words. A
-      detector with classes knows no colours: where the query names one ("brown chair"), the colour weighs its boxes.
+    - `classes`: names of all that the detector knows (default: its own ``classes`` or ``names``, or those in its
+      results, as Ultralytics has them); None: it takes any words. A detector with classes knows no colours: where the
+      query names one ("brown chair"), the colour weighs its boxes.
 
     Raises `GridError` if so few views of this field cannot cover the sphere, `EagorError` for other wrong settings.
     """
@@ -87,10 +88,16 @@ class Views:
             raise EagorError(f"size = {size!r}; wanted pixels along a view's side, 16 to 8192")
         self.detect = detect
         self.detector = detector or DetectorModel.reporting_from(getattr(detect, "threshold", None))
-        known = getattr(detect, "classes", None) if classes is None else classes
-        self.classes = None if known is None else tuple(known)
+        own = getattr(detect, "classes", None)
+        known = classes if classes is not None else own if own is not None else getattr(detect, "names", None)
+        self._know(known)
         self._views = _layout(int(size), float(hfov), int(count))
         self._settled: set[str] = set()  # queries that a label fitted, or of which it was said that none does
+
+    def _know(self, names: Names | None) -> None:
+        """What numbers of classes are called, and so what the detector knows."""
+        self._names = names
+        self.classes = None if names is None else tuple(names.values() if isinstance(names, Mapping) else names)
 
     def __repr__(self) -> str:
         view = self._views[0]
@@ -131,12 +138,13 @@ class Views:
         grid: PerspectiveGrid | None = None,
     ) -> list[list[Thing]]:
         """What the detector sees of each query, before any reading: one `Thing` each, the surest first; as `seen`."""
-        wanted = [self._wanted(query) for query in queries]
+        for query in queries:
+            self._wanted(query)
         shown, found, seen = self._shown(picture, world_R_body, grid), [], None
-        for query, words in zip(queries, wanted, strict=True):
+        for query in queries:
             if seen is None or self.classes is None:
                 seen = self._detected(shown, query)
-            found.append(self._meant(shown, seen, query, words))
+            found.append(self._meant(shown, seen, query, self._wanted(query)))  # now its results may name its classes
         return found
 
     def around(
@@ -199,7 +207,9 @@ class Views:
         """What the detector finds in each picture: in all of them at once, if it has a method `many`."""
         pictures, many = [picture for _, picture in shown], getattr(self.detect, "many", None)
         found = [self.detect(each, query) for each in pictures] if many is None else many(pictures, query)
-        return [boxes_of(each, self.classes) for each in found]
+        if self.classes is None:
+            self._know(next(filter(None, map(_names_in, found)), None))
+        return [boxes_of(each, self._names) for each in found]
 
     def seen(
         self,
@@ -352,6 +362,12 @@ def boxes_of(found: Any, names: Names | None = None, shape: Sequence[int] | None
     except (KeyError, AttributeError, TypeError, IndexError) as error:
         raise ResponseError(f"the detector returned {_kind(found)} without {error}; wanted {WANTED}") from error
     return _checked(boxes, scores, labels, names if names is not None else own)
+
+
+def _names_in(found: Any) -> Names | None:
+    """The names of all that a detector knows, where what it returned tells them: Ultralytics' results do."""
+    one = found[0] if isinstance(found, Sequence) and len(found) == 1 else found
+    return getattr(one, "names", None) if _reader(one) is _ultralytics else None
 
 
 def _checked(boxes: Any, scores: Any, labels: Any, names: Names | None) -> Boxes:
