@@ -219,6 +219,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
     from eagor.live.threads import already_open
     from eagor.media.camera_sources import open_camera
     from eagor.media.rig_videos import are_ordinary
+    from eagor.robots import ROS
 
     source, queries = asked(options)
     spec = perception_for_all(queries, options.perception)
@@ -231,6 +232,8 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
     stitched = several and wants_panoramas(spec)
     how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
     opens = partial(open_camera, source, stitched=stitched, **how)
+    if source.startswith(ROS):  # its publishers may not be there yet
+        terminal.log(f"waiting for pictures on {source}")
     camera = opens()
     if options.eyes is not None and mask is None and (unseen := getattr(camera, "unseen", None)) is not None:
         mask = BodyMask(~unseen)
