@@ -211,7 +211,7 @@ def test_without_a_terminal_a_line_a_second_and_the_last_answers_are_said(film, 
     first, last = captured.out.splitlines()
     assert first.startswith("0.00 s  red: direction not known, searching | blue: ")
     assert re.match(
-        r"1\.00 s  red: .* to the right, 21 degrees down, within \d+°, tracking \| blue: .*, tracking$", last
+        r"1\.00 s  red: .* to the right, 21 degrees down, 90 % within \d+°, tracking \| blue: .*, tracking$", last
     )
     *_, red, blue, counted = captured.err.splitlines()
     assert re.match("eagor: at 1.10 s “red”: .* to the right, 21 degrees down .tracking: ", red)

@@ -377,11 +377,11 @@ class _Told:
 
 
 def _in_line(answer: Answer) -> str:
-    """An answer for the status line: "red chair: 12 degrees to the left, within 5°, tracking"."""
+    """An answer for the status line: "red chair: 12 degrees to the left, 90 % within 5°, tracking"."""
     from eagor.drawing.style import answer_in_words
 
     e = answer.estimate
-    cone = "" if e.direction is None else f", within {math.degrees(e.credible_angle):.0f}°"
+    cone = "" if e.direction is None else f", {e.certainty}"
     return f"{answer.query}: {answer_in_words(e)}{cone}, {answer.status_words}"
 
 
