@@ -36,8 +36,8 @@ UNIT = 0.01  # tolerance for the length of a direction: people type two or three
 def direction(azimuth: Array, elevation: Array) -> Array:
     """Unit vectors ``(..., 3)``, body frame, from azimuth (positive left) and elevation (positive up), radians.
 
-    Raises `DirectionError` for an elevation beyond a quarter of a turn, and warns of an azimuth beyond a whole one:
-    these are degrees.
+    Raises `DirectionError` for an elevation beyond a quarter of a turn, and warns of an azimuth beyond a whole one that
+    is a whole number: these are degrees.
 
     >>> left = eagor.direction(math.pi / 2, 0.0)
     >>> left.round(3).tolist()
@@ -45,15 +45,19 @@ def direction(azimuth: Array, elevation: Array) -> Array:
     """
     azimuth, elevation = common(azimuth, elevation)
     xp = namespace(azimuth, elevation)
-    for name, angles, most in (("elevation", elevation, _TURN / 4), ("azimuth", azimuth, _TURN)):
-        if bool(xp.any(xp.abs(angles) > most + 0.01)):  # rounding passes
-            worst = float(np.nanmax(np.abs(to_numpy(angles))))
-            text = f"{name} = {worst:.6g}; wanted radians, {most:.3g} at most: math.radians({worst:.6g}) of degrees"
-            if name == "elevation":
-                raise DirectionError(text)
-            warnings.warn(text, UserWarning, stacklevel=2)
+    steep = xp.abs(elevation) > _TURN / 4 + 0.01  # rounding passes
+    if bool(xp.any(steep)):
+        raise DirectionError(_of_degrees("elevation", elevation[steep], _TURN / 4))
+    far = (xp.abs(azimuth) > _TURN) & (azimuth % 1 == 0)  # it may go on for many turns, but hardly to whole numbers
+    if bool(xp.any(far)):
+        warnings.warn(_of_degrees("azimuth", azimuth[far], _TURN), UserWarning, stacklevel=2)
     x, y = xp.cos(elevation) * xp.cos(azimuth), xp.cos(elevation) * xp.sin(azimuth)
     return xp.stack([x, y, xp.sin(elevation) + 0.0 * x], axis=-1)
+
+
+def _of_degrees(name: str, angles: Array, most: float) -> str:
+    worst = float(to_numpy(angles).reshape(-1)[0])
+    return f"{name} = {worst:.6g}; wanted radians, {most:.3g} at most: math.radians({worst:.6g}) of degrees"
 
 
 def azimuth_elevation(directions: Array) -> tuple[Array, Array]:
