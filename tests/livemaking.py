@@ -138,6 +138,14 @@ class Seeing:
         time.sleep(self.seconds)
 
 
+class LoadedSlowly(Seeing):
+    """Needs 2 seconds to be there."""
+
+    def __setstate__(self, state):
+        time.sleep(2.0)
+        self.__dict__.update(state)
+
+
 class Raising(Seeing):
     """A perception that raises at its first `times` looks, then sees."""
 

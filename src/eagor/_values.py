@@ -95,9 +95,15 @@ def changed(self: Any) -> str:
 
 
 def where(azimuth: float, elevation: float) -> str:
-    """A direction (radians): 29° left, +6° up."""
-    side = "left" if azimuth >= 0 else "right"
-    return f"{abs(math.degrees(azimuth)):.0f}° {side}, {math.degrees(elevation):+.0f}° up"
+    """A direction (radians): 29° left, 6° up."""
+    side, height = "left" if azimuth >= 0 else "right", "up" if elevation >= 0 else "down"
+    return f"{abs(math.degrees(azimuth)):.0f}° {side}, {abs(math.degrees(elevation)):.0f}° {height}"
+
+
+def wide(angle: float) -> str:
+    """An angle (radians) that something lies within: 12°, and 0.4° where whole degrees would say nothing."""
+    degrees = math.degrees(angle)
+    return f"{degrees:.0f}°" if degrees >= 1 else f"{max(degrees, 0.1):.1f}°"
 
 
 def _value(value: Any) -> str:

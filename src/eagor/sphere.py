@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from typing import Any
 
 import numpy as np
 
@@ -35,14 +36,28 @@ UNIT = 0.01  # tolerance for the length of a direction: people type two or three
 def direction(azimuth: Array, elevation: Array) -> Array:
     """Unit vectors ``(..., 3)``, body frame, from azimuth (positive left) and elevation (positive up), radians.
 
+    Raises `DirectionError` for an elevation beyond a quarter of a turn, and warns of an azimuth beyond a whole one that
+    is a whole number: these are degrees.
+
     >>> left = eagor.direction(math.pi / 2, 0.0)
     >>> left.round(3).tolist()
     [0.0, 1.0, 0.0]
     """
     azimuth, elevation = common(azimuth, elevation)
     xp = namespace(azimuth, elevation)
+    steep = xp.abs(elevation) > _TURN / 4 + 0.01  # rounding passes
+    if bool(xp.any(steep)):
+        raise DirectionError(_of_degrees("elevation", elevation[steep], _TURN / 4))
+    far = (xp.abs(azimuth) > _TURN) & (azimuth % 1 == 0)  # it may go on for many turns, but hardly to whole numbers
+    if bool(xp.any(far)):
+        warnings.warn(_of_degrees("azimuth", azimuth[far], _TURN), UserWarning, stacklevel=2)
     x, y = xp.cos(elevation) * xp.cos(azimuth), xp.cos(elevation) * xp.sin(azimuth)
     return xp.stack([x, y, xp.sin(elevation) + 0.0 * x], axis=-1)
+
+
+def _of_degrees(name: str, angles: Array, most: float) -> str:
+    worst = float(to_numpy(angles).reshape(-1)[0])
+    return f"{name} = {worst:.6g}; wanted radians, {most:.3g} at most: math.radians({worst:.6g}) of degrees"
 
 
 def azimuth_elevation(directions: Array) -> tuple[Array, Array]:
@@ -170,12 +185,12 @@ def heading(world_R_body: np.ndarray) -> float:
     return float(azimuth_elevation(np.asarray(world_R_body)[:, 0])[0])
 
 
-def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = ORTHOGONAL) -> Array:
-    """`matrix` ``(..., 3, 3)`` as a floating array, checked to be a rotation.
+def check_rotation(matrix: Any, name: str = "new_R_old", tolerance: float = ORTHOGONAL) -> Array:
+    """`matrix` ``(..., 3, 3)``, or a Rotation of SciPy, as a floating array, checked to be a rotation.
 
     Raises `RotationError` if it has another shape, is not finite, not orthogonal (beyond `tolerance`) or a reflection.
     """
-    matrix = as_float(matrix)
+    matrix = as_float(matrix.as_matrix() if hasattr(matrix, "as_matrix") else matrix)
     if matrix.shape == (3, 3) and type(matrix) is np.ndarray:  # the hot path, in plain floats
         (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
         # A rotation's rows are orthonormal and right-handed: the third is the cross product of the first two.
@@ -200,8 +215,11 @@ def check_rotation(matrix: Array, name: str = "new_R_old", tolerance: float = OR
     raise RotationError(_what_is_wrong(to_numpy(matrix), name))
 
 
-def checked_pose(matrix: Array, name: str = "world_R_body") -> np.ndarray:
-    """`matrix` as a float64 array ``(3, 3)``. Raises `RotationError` unless it is one rotation."""
+def checked_pose(matrix: Any, name: str = "world_R_body") -> np.ndarray:
+    """`matrix`, or a Rotation of SciPy, as a float64 array ``(3, 3)``.
+
+    Raises `RotationError` unless it is one rotation.
+    """
     found = np.asarray(to_numpy(check_rotation(matrix, name)), dtype=np.float64)
     if found.shape != (3, 3):
         raise RotationError(f"{name} has the shape {found.shape}; wanted one rotation (3, 3), such as {name}[0]")

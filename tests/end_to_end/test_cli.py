@@ -230,6 +230,25 @@ def test_the_doctor_says_what_an_extra_lacks(monkeypatch, capsys, package, who):
     assert re.search(rf"^{package} +not installed \(.*: the extra '{extra}'.*\)$", out, re.MULTILINE)
 
 
+def test_what_the_detector_lacks_is_said_wherever_it_is_called_there(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("EAGOR_CACHE", str(tmp_path))
+    monkeypatch.setattr(coco, "find_spec", lambda name: None)
+    steps = f"{how_to_install('photos')}; then eagor models get coco (fetches 145 MB once)"
+    assert main(["doctor"]) == 0
+    assert f"coco: wants {steps}" in capsys.readouterr().out
+    monkeypatch.setattr(coco.Model, "state", "installed")
+    coco.COCO.path.parent.mkdir(parents=True)
+    coco.COCO.path.touch()
+    assert main(["models", "get", "coco"]) == 0
+    said = capsys.readouterr().out
+    assert "coco was there already" in said
+    assert f"before it can run: {how_to_install('photos')}\n" in said
+    assert main(["models", "list"]) == 0
+    assert f"; before it can run: {how_to_install('photos')}" in capsys.readouterr().out
+    assert main(["locate", "room.png", "chair"]) == 2
+    assert f"for everyday things: {how_to_install('photos')}. Or" in capsys.readouterr().err
+
+
 # --- locate ----------------------------------------------------------------------------------------------------------
 
 

@@ -4,15 +4,17 @@ import io
 import json
 import math
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import warnings
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from livemaking import balls
+from livemaking import Film, LoadedSlowly, Seeing, balls
 from PIL import Image
 from processes import alive, sessions_of, wait_for
 
@@ -125,7 +127,7 @@ def test_what_else_is_here_is_listed_at_the_end_and_recorded(film, tmp_path, mon
     ball = next(one for one in last["things"] if one["query"] == "ball")
     assert ball["azimuth_deg"] == pytest.approx(answers[-1]["azimuth_deg"], abs=0.5), "as the answer says"
     assert main([*words]) == 0
-    shown = capsys.readouterr().out.splitlines()
+    shown = [line for line in capsys.readouterr().out.splitlines() if " s  ball: " not in line]
     assert shown[0].startswith(f"seen in {film} by {spec}; directions are those of the camera at 1.10 s")
     assert {line.split()[0] for line in shown[2:]} == {"ball", "cup"}
     replay = Replay(tmp_path / "run")
@@ -202,11 +204,45 @@ def test_a_run_is_logged_for_the_rerun_viewer(film, tmp_path):
     assert file.stat().st_size > 20_000  # pictures are in it
 
 
-def test_without_a_terminal_only_json_is_printed(film, capsys):
-    assert main(["live", str(film), "red", "--fast", "--poses", "still"]) == 0
+def test_without_a_terminal_a_line_a_second_and_the_last_answers_are_said(film, capsys):
+    assert main(["live", str(film), "red", "blue", "--fast", "--poses", "level"]) == 0
     captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "12 pictures, 12 looks, 0 poses" in captured.err
+    first, last = captured.out.splitlines()
+    assert first.startswith("0.00 s  red: direction not known, searching | blue: ")
+    assert re.match(
+        r"1\.00 s  red: .* to the right, 21 degrees down, 90 % within \d+°, tracking \| blue: .*, tracking$", last
+    )
+    *_, red, blue, counted = captured.err.splitlines()
+    assert re.match("eagor: at 1.10 s “red”: .* to the right, 21 degrees down .tracking: ", red)
+    assert re.match("eagor: at 1.10 s “blue”: .* degrees down .tracking: ", blue)
+    assert "12 pictures, 24 looks, 12 poses" in counted
+
+
+def test_on_a_terminal_the_answers_are_shown_in_full_in_place(film, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "50")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    assert main(["live", str(film), "red", "blue", "--poses", "still"]) == 0
+    *_, shown = capsys.readouterr().out.split("\x1b[J")
+    assert len(shown) > 100
+    assert re.match(r"red: .*, (tracking|ambiguous)[^|]* \| blue: .*(tracking|ambiguous)", shown)
+
+
+def test_the_answers_end_with_the_file_however_long_the_detector_needs():
+    loop = Loop(Film(count=6), None, Seeing(seconds=1.5), "chair", True)
+    answers = list(loop)
+    seen = [answer for answer in answers if math.isfinite(answer.image_age)]
+    assert seen[-1].direction is not None
+    assert seen[-1].image_age < 0.3, "as of the last picture, not of the time when it had been looked at"
+    assert all(a.stamp <= b.stamp for a, b in pairwise(answers))
+
+
+def test_seconds_count_from_when_the_detector_is_loaded(monkeypatch, capsys):
+    opened = Loop(Film(count=50), None, LoadedSlowly(), "red", True)
+    monkeypatch.setattr("eagor.cli.live.loop_of", lambda options, watchers, around: opened)
+    assert main(["live", "film", "red", "--perception", "colour", "--seconds", "0.6", "--json"]) == 0
+    found = lines(capsys)
+    assert found[-1]["stamp"] - found[0]["stamp"] > 2.0
+    assert found[-1]["azimuth_deg"] is not None
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")

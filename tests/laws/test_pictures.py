@@ -13,10 +13,12 @@ from PIL import Image
 
 import eagor
 from eagor import baselines
+from eagor._values import where, wide
 from eagor.drawing import draw_belief, draw_strip, panorama, still
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, world_R_body
+from eagor.studio import steps
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
@@ -209,7 +211,7 @@ def test_texts_say_what_is_not_the_default():
     assert "ranges=(1, 2, ..., 30)" in repr(TrackerConfig(ranges=tuple(range(1, 31))))
     assert repr(eagor.Belief.uniform(7)) == "Belief(degree 7, nothing known)"
     estimate = followed(AHEAD, AHEAD)
-    assert "40° left, +10° up" in repr(estimate)
+    assert "40° left, 10° up" in repr(estimate)
     assert repr(followed(())).startswith("Estimate(t=0 s, direction not known, presence 0.")
 
 
@@ -237,3 +239,19 @@ def test_what_was_not_looked_at_is_grey_and_what_speaks_for_it_red():
     red, green, blue = shown[58, 118]  # beside the lines
     assert red > green + 60
     assert red > blue + 60
+
+
+def test_words_of_an_answer_say_up_or_down_small_cones_and_several_candidates():
+    assert (where(0.7, -0.37), where(-0.7, 0.1)) == ("40° left, 21° down", "40° right, 6° up")
+    assert [wide(math.radians(angle)) for angle in (137.2, 5.4, 0.42, 1e-6)] == ["137°", "5°", "0.4°", "0.1°"]
+    tracker = DirectionTracker()
+    for k in range(4):
+        tracker.observe(Evidence.from_points([[1, 0, 0], [0, 1, -0.4]], stamp=float(k)))
+    two = tracker.estimate(3.0)
+    assert two.status == "ambiguous"
+    assert math.degrees(two.credible_angle) > 60
+    for said in (repr(two), steps.in_words(two)):
+        assert re.search(r"2 candidates hold 9\d %", said)
+        assert "within 1" not in said.split("candidates")[0]
+    one = Evidence.from_boxes([[500, 240, 540, 280]], PerspectiveGrid(512, 1024, 1.0), scores=[0.9])
+    assert repr(one.detections) == "Detections(1 in 1 view)"

@@ -1,6 +1,7 @@
 """Frames, angles and rotations."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -157,3 +158,17 @@ def test_wrap_changes_an_angle_by_whole_turns(angle):
     wrapped = wrap(angle)
     assert -math.pi <= wrapped <= math.pi
     assert (angle - wrapped) / (2 * math.pi) == pytest.approx(round((angle - wrapped) / (2 * math.pi)), abs=1e-9)
+
+
+def test_degrees_are_no_directions():
+    with pytest.raises(DirectionError, match=r"elevation = -10; wanted radians, 1.57 at most: math.radians\(-10\)"):
+        direction(40, -10)
+    with pytest.raises(DirectionError, match="elevation = 30"):
+        direction(np.zeros(3), np.array([0.1, 30.0, np.nan]))
+    with pytest.warns(UserWarning, match=r"azimuth = 90; wanted radians, 6.28 at most"):
+        direction(90, 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        direction(np.arange(9) * (math.pi * (3 - math.sqrt(5))), np.zeros(9))  # a spiral
+        for azimuth, elevation in ((2 * math.pi, math.pi / 2), (np.float32(-math.pi), np.float32(-math.pi / 2))):
+            direction(azimuth, elevation)

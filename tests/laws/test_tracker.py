@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from strategies import random_directions, rotations
 
 from eagor.belief import Belief
@@ -731,3 +732,12 @@ def test_a_configuration_without_a_meaning_is_refused(name, value):
 def test_answers_without_a_meaning_are_refused(name, value):
     with pytest.raises(EagorError, match=f"AnswerSettings: {name} = .*; wanted"):
         AnswerSettings(**{name: value})
+
+
+def test_a_rotation_of_scipy_is_a_pose():
+    turn = Rotation.from_euler("ZYX", [40, 5, -3], degrees=True)
+    tracker = DirectionTracker()
+    tracker.add_pose(0.0, turn, [0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(tracker.pose_at(0.0)[0], turn.as_matrix())
+    with pytest.raises(RotationError, match="wanted one rotation"):
+        tracker.add_pose(1.0, Rotation.from_rotvec(np.eye(3)))

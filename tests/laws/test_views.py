@@ -265,6 +265,27 @@ def test_the_answer_names_what_was_looked_for_where_that_was_not_asked():
             assert ("looked for chair" in said) == bool(words)
 
 
+def test_the_names_in_results_are_the_classes_of_a_detector_that_tells_no_others():
+    panorama = painted((direction(0.6, 0.0), math.radians(8)))
+
+    def results(picture, query):
+        boxes, scores = red(picture, query)
+        found = SimpleNamespace(xyxy=boxes, conf=scores, cls=np.full(len(boxes), 56.0))
+        return [SimpleNamespace(boxes=found, obb=None, names={0: "person", 56: "chair"})]
+
+    views = Detector(results, size=128)
+    for _ in range(2):
+        with pytest.raises(QueryError, match="'lamp' names none of this detector's 2 classes"):
+            views(panorama, "lamp")
+    assert views.classes == ("person", "chair")
+    assert len(views(panorama, "the chairs").detections) == 1
+    assert len(Detector(results, size=128)(panorama, "footstool").detections) == 1
+    assert not len(views(panorama, "person").detections)
+    results.names = {0: "lamp", 56: "sofa"}
+    assert len(Detector(results, size=128)(panorama, "couch").detections) == 1, "the detector's own names count"
+    assert len(Detector(results, size=128, classes=["chair"] * 57)(panorama, "chair").detections) == 1
+
+
 def test_wrong_settings_and_pictures_are_refused():
     with pytest.raises(GridError, match="cover the sphere"):
         Detector(red, hfov_deg=120, views=3)

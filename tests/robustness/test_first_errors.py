@@ -55,6 +55,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
             ("track", "clip.mp4", "red", "chair"),
             'there is no file red. Write a query of several words in quotes: "red chair"',
         ),
+        (("track", "clip.mp4", "chair", "tv"), 'For several things at once: eagor live clip.mp4 "chair" "tv" --fast'),
         (("track", "folder", "red", "chair"), 'a query of several words in quotes: "red chair"'),
         (("track", "looks.jsonl", "chair,", "tv"), 'there is no file chair,. Ask for one thing at a time: "chair"'),
         (("demo", "--out", "a.png"), "cannot be made a folder"),

@@ -31,9 +31,11 @@ from livemaking import (
     Unplugged,
     yawed,
 )
+from PIL import Image
 from processes import alive, sessions_of, wait_for
 
 from eagor.errors import DeviceError, EagorError, QueryError, StorageError, TimeError
+from eagor.lab.worlds.painted import painted_room
 from eagor.live import loop as looping
 from eagor.live.loop import Loop
 from eagor.live.recording import Replay
@@ -494,3 +496,14 @@ def test_a_camera_that_hangs_at_one_picture_while_it_turns_is_told():
     assert fault.part == "camera"
     still = followed(loop_of(Camera(changing=False), Seeing(), poses=Odometry(turn=0.0)), well, *[well] * 100)
     assert not any("stays the same" in answer.status_words for answer in still)
+
+
+def test_the_pictures_tell_how_the_camera_turns(tmp_path):
+    pytest.importorskip("cv2")
+    room = painted_room(64, 128)
+    for number in range(8):
+        Image.fromarray(np.roll(room, 4 * number, axis=1)).save(tmp_path / f"{number / 10:.2f}.png")
+    told, still = ([*Loop(str(tmp_path), poses, "colour", "red")][-1] for poses in ("auto", None))
+    assert told.pose_age is not None
+    assert still.pose_age is None
+    assert told.estimate.credible_angle < still.estimate.credible_angle

@@ -5,9 +5,11 @@ import contextlib
 import logging
 import socket
 import threading
+from types import SimpleNamespace
 
 import pytest
 import uvicorn
+from PIL import Image
 from websockets.sync.client import connect
 
 from eagor.studio import server as web_server
@@ -143,6 +145,38 @@ def test_an_upload_that_is_fast_enough_may_take_long():
     kept = uploads.Uploads()
     assert asyncio.run(kept.receive(None, steady())).stat().st_size == 50 << 16
     kept.close()
+
+
+async def once(size):
+    yield bytes(size)
+
+
+@pytest.mark.parametrize(("declared", "sent"), [(300, 1), (None, 300)])
+def test_an_upload_beyond_the_bound_is_refused_with_the_bound(monkeypatch, declared, sent):
+    monkeypatch.setattr(uploads, "BYTES", 200)
+    kept = uploads.Uploads()
+    with pytest.raises(PageError, match="larger than 0 MB") as caught:
+        asyncio.run(kept.receive(declared, once(sent)))
+    assert caught.value.status == 413
+    assert "eagor studio --source FILE" in caught.value.change
+    kept.close()
+
+
+def test_an_upload_that_the_disk_has_no_room_for_is_refused_before_it_comes(monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=5 << 20))
+    kept = uploads.Uploads()
+    with pytest.raises(PageError, match="The file has 9 MB, and 5 MB are free") as caught:
+        asyncio.run(kept.receive(9 << 20, once(1)))
+    assert caught.value.status == 507
+    kept.close()
+
+
+def test_circles_of_fisheyes_are_refused_with_the_way_to_watch_them(monkeypatch, tmp_path):
+    monkeypatch.setattr("eagor.media.defects.fisheye_circles", lambda picture: 2)
+    Image.new("RGB", (256, 128)).save(tmp_path / "x3.png")
+    with pytest.raises(PageError, match="shows the circles of a fisheye camera") as caught:
+        uploads.Uploads().keep(tmp_path / "x3.png", "x3.png")
+    assert "eagor studio --source FILE --rig LENSES.yaml" in caught.value.change
 
 
 def test_who_goes_in_the_middle_of_an_upload_leaves_no_trace(caplog):

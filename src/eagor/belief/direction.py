@@ -148,7 +148,7 @@ class Belief(Readable):
         >>> belief = eagor.Belief.uniform(15).update(eagor.Evidence.from_points([[0, 1, 0]]))
         >>> belief = belief.predict(eagor.sphere.rotation((0, 0, 1), -math.pi / 2))  # the camera turns left
         >>> belief
-        Belief(degree 15, 0° left, +0° up, 90 % within 89°)
+        Belief(degree 15, 0° left, 0° up, 90 % within 89°)
     """
 
     coefficients: Array

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from eagor._arrays import Array, to_numpy
-from eagor._values import lazy, where
+from eagor._values import lazy, where, wide
 from eagor.belief.basins import PROMINENCE, basins
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, ErpWindow
@@ -67,7 +67,7 @@ class CredibleRegion:
 
     def __repr__(self) -> str:
         mode = where(*(float(angle) for angle in azimuth_elevation(self.mode)))
-        size = f"{self.area:.3g} sr, within {math.degrees(self.angle):.0f}° of {mode}"
+        size = f"{self.area:.3g} sr, within {wide(self.angle)} of {mode}"
         return f"CredibleRegion({100 * self.mass:g} %, {size})"
 
     def contains(self, directions: np.ndarray) -> np.ndarray:
@@ -327,7 +327,7 @@ class Readable:
         if float(np.ptp(posterior.coarse)) < FLAT:
             return "nothing known"
         azimuth, elevation = (float(angle) for angle in azimuth_elevation(posterior.mode))
-        return f"{where(azimuth, elevation)}, 90 % within {math.degrees(posterior.cone(0.9)):.0f}°"
+        return f"{where(azimuth, elevation)}, 90 % within {wide(posterior.cone(0.9))}"
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks; text only for a batch or values that are not finite."""

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from eagor.perception.replay import ReplayPerception
     from eagor.tracking import ThingSeen
     from eagor.tracking.config import TrackerConfig
+    from eagor.tracking.estimate import Estimate
 
 # --- on the terminal: at most 120 columns wide also with every method side by side ----------------------------------
 
@@ -63,12 +64,11 @@ def line(frame: FollowedFrame, begins: float = 0.0) -> str:
     return ours + "".join(f" {_cell(direction):>{CELL}}" for direction in frame.others.values())
 
 
-def in_words(frame: FollowedFrame, query: str, begins: float = 0.0) -> str:
-    """The answer at one frame as a sentence, its stamp counted from `begins`."""
+def in_words(e: Estimate, query: str, seconds: float) -> str:
+    """The answer after so many seconds as a sentence."""
     from eagor.drawing.style import candidates_in_words, status_in_words
 
-    e = frame.estimate
-    said = f"at {frame.stamp - begins:.2f} s “{query}”: {candidates_in_words(e)}"
+    said = f"at {seconds:.2f} s “{query}”: {candidates_in_words(e)}"
     return f"{said} ({e.status}: {status_in_words(e.status, e.presence)})"
 
 

@@ -161,7 +161,11 @@ def frames_and_query(words: Sequence[str]) -> tuple[Sequence[str], str]:
         return words, ""
     for at, word in enumerate(words[1:-1], 1):
         if not os.path.exists(word) and not Path(word).suffix:  # with a suffix it is a file's name, misspelt
-            raise UsageError(f"there is no file {word}. {in_quotes(' '.join(words[at:]))}")
+            several = " ".join(f'"{each}"' for each in words[at:])
+            raise UsageError(
+                f"there is no file {word}. {in_quotes(' '.join(words[at:]))}. For several things at once: "
+                f"eagor live {words[0]} {several} --fast"
+            )
     return words[:-1], checked_query(words[-1])
 
 

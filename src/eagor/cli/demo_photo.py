@@ -63,8 +63,7 @@ def summary(looks: Looks) -> list[str]:
     turns = f"{looks.crossings} times" if looks.crossings != 1 else "once"
     return [
         f"With the photograph's centre ahead, the {looks.query}{looked_for(last)} is "
-        f"{in_words(azimuth, elevation)} (90 % within "
-        f"{math.degrees(last.credible_angle):.0f} degrees); presence {100 * last.presence:.0f} %, {last.status}.",
+        f"{in_words(azimuth, elevation)} ({last.certainty}); presence {100 * last.presence:.0f} %, {last.status}.",
         f"The detector saw {found}. The camera turned, pitched and rolled; the {looks.query} crossed the seam of the "
         f"picture {turns}.",
         "Nobody has measured where it is. The angles are to our own answer after all looks: they show how steady a "

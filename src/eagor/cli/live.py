@@ -1,7 +1,7 @@
 """``eagor live``: answers from a live camera at a steady rate; ``eagor live replay``: a recorded run again.
 
-With ``--json`` each answer is a line on stdout. On a terminal one status line shows the newest ones. What goes wrong,
-and when it works again, is said on stderr.
+With ``--json`` each answer is a line on stdout. On a terminal the newest ones are shown in place, elsewhere once a
+second. What goes wrong, and when it works again, is said on stderr, and at the end the last answers.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Live(Common):
     what_else: Flag = False
     """Also tell what else is here, at the end: all that the detector saw. It has to know its classes, as coco does."""
     seconds: Annotated[float | None, bare("SECONDS")] = None
-    """Stop after this time (default: when the source ends, or at Ctrl-C)."""
+    """Stop so long after the detector is loaded (default: when the source ends, or at Ctrl-C)."""
     latency: Annotated[float, arg(metavar="SECONDS")] = 0.0
     """Time from capture to arrival of the camera's pictures."""
     rig: Annotated[Path | None, bare("FILE.yaml")] = None
@@ -131,7 +131,8 @@ class Live(Common):
 
 
 MOST_RATE = 1000.0  # answers per second
-SHOWN = 0.1  # seconds between two status lines
+SHOWN = 0.1  # seconds between two status lines on a terminal,
+PRINTED = 1.0  # ... and elsewhere, where each stays
 
 
 def live(options: Live) -> int:
@@ -154,9 +155,12 @@ def live(options: Live) -> int:
             sink.close()
         raise
     told.around, spec = loop.core.around, perception_for_all(queries, options.perception)
-    until = math.inf if options.seconds is None else time.monotonic() + options.seconds
+    until = math.inf
 
     def answered(answer: Answer) -> None:
+        nonlocal until
+        if until == math.inf and options.seconds is not None and loop.knows_classes is not None:  # it is loaded
+            until = time.monotonic() + options.seconds
         if options.what_else and loop.knows_classes is False:
             raise terminal.UsageError(
                 f"--what-else needs a detector that knows its classes, such as coco or onnx:MODEL.onnx, and {spec} "
@@ -214,6 +218,7 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
     from eagor.media.camera_sources import open_source
     from eagor.media.odometry import poses_for
     from eagor.media.rig_videos import are_ordinary
+    from eagor.robots import ROS
 
     source, queries = asked(options)
     spec = perception_for_all(queries, options.perception)
@@ -226,6 +231,8 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
     stitched = several and wants_panoramas(spec)
     how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
     opens = partial(open_source, source, stitched=stitched, **how)
+    if source.startswith(ROS):  # its publishers may not be there yet
+        terminal.log(f"waiting for pictures on {source}")
     camera = opens()
     if options.eyes is not None and mask is None and (unseen := getattr(camera, "unseen", None)) is not None:
         mask = BodyMask(~unseen)
@@ -246,7 +253,7 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
 
 
 class _Told:
-    """What is printed: lines of JSON, or a status line on a terminal; on stderr what goes wrong, once."""
+    """What is printed: lines of JSON, or the newest answers; on stderr what goes wrong, once, and the last answers."""
 
     def __init__(self, options: Live, queries: Sequence[str], looks: NextLooks | None = None) -> None:
         from eagor.live.events import FaultLog
@@ -254,7 +261,7 @@ class _Told:
         self._json, self._modes, self._queries = options.json, options.modes, queries
         self._line = not options.json and sys.stdout.isatty()
         self._newest: dict[str, Answer] = {}
-        self._begun, self._now, self._shown = math.inf, -math.inf, -math.inf
+        self._begun, self._now, self._shown, self._rows = math.inf, -math.inf, -math.inf, 1
         self._news, self._looks = FaultLog(), looks
         self._next: tuple[float, float] | None = None  # where to look next: azimuth and elevation, radians
         self.last: str | None = None
@@ -262,8 +269,9 @@ class _Told:
 
     def add(self, answer: Answer) -> None:
         """One answer."""
-        self._newest[answer.query] = answer
-        self._begun, self._now = min(self._begun, answer.stamp), answer.stamp
+        self._newest[answer.query], self._now = answer, answer.stamp
+        if answer.image_age < math.inf:  # from the first picture on
+            self._begun = min(self._begun, answer.stamp - answer.image_age)
         first = answer.query == self._queries[0]
         if first:
             self._say(answer)
@@ -274,9 +282,15 @@ class _Told:
                 azimuth, elevation = (round(math.degrees(angle), 6) for angle in self._next)
                 more = {"next_look": {"azimuth_deg": azimuth, "elevation_deg": elevation}}
             terminal.emit(answer.as_dict(self._modes) | more)
-        elif self._line and answer.query == self._queries[-1] and time.monotonic() - self._shown >= SHOWN:
-            self._shown = time.monotonic()
-            self._show(" | ".join([*map(_in_line, self._newest.values()), *self._hints()]))
+        elif answer.query == self._queries[-1]:
+            now, apart = (time.monotonic(), SHOWN) if self._line else (answer.stamp, PRINTED)
+            if now - self._shown >= apart and (self._line or self._begun < math.inf):
+                self._shown = now
+                text = " | ".join([*map(_in_line, self._newest.values()), *self._hints()])
+                if self._line:
+                    self._show(text)
+                else:
+                    terminal.say(f"{answer.stamp - self._begun:.2f} s  {text}")
 
     def _advice(self, answer: Answer) -> tuple[float, float] | None:
         """Where the camera should look next, if anything tells it."""
@@ -321,21 +335,27 @@ class _Told:
         terminal.log(text)
 
     def _show(self, text: str) -> None:
-        wide = shutil.get_terminal_size().columns
-        print(f"\r\x1b[K{terminal.plain(text)[: wide - 1]}", end="", flush=True)
+        """Write over what was shown last, however many rows of the terminal it took."""
+        up = f"\x1b[{self._rows - 1}A" if self._rows > 1 else ""
+        print(f"\r{up}\x1b[J{terminal.plain(text)}", end="", flush=True)
+        self._rows = max(1, math.ceil(len(text) / shutil.get_terminal_size().columns))
 
     def close(self) -> None:
-        """End the status line."""
+        """End the status line, and say the last answers."""
+        from eagor.cli.answers import in_words
+
         if self._line and self._newest:
             print(flush=True)
+        for query, answer in {} if self._json else self._newest.items():
+            terminal.log(in_words(answer.estimate, query, answer.stamp - min(self._begun, answer.stamp)))
 
 
 def _in_line(answer: Answer) -> str:
-    """An answer for the status line: "red chair: 12 degrees to the left, within 5°, tracking"."""
+    """An answer for the status line: "red chair: 12 degrees to the left, 90 % within 5°, tracking"."""
     from eagor.drawing.style import answer_in_words
 
     e = answer.estimate
-    cone = "" if e.direction is None else f", within {math.degrees(e.credible_angle):.0f}°"
+    cone = "" if e.direction is None else f", {e.certainty}"
     return f"{answer.query}: {answer_in_words(e)}{cone}, {answer.status_words}"
 
 

@@ -204,7 +204,9 @@ def _print(options: Locate, name: str, spec: str, estimate: Estimate) -> None:
         print(f"  azimuth         {signed(estimate.azimuth)} deg (positive to the left)")
         print(f"  elevation       {signed(estimate.elevation)} deg")
         cone = f"{math.degrees(estimate.credible_angle):.1f} deg"
-        print(f"  credible angle  {cone} (a cone about it that holds 90 %; looks that agree narrow it)")
+        several = estimate.status == "ambiguous" and len(estimate.modes) > 1
+        why = "it reaches from one candidate to others" if several else "looks that agree narrow it"
+        print(f"  credible angle  {cone} (a cone about it that holds 90 %; {why})")
     if options.floor is not None:
         print(f"  distance        {far_in_words(estimate) or '-'} (90 %, if it stands on the floor)")
     print(f"  presence        {100 * estimate.presence:.0f} %")

@@ -89,6 +89,8 @@ def get(options: ModelsGet) -> int:
         terminal.emit(told(model) | {"was_there": there})
     else:
         print(f"{model.name} was there already: {path}" if there else f"{model.name} is installed: {path}")
+        if steps := wanted():
+            print(f"before it can run: {'; then '.join(steps)}")
     return terminal.OK
 
 
@@ -97,14 +99,17 @@ def told(model: Model) -> dict[str, Any]:
     return {
         "name": model.name, "state": model.state, "path": str(model.path), "title": model.title, "finds": model.finds,
         "quality": model.quality, "bytes": model.size, "fetched_bytes": model.package.size,
-        "source": f"npm: {model.package}", "licence": model.licence, "sha256": model.sha256,
+        "source": f"npm: {model.package}", "licence": model.licence, "sha256": model.sha256, "wanted": wanted(),
     }  # fmt: skip
 
 
 def in_words(model: Model) -> str:
     """Whether it is there, or what to type."""
-    state = model.state
-    return f"installed at {model.path}" if state == "installed" else f"{state} (eagor models get {model.name})"
+    if model.state != "installed":
+        return f"{model.state} (eagor models get {model.name})"
+    return f"installed at {model.path}" + (
+        f"; before it can run: {'; then '.join(steps)}" if (steps := wanted()) else ""
+    )
 
 
 def how_to_find(query: str) -> str:
@@ -315,6 +320,8 @@ def doctor(options: Doctor) -> int:
     for name, extra in WANTS.items():
         if known["perceptions"][name] == READY and (short := lacking(extra)):
             known["perceptions"][name] = f"wants {', '.join(short)} (the extra '{extra}')"
+    if known["perceptions"]["coco"] == READY and (steps := wanted()):
+        known["perceptions"]["coco"] = f"wants {'; then '.join(steps)}"
     if known["worlds"]["habitat"] == READY and find_spec("habitat_sim") is None:
         known["worlds"]["habitat"] = "wants Habitat-Sim (docs/how-to/habitat.md)"
     left_out = [

@@ -443,7 +443,7 @@ class _Run:
         if self.bad:
             terminal.log(f"{self.bad} of {self.frames} frames were left out")
         if not self.options.json and self.last is not None:
-            terminal.log(in_words(self.last, self.query, self.begins))
+            terminal.log(in_words(self.last.estimate, self.query, self.last.stamp - self.begins))
         self._say_written()
         return terminal.INCOMPLETE if self.bad or self.broken or lost else terminal.OK
 

@@ -15,6 +15,7 @@ from types import TracebackType
 import numpy as np
 
 from eagor._files import written
+from eagor._values import wide
 from eagor._version import __version__
 from eagor.drawing.html_parts import FULL, Strips, as_address, facts, filled, items, key
 from eagor.drawing.step import ScenePainter
@@ -185,10 +186,11 @@ class BeliefPage:
 
     def _status(self) -> str:
         _, _, last = self._last
+        estimate = self._newest[1]
         texts = [f"The status is {last.status}: {status_in_words(last.status, last.presence)}."]
         texts.append(f"The probability that it is here at all is {last.presence:.2f}.")
         if last.cone is not None:
-            texts.append(f"90 % of the belief lies within {np.degrees(last.cone):.0f} degrees of the answer.")
+            texts.append(f"The belief: {estimate.certainty}.")
         whole = max(self.line.end, 1e-9)
         lasting = {name: 0.0 for name in STATUS}
         for begin, end, name in self.line.stretches():
@@ -227,7 +229,8 @@ def _said(name: str, moment: Moment) -> str:
     """A frame and its answer in a line; its time only once, if it is in the name too."""
     where, at = "direction not known", f"{moment.stamp:.2f} s"
     if moment.azimuth is not None and moment.elevation is not None and moment.cone is not None:
-        where = f"{in_words(moment.azimuth, moment.elevation)}, 90 % within {math.degrees(moment.cone):.0f}°"
+        where = in_words(moment.azimuth, moment.elevation)
+        where += "" if moment.status == "ambiguous" else f", 90 % within {wide(moment.cone)}"
     said = f"{where}; {moment.status}; presence {moment.presence:.2f}"
     said += f"; left out: {moment.problem}" if moment.problem else ""
     return f"{name}: {said}" if name.endswith(at) else f"{name}: {at}, {said}"

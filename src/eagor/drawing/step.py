@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor.drawing.panorama import MASS, backdrop, heat_of, paint_marks
+from eagor.drawing.panorama import backdrop, heat_of, paint_marks
 from eagor.drawing.style import DESIGN, FAINT, WORDS, blank, candidates_in_words, family, far_in_words, ground, over
 from eagor.drawing.timeline import COLOURS, SIDES, Moment, TimeLine, ticks
 from eagor.drawing.view import ViewScene, wipe
@@ -226,7 +226,7 @@ class StepPainter:
     def _say(self, estimate: Estimate, query: str) -> None:
         moment = self.line.last
         assert moment is not None
-        told = [] if moment.cone is None else [f"{100 * MASS:.0f} % within {math.degrees(moment.cone):.0f}°"]
+        told = [] if moment.cone is None else [estimate.certainty]
         if far := far_in_words(estimate):
             told.append(far)
         told += [f"presence {moment.presence:.2f}", f"{moment.stamp:.2f} s"]

@@ -86,7 +86,8 @@ class Detections:
         return len(self.directions)
 
     def __repr__(self) -> str:
-        return f"Detections({len(self)} in {'a whole look' if not self.views else f'{len(self.views)} views'})"
+        views = f"{len(self.views)} view{'' if len(self.views) == 1 else 's'}" if self.views else "a whole look"
+        return f"Detections({len(self)} in {views})"
 
     def joined(self, other: Detections) -> Detections:
         """The joint set of two pictures of the same moment."""

@@ -177,7 +177,7 @@ class Loop:
         keeps_newest = getattr(self._camera, "keeps_newest", False)
         self._on_demand = keeps_newest and self._odometer is None and record is None
         self._last_frame = self.clock.now()  # its arrival
-        self._over = False
+        self._over, self._ended = False, -math.inf  # whether a recording has, and when its last picture came
         self._fatal: EagorError | None = None
         self._refused: set[str] = set()
         self._slip = 0.0
@@ -256,7 +256,7 @@ class Loop:
     def _paced(self) -> Iterator[Answer]:
         """Answers at ticks of the real time; events are taken in as they come."""
         self._begin()
-        next_tick = self.clock.now()
+        next_tick, last = self.clock.now(), -math.inf
         while not self._stopped.is_set():
             self._take_events(next_tick)
             if self._fatal is not None:
@@ -266,7 +266,11 @@ class Loop:
             over = self._is_over()
             self._look_after()
             now = self.clock.now()
-            yield from self._taken(Asked(now))
+            if over:  # what was found meanwhile is told of the end, not of a later time that nobody has seen
+                now = max(self._ended, last)
+            if over or not self._over:
+                last = now
+                yield from self._taken(Asked(now))
             if over:
                 return
             missed = max(0, math.floor((now - next_tick) * self.rate))
@@ -423,7 +427,7 @@ class Loop:
                 self._fatal = ImageError(text)
         if self._seer is not None:
             self._seer.pictures.end()
-        self._over = True
+        self._over, self._ended = True, self._last_frame
 
     def _frame(self, item: tuple[Frame, float]) -> None:
         frame, told = item

@@ -53,9 +53,10 @@ class Detector:
       return is understood too (`eagor.perception.views.boxes_of`). Of labels, those that fit the query are kept
       (without `classes`: `eagor.perception.words.fitting`); where none ever fitted, a warning names them, once for each
       query. One with a method ``many(pictures, query)``, a list of such results, gets all views of a look at once.
-    - `classes`: names of all that the detector knows (default: its own ``classes``); None: it takes any words. A
-      detector with classes answers several queries with one pass. It knows no colours: where the query names one
-      ("brown chair"), the colour weighs its boxes.
+    - `classes`: names of all that the detector knows, a list or by number (default: its own ``classes`` or ``names``,
+      or those in its results, as Ultralytics has them); None: it takes any words. A detector with classes answers
+      several queries with one pass. It knows no colours: where the query names one ("brown chair"), the colour weighs
+      its boxes.
     - `hfov_deg`: field of each view, degrees.
     - `views`: the most views per look. They overlap as far as it allows; more views cut fewer things apart.
     - `size`: pixels along each side of a view.
@@ -73,7 +74,7 @@ class Detector:
     def __init__(
         self,
         function: Callable[..., Any],
-        classes: Sequence[str] | None = None,
+        classes: Names | None = None,
         *,
         hfov_deg: float = 110.0,
         views: int = 6,
@@ -88,15 +89,16 @@ class Detector:
             raise EagorError(f"size = {size!r}; wanted pixels along a view's side, 16 to 8192")
         self.function, self._takes_query = function, _takes_query(function)
         self.detector = detector or DetectorModel.reporting_from(getattr(function, "threshold", None))
-        known = getattr(function, "classes", None) if classes is None else classes
-        self.classes = None if known is None else tuple(known)
+        own = getattr(function, "classes", None)
+        known = classes if classes is not None else own if own is not None else getattr(function, "names", None)
+        self._know(known)
         self._views = _layout(int(size), float(hfov_deg), int(views))
         self._settled: set[str] = set()  # queries that a label fitted, or of which it was said that none does
 
     @classmethod
     def from_ultralytics(cls, model: Any, **settings: Any) -> Detector:
         """Of a model of Ultralytics; its `names` are the classes. `settings`: as of `Detector`."""
-        settings.setdefault("classes", _names_of(model.names))
+        settings.setdefault("classes", model.names)
         return cls(partial(_of_ultralytics, model), **settings)
 
     @classmethod
@@ -109,8 +111,13 @@ class Detector:
         """Of a pipeline of Hugging Face: "object-detection", whose labels are the classes, or the zero-shot one."""
         if str(getattr(pipeline, "task", "")).startswith("zero-shot"):
             return cls(partial(_of_zero_shot, pipeline), **settings)
-        settings.setdefault("classes", _names_of(pipeline.model.config.id2label))
+        settings.setdefault("classes", pipeline.model.config.id2label)
         return cls(partial(_of_pipeline, pipeline), **settings)
+
+    def _know(self, names: Names | None) -> None:
+        """What numbers of classes are called, and so what the detector knows."""
+        self._names = names
+        self.classes = None if names is None else tuple(names.values() if isinstance(names, Mapping) else names)
 
     def __repr__(self) -> str:
         view = self._views[0]
@@ -151,12 +158,13 @@ class Detector:
         grid: PerspectiveGrid | None = None,
     ) -> list[list[Thing]]:
         """What the detector sees of each query, before any reading: one `Thing` each, the surest first; as `seen`."""
-        wanted = [self._wanted(query) for query in queries]
+        for query in queries:
+            self._wanted(query)
         shown, found, seen = self._shown(picture, world_R_body, grid), [], None
-        for query, words in zip(queries, wanted, strict=True):
+        for query in queries:
             if seen is None or self.classes is None:
                 seen = self._detected(shown, query)
-            found.append(self._meant(shown, seen, query, words))
+            found.append(self._meant(shown, seen, query, self._wanted(query)))  # now its results may name its classes
         return found
 
     def around(
@@ -218,7 +226,9 @@ class Detector:
         pictures, many = [picture for _, picture in shown], getattr(self.function, "many", None)
         more = (query,) if self._takes_query else ()
         found = [self.function(each, *more) for each in pictures] if many is None else many(pictures, query)
-        return [boxes_of(each, self.classes) for each in found]
+        if self.classes is None:
+            self._know(next(filter(None, map(_names_in, found)), None))
+        return [boxes_of(each, self._names) for each in found]
 
     def seen(
         self,
@@ -318,10 +328,6 @@ def _of_zero_shot(pipeline: Any, picture: np.ndarray, query: str) -> Any:
     return pipeline(Image.fromarray(picture), candidate_labels=[query])
 
 
-def _names_of(names: Mapping[Any, str] | Sequence[str]) -> list[str]:
-    return [*(names.values() if isinstance(names, Mapping) else names)]
-
-
 # --- what detectors return --------------------------------------------------------------------------------------------
 
 _SLACK = 1e-6  # by which rounding may take a probability out of [0, 1]
@@ -354,6 +360,12 @@ def boxes_of(found: Any, names: Names | None = None, shape: Sequence[int] | None
     except (KeyError, AttributeError, TypeError, IndexError) as error:
         raise ResponseError(f"the detector returned {_kind(found)} without {error}; wanted {WANTED}") from error
     return _checked(boxes, scores, labels, names if names is not None else own)
+
+
+def _names_in(found: Any) -> Names | None:
+    """The names of all that a detector knows, where what it returned tells them: Ultralytics' results do."""
+    one = found[0] if isinstance(found, Sequence) and len(found) == 1 else found
+    return getattr(one, "names", None) if _reader(one) is _ultralytics else None
 
 
 def _checked(boxes: Any, scores: Any, labels: Any, names: Names | None) -> Boxes:

@@ -58,7 +58,7 @@ def in_words(estimate: Estimate) -> str:
     """The answer in a sentence: where, how far, how sure."""
     e = estimate
     where, far = answer_in_words(e), far_in_words(e)
-    cone = [] if e.direction is None else [f"90 % within {math.degrees(e.credible_angle):.0f} degrees"]
+    cone = [] if e.direction is None else [e.certainty]
     parts = [where, *([f"{far} away"] if far else []), *cone]
     meaning = status_in_words(e.status, e.presence)
     said = f"{', '.join(parts)}. Presence {100 * e.presence:.0f} %, {e.status}: {meaning}."

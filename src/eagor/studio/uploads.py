@@ -23,13 +23,14 @@ if TYPE_CHECKING:
 
 __all__ = ["BYTES", "PIXELS", "Upload", "Uploads"]
 
-BYTES = 64 << 20  # of a file
+BYTES = 1 << 30  # of a file: more than a minute of a 5.7K camera
 PIXELS = 64_000_000  # of a picture
 KEPT = 12  # files; the oldest goes when another one comes
-TOGETHER = 256 << 20  # bytes of all files
+TOGETHER = 2 << 30  # bytes of all files
 PATIENCE = 15.0  # seconds of silence in which an upload is given up
 SLOWEST = 1 << 16  # bytes per second of an upload on the whole; less is given up after as many seconds more
 NAME = 80  # letters of a name that is shown
+LENSES = "Stitch it first, or give its lenses: eagor studio --source FILE --rig LENSES.yaml --query WORDS."
 _VIDEOS = {b"ftyp": 4, b"\x1a\x45\xdf\xa3": 0}  # how MP4 and Matroska begin, and where
 
 
@@ -73,12 +74,19 @@ class Uploads:
     async def receive(self, declared: int | None, chunks: AsyncIterator[bytes]) -> Path:
         """Write what comes to a file, as far as it may be large and slow; returns its path. Raises `PageError`."""
         too_large = PageError(
-            f"The file is larger than {BYTES >> 20} MB.", "Make it smaller: 4096 columns are plenty.", 413
+            f"The file is larger than {BYTES >> 20} MB.",
+            "Cut it, or make it smaller: 4096 columns are plenty. Or leave it where it is: eagor studio --source FILE.",
+            413,
         )
         if declared is not None and declared > BYTES:
             raise too_large
         if self._folder is None:
             self._folder = Path(tempfile.mkdtemp(prefix="eagor-studio-"))
+        free = shutil.disk_usage(self._folder).free
+        if declared is not None and declared > free:
+            raise PageError(
+                f"The file has {declared >> 20} MB, and {free >> 20} MB are free.", "Make room on the server.", 507
+            )
         path = self._folder / secrets.token_hex(8)  # never the name that the page gives
         size = 0
         try:
@@ -189,7 +197,7 @@ def _photo(path: Path, name: str) -> Upload:
         hfov = _field(told_by_photograph(path), wide, high, name)
         return Upload(path.name, "photo", path, name, high, wide, 1, ordinary=True, hfov_deg=hfov)
     if fisheye_circles(found):
-        raise PageError(f"{name} shows the circles of a fisheye camera.", "Stitch it first, then drop it again.", 422)
+        raise PageError(f"{name} shows the circles of a fisheye camera.", LENSES, 422)
     return Upload(path.name, "photo", path, name, found.shape[0], found.shape[1], 1, tuple(problems(found)))
 
 
@@ -210,7 +218,8 @@ def _video(path: Path, name: str) -> Upload:
         found = Video(path, rate=LOOKS, rows=ROWS)
     except EagorError as error:
         words = " ".join(str(error).replace(str(path), name).split())
-        raise PageError(f"{name} cannot be used: {words}.", "Drop an equirectangular video (MP4, MKV).", 422) from error
+        change = LENSES if "circles" in words else "Drop an equirectangular video (MP4, MKV)."
+        raise PageError(f"{name} cannot be used: {words}.", change, 422) from error
     height, width = found.shape
     if not is_twice_as_wide(height, width):
         hfov = _field(found.told, width, height, name)

@@ -11,7 +11,7 @@ import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor._checks import checked_stamp
-from eagor._values import lazy, where
+from eagor._values import lazy, where, wide
 from eagor.belief.field import cells_of
 from eagor.belief.posterior import checked_mass
 from eagor.belief.reading import Reading
@@ -86,8 +86,17 @@ class Estimate:
         presence += f", looked for {self.looked_for}" if self.looked_for else ""
         if self.azimuth is None or self.elevation is None:
             return f"Estimate(t={self.stamp:g} s, direction not known, {presence})"
-        cone = f"90 % within {math.degrees(self.credible_angle):.0f}°"
-        return f"Estimate(t={self.stamp:g} s, {where(self.azimuth, self.elevation)}, {cone}, {presence})"
+        return f"Estimate(t={self.stamp:g} s, {where(self.azimuth, self.elevation)}, {self.certainty}, {presence})"
+
+    @property
+    def certainty(self) -> str:
+        """Where the belief is about a direction that is known: "90 % within 6°", or "2 candidates hold 96 %".
+
+        The latter where the answer is ambiguous: a cone about one of them that reaches to the other says nothing.
+        """
+        if self._found == "ambiguous" and len(self.modes) > 1:
+            return f"{len(self.modes)} candidates hold {100 * sum(mode.weight for mode in self.modes):.0f} %"
+        return f"90 % within {wide(self.credible_angle)}"
 
     @property
     def posterior(self) -> Reading:

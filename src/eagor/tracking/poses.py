@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +62,7 @@ class PoseHistory:
                 "stands still for long, give its pose again"
             )
 
-    def add(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> list[float]:
+    def add(self, stamp: float, world_R_body: Any, position: np.ndarray | None = None) -> list[float]:
         """Append a pose; it replaces the last one if it has the same stamp. Errors as in `DirectionTracker.add_pose`.
 
         Poses after a long gap have wrong stamps if a later pose falls before the gap again. They are then dropped, and

@@ -12,7 +12,7 @@ import threading
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from eagor.tracking.estimate import Estimate
 from eagor.tracking.looking import Heights, NextLook, TurningCamera, TurningRig
 from eagor.tracking.poses import HELD, PoseHistory
 from eagor.tracking.tracks import PENDING, SAME_MOMENT, Moment, State, Track
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 __all__ = ["DirectionTracker"]
 
@@ -69,8 +72,10 @@ class DirectionTracker:
         with self._turn:
             return tuple(self._tracks)
 
-    def add_pose(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None = None) -> None:
-        """Add a pose of the body: orientation ``(3, 3)``, and `position` ``(3,)`` in metres, world frame, if known.
+    def add_pose(self, stamp: float, world_R_body: np.ndarray | Rotation, position: np.ndarray | None = None) -> None:
+        """Add a pose of the body: orientation ``(3, 3)`` or a Rotation of SciPy, and `position` ``(3,)``, if known.
+
+        The position is in metres, in the world frame.
 
         Raises `TimeError` if `stamp` is earlier than the last pose, `RotationError` if the matrix is not a rotation,
         and `PoseError` if the position is not three finite numbers, is missing after earlier ones were given, or is not
