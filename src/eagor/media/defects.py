@@ -139,7 +139,7 @@ def two_eyes(picture: np.ndarray) -> str:
         size = (EYE_ROWS, 2 * EYE_ROWS) if axis else (2 * EYE_ROWS, EYE_ROWS)
         halves = np.split(resized(image, size).mean(axis=2), 2, axis=axis)
         fine = [half - ndimage.gaussian_filter(half, EYE_PART / 2) for half in halves]
-        spread = [np.sqrt(ndimage.uniform_filter(half**2, EYE_PART).clip(0)) for half in fine]
+        spread = [np.sqrt(ndimage.uniform_filter(half**2, EYE_PART)) for half in fine]
         alike = np.full(fine[0].shape, -1.0)
         for shift in range(-EYE_SHIFT, EYE_SHIFT + 1):
             other, deviation = (np.roll(each[1], shift, axis=1) for each in (fine, spread))
