@@ -22,7 +22,8 @@ from eagor.sphere import checked_pose
 __all__ = ["FisheyeLens", "Lens", "PinholeLens", "inverted"]
 
 WIDEST = math.radians(280)  # full field of a fisheye: beyond, there is no glass; ideal ones may see all around
-MOST, LONGEST = 1e6, 1e9  # pixels: no picture is so large, no view so narrow
+MOST = 1e6  # pixels: no picture is so large
+LEAST, LONGEST = 1e-6, 1e9  # pixels: focal lengths of views that are hardly any
 NEWTON = 12  # rounds; each doubles the digits, and the start is within a few degrees
 FLAT = 89.0  # degrees off the axis that a plane with distortion can show at most
 AHEAD = 1e-9  # cosine off the axis below which an ideal pinhole sees nothing
@@ -53,7 +54,7 @@ class FisheyeLens:
         object.__setattr__(self, "body_R_lens", frozen(np.array(checked_pose(self.body_R_lens, "body_R_lens"))))
         object.__setattr__(self, "polynomial", tuple(float(k) for k in self.polynomial))
         if not (
-            above(self.focal, 0, LONGEST)
+            within(self.focal, LEAST, LONGEST)
             and above(self.radius, 0, MOST)
             and all(within(v, -MOST, MOST) for v in self.centre)
         ):
@@ -162,7 +163,7 @@ class PinholeLens:
     def __post_init__(self) -> None:
         object.__setattr__(self, "body_R_lens", frozen(np.array(checked_pose(self.body_R_lens, "body_R_lens"))))
         object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
-        sides = all(above(side, 0, MOST) for side in self.size) and all(above(f, 0, LONGEST) for f in self.focal)
+        sides = all(above(side, 0, MOST) for side in self.size) and all(within(f, LEAST, LONGEST) for f in self.focal)
         if not (sides and all(within(c, -MOST, MOST) for c in self.centre)):
             raise GridError(
                 f"the lens {self.name!r} has focal {self.focal}, centre {self.centre} and size {shown(self.size)}; "

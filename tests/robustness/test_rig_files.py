@@ -57,6 +57,7 @@ def test_a_lens_that_wants_too_large_a_panorama(tmp_path):
         ("name: front", "name: front\n    name: front", r"line 5: .*name is there twice"),
         ("name: front", "name: front\n    kind: mirror", r"line 5: .*kind is 'mirror'; wanted fisheye or pinhole"),
         ("name: front", "name: front\n    picture: 1", r"line 5: .*picture is 1; wanted 0 to 0"),
+        ("radius: 100", "radius: 1.0e-320", r"line 4: .*cannot be: the lens 'front' has .* radius above 0"),
         ("width: 400", "width: 40000000", r"a rig has pictures of .*; wanted pixels, 1 to 1e.06 along each side"),
         ("width: 400", "width: 40.5", r"line 2: .*width is '40.5'; wanted a whole number"),
         (", height: 200", "", r"line 2: .*lacks a side"),

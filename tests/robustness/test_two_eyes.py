@@ -39,11 +39,6 @@ def test_every_layout_is_told_by_the_command_line_too():
     assert get_args(get_args(get_args(Eyes)[0])[0]) == tuple(LAYOUTS)
 
 
-@pytest.mark.parametrize("grey", [3, 90, 255])
-def test_an_even_picture_shows_no_two_eyes(grey):
-    assert two_eyes(np.full((32, 64, 3), grey, np.uint8)) == ""
-
-
 @pytest.mark.parametrize("name", PICTURES)
 @pytest.mark.parametrize("kind", ["png", "mp4"])
 def test_two_eyes_are_refused_until_the_layout_is_told(tmp_path, name, kind):

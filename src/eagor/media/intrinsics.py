@@ -26,7 +26,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -184,9 +184,8 @@ def told_by_photograph(path: str | Path) -> Told:
             turns = QUARTERS.get(exif.get(ORIENTATION, 1), 0)
     except Exception:  # Pillow may raise anything for damaged metadata
         return Told()
-    width, height = size
-    shown = height if turns % 2 else width
-    taken = _number(said.get(EXIF_WIDTH)) or width, _number(said.get(EXIF_HEIGHT)) or height
+    shown = size[turns % 2]
+    taken = _number(said.get(EXIF_WIDTH)) or size[0], _number(said.get(EXIF_HEIGHT)) or size[1]
     if not (_alike(size, taken) or _alike(size, (taken[1], taken[0]))):  # type: ignore[arg-type]
         return Told(turns=turns, facts=("its Exif is that of a picture of another shape: it was cropped",))
     if film := _number(said.get(FOCAL_35MM)):
@@ -209,8 +208,8 @@ def told_by_video(tags: Mapping[str, str], size: tuple[int, int], turns: int) ->
     for key, value in tags.items():
         if FOCAL_KEY.search(key) and (film := _number(value)):
             focal = film * math.hypot(*size) / FULL_FRAME
-            found = _plausible(focal, size[0], f"its metadata ({key.rsplit('.', 2)[-2]}, 35 mm)", turns)
-            return Told(found.focal, found.source, turns, facts)
+            source = f"its metadata ({key.rsplit('.', 2)[-2]}, 35 mm)"
+            return replace(_plausible(focal, size[0], source, turns), facts=facts)
     return Told(turns=turns, facts=facts)
 
 
@@ -252,6 +251,7 @@ COEFFICIENTS = ("distortion_coefficients", "dist_coeffs", "dist_coeff", "distcoe
 PLANE_MODELS = {"plumb_bob": 5, "rational_polynomial": 8, "radtan": 4, "radial-tangential": 4, "none": 0, "": 8}
 ROUND_MODELS = {"equidistant": 4, "kannala_brandt": 4}
 KALIBR = re.compile(r"cam\d+")
+FLATTEST = 100  # by how much a picture may be larger than the focal length: a field of 178 degrees
 SQUARE = 0.01  # by which the two focal lengths of a fisheye may differ
 STEEP = 1441  # angles at which it is looked how far a fisheye's curve rises
 
@@ -309,8 +309,7 @@ def _opencv(root: Place, entries: Mapping[str, Place]) -> tuple[Lens, tuple[int,
     fisheye = "fisheye_model" in entries and entries["fisheye_model"].text().lower() not in ("0", "false")
     place = _first(entries, COEFFICIENTS)
     values = () if place is None else _numbers(place, "up to 8 numbers", range(15))
-    if fisheye and not model:
-        model = "equidistant"
+    model = model or ("equidistant" if fisheye else "")
     return _lens((place or matrix).wrong, model, size, (fx, fy), (cx + 0.5, cy + 0.5), values), size
 
 
@@ -481,6 +480,8 @@ def _lens(
         raise wrong(f"has {len(values)} numbers; wanted at most {most} that are not 0 ({model or 'OpenCV'})")
     if model in ROUND_MODELS:
         return _fisheye(size, focal, centre, values[:most])
+    if 0 < min(focal) < max(size) / FLATTEST:
+        raise wrong(f"goes with the focal lengths {focal[0]:g} and {focal[1]:g} in pictures of {size}; wanted pixels")
     return PinholeLens("camera", size, focal, centre, tuple(values[:most]))
 
 
