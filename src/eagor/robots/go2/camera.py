@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from eagor._checks import is_twice_as_wide
-from eagor.errors import DeviceError, EagorError, ImageError, TimeError
+from eagor.errors import DeviceError, EagorError, ImageError
 from eagor.grids import ErpGrid
 from eagor.media import Frame
 from eagor.media.panorama import resized
@@ -33,21 +33,17 @@ def picture_message(panorama: np.ndarray, stamp: float, frame: str) -> Raw:
 class DdsCamera:
     """A `CameraSource`: the panoramas of a topic of sensor_msgs/CompressedImage on DDS domain `domain`.
 
-    Stamps are those of the headers, which are times of capture, less the `latency`; where a header has none, the time
-    of arrival less the latency. Only the newest picture is kept, and decoded when it is taken; `dropped` counts the
-    others. `rows`: the most rows of a picture. Raises `DeviceError` if no picture comes, `ImageError` for pictures that
-    are no panoramas.
+    Stamps are those of the headers, which are times of capture; where a header has none, the time of arrival. Only the
+    newest picture is kept, and decoded when it is taken; `dropped` counts the others. `rows`: the most rows of a
+    picture. Raises `DeviceError` if no picture comes, `ImageError` for pictures that are no panoramas.
     """
 
     live = True
     keeps_newest = True
+    latency = 0.0
 
-    def __init__(
-        self, topic: str, domain: int, interface: str | None, rows: int | None = None, latency: float = 0.0
-    ) -> None:
-        if not math.isfinite(latency):
-            raise TimeError(f"latency = {latency!r}; wanted seconds from capture to the stamp, 0 or more")
-        self.topic, self.latency, self.dropped = topic, latency, 0
+    def __init__(self, topic: str, domain: int, interface: str | None, rows: int | None = None) -> None:
+        self.topic, self.dropped = topic, 0
         self.problem: str | None = None
         self._changed, self._closed = threading.Condition(), False
         self._newest: tuple[Any, float] | None = None
@@ -80,8 +76,7 @@ class DdsCamera:
                     warnings.warn(f"{self.topic}: a picture is left out: {error}", UserWarning, stacklevel=2)
                 self.problem, self.dropped = str(error), self.dropped + 1
                 continue
-            stamp = (stamp_of(message) or when) - self.latency
-            if stamp <= last:  # sent twice, or out of order
+            if (stamp := stamp_of(message) or when) <= last:  # sent twice, or out of order
                 self.dropped += 1
                 continue
             last, self.problem = stamp, None

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
@@ -19,19 +19,19 @@ from typing import Any
 import numpy as np
 
 from eagor._checks import require, whole, within
-from eagor.conventions import rotation_from_xyzw
 from eagor.errors import DeviceError, QueryError, WorldError
 from eagor.lab import worlds
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.navmesh import stroll
 from eagor.lab.worlds.render import PAINTS, Ball, Renderer, with_ball
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Scene
+from eagor.media.ros_messages import pose_of
 from eagor.queries import matching, parse_query
-from eagor.robots.dds import Link
+from eagor.robots.dds import Link, Raw
 from eagor.robots.go2.camera import PICTURE, picture_message
 from eagor.robots.go2.state import Odometry
 
-__all__ = ["CAMERA_FRAME", "CAMERA_TOPIC", "TRUTH", "CameraSettings", "SimWorld", "clear_start", "film", "panorama"]
+__all__ = ["CAMERA_FRAME", "CAMERA_TOPIC", "TRUTH", "CameraSettings", "SimWorld", "camera_pose", "film", "panorama"]
 
 RADIUS = 0.22  # metres: half the width of a Go2 with its legs, and some; it is longer, but turns through doors
 TALL = 0.9  # metres from the floor to the top of the camera
@@ -45,9 +45,10 @@ BEFORE = 1.0  # metres before the target's centre at which the way may end: thin
 class SimWorld:
     """A `scene` and its `ground` for a body as wide as a Go2: the one of this seed in a world of `eagor.lab.worlds`.
 
-    `target`: what is to be found there, in words, if anything: a "red ball" is brought along, and rolls from one random
-    place to another at `speed` metres per second, as `draws` has them. Raises `WorldError` if there is no such world,
-    or no room in it; `QueryError` for a target that is not there, which lists what is.
+    `things`: all that can be asked for by name; `targets`: those that `target` names, what is to be found there, in
+    words. A "red ball" is brought along, and rolls from where it is listed to one random place after another at `speed`
+    metres per second, as `draws` has them. Raises `WorldError` if there is no such world, or no room in it;
+    `QueryError` for a target that is not there, which lists what is.
     """
 
     def __init__(
@@ -56,23 +57,32 @@ class SimWorld:
     ) -> None:  # fmt: skip
         if seed < 0:
             raise WorldError(f"seed = {seed}; wanted 0 or a positive whole number")
-        asks_ball = target is not None and "ball" in target.lower().split()
-        self.ball = (parse_query(target or "", {"ball"}).colour or "red") if asks_ball else None
-        if self.ball not in (None, *PAINTS):
-            raise QueryError(f"there is no {self.ball} ball; balls are {', '.join(sorted(PAINTS))}")
+        self._colour, self._speed = None, speed  # of the ball
+        if target is not None and "ball" in target.lower().split():
+            self._colour = parse_query(target, {"ball"}).colour or "red"
+            if self._colour not in PAINTS:
+                raise QueryError(f"there is no {self._colour} ball; balls are {', '.join(sorted(PAINTS))}")
         scene = worlds.load(world)(seed)
         if not isinstance(scene, Scene):
             raise WorldError(
                 f"a simulated Go2 walks among triangles, but {scene.source} is held by another simulator; give it an "
                 "apartment or a GLB file"
             )
-        self.scene, self.target, self.speed = scene, target, speed
-        self.ground = Ground.from_scene(scene, radius=RADIUS, height=TALL)
-        if self.ball is not None:
-            rng = np.random.default_rng(draws or seed)
+        self.scene, self.ground = scene, Ground.from_scene(scene, radius=RADIUS, height=TALL)
+        self.things = [each for each in scene.instances if each.category not in STRUCTURE]
+        rng = np.random.default_rng(draws or seed)
+        if self._colour is not None:
             self._points = stroll(self.ground, self.ground.sample(rng, BALL), max(speed, 1e-3) * TICK, rng)
             self._way = [next(self._points)]
-        self.targets()
+        if (ball := self.ball_at(0.0)) is not None:
+            self.things.append(Instance("ball", ball.colour, None, ball.centre - BALL, ball.centre + BALL))
+        self.targets: list[Instance] = []
+        if target is not None:
+            asked = parse_query(target, {thing.category for thing in self.things})
+            self.targets = [self.things[index] for index in matching(asked, self.things)]
+            if not self.targets:
+                names = sorted({thing.name for thing in self.things})
+                raise QueryError(f"there is no {asked} in {scene.source}; it has {', '.join(names)}")
 
     def move_and_slide(self, start: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Where a step ends: along walls, not through them."""
@@ -80,52 +90,37 @@ class SimWorld:
 
     def ball_at(self, seconds: float) -> Ball | None:
         """The ball at a time since the start, if there is one; any time, again and again."""
-        if self.ball is None:
+        if self._colour is None:
             return None
-        place = max(0.0, seconds) / TICK if self.speed > 0 else 0.0
+        place = max(0.0, seconds) / TICK if self._speed > 0 else 0.0
         while len(self._way) < place + 2:
             self._way.append(next(self._points))
         before = int(place)
         x, y = self._way[before] + (place - before) * (self._way[before + 1] - self._way[before])
-        return Ball(np.array([x, y, self.ground.floor + BALL]), BALL, self.ball)
+        return Ball(np.array([x, y, self.ground.floor + BALL]), BALL, self._colour)
 
-    def things(self, seconds: float = 0.0) -> list[Instance]:
-        """All that can be asked for by name, where it is at this time."""
-        found = [each for each in self.scene.instances if each.category not in STRUCTURE]
-        if (ball := self.ball_at(seconds)) is not None:
-            found.append(Instance("ball", ball.colour, None, ball.centre - BALL, ball.centre + BALL))
-        return found
+    def clear_start(self, rng: np.random.Generator) -> tuple[float, float, float]:
+        """A place (x, y in metres) and a heading (radians) some metres from a target, with a straight way there.
 
-    def targets(self, seconds: float = 0.0) -> list[Instance]:
-        """The things that the target names, where they are at this time; none without a target."""
-        if self.target is None:
-            return []
-        things = self.things(seconds)
-        asked = parse_query(self.target, {thing.category for thing in things})
-        if not (found := [things[index] for index in matching(asked, things)]):
-            names = sorted({thing.name for thing in things})
-            raise QueryError(f"there is no {asked} in {self.scene.source}; it has {', '.join(names)}")
-        return found
+        The policy goes straight, and around nothing. Any place where there is none, and without a target.
+        """
+        room = min(ROOM, float(self.ground.clearance[self.ground.free].max()))
+        targets = [thing.centre[:2] for thing in self.targets]
+        for _ in range(TRIES if targets else 0):
+            spot = self.ground.sample(rng, room)
+            if any(self._leads(spot, target) for target in targets):
+                break
+        else:
+            spot = self.ground.sample(rng, room)
+        return float(spot[0]), float(spot[1]), float(rng.uniform(-math.pi, math.pi))
 
-
-def clear_start(
-    house: SimWorld, targets: Sequence[Instance], rng: np.random.Generator
-) -> tuple[float, float, float] | None:
-    """A place (x, y in metres) and a heading (radians) some metres from a target, with a straight way there.
-
-    The policy goes straight, and around nothing. Any place without targets; None if no such place was found.
-    """
-    ground = house.ground
-    for _ in range(TRIES):
-        spot = ground.sample(rng, min(ROOM, float(ground.clearance[ground.free].max())))
-        clear = not targets
-        for way in [thing.centre[:2] - spot for thing in targets]:
-            if NEAR <= (far := float(np.hypot(*way))) <= FAR:
-                steps = np.arange(0.0, far - BEFORE, ground.cell / 2)[:, None] * way / far
-                clear = clear or bool(ground.is_free(spot + steps).all())
-        if clear:
-            return float(spot[0]), float(spot[1]), float(rng.uniform(-math.pi, math.pi))
-    return None
+    def _leads(self, spot: np.ndarray, target: np.ndarray) -> bool:
+        """Whether a target is some metres away, and the straight way there is free."""
+        way = target - spot
+        if not NEAR <= (far := float(np.hypot(*way))) <= FAR:
+            return False
+        steps = np.arange(0.0, far - BEFORE, self.ground.cell / 2)[:, None] * way / far
+        return bool(self.ground.is_free(spot + steps).all())
 
 
 # --- its camera -------------------------------------------------------------------------------------------------------
@@ -178,25 +173,29 @@ def film(line: Connection, house: Sequence[Any], camera: CameraSettings, domain:
     world, newest = SimWorld(*house), deque[Any](maxlen=1)
     renderer = Renderer(world.scene)
     panorama(renderer, camera.rows, np.zeros(3), np.eye(3))  # the light, and what else comes first
-    with Link(domain, interface) as link:
+    # Pictures that are on their way arrive before the link closes.
+    with Link(domain, interface) as link, ThreadPoolExecutor(1) as sender:
         writer = link.publish(CAMERA_TOPIC, PICTURE, reliable=False)
         link.subscribe(TRUTH, Odometry, lambda message, _: newest.append(message))
+
+        def send(message: Raw, when: float) -> None:
+            time.sleep(max(0.0, when - time.time()))
+            writer.write(message)
+
         line.send(None)
         begun, due = line.recv(), time.time()
         while not line.poll(max(0.0, due - time.time())):
             if not newest:
                 due = time.time() + 0.01
                 continue
-            stamp, at, turned = pose_of(newest.pop())
-            ball = world.ball_at(stamp - begun)
-            picture = panorama(renderer, camera.rows, at + turned @ np.asarray(camera.mount), turned, ball)
-            message = picture_message(picture, stamp, CAMERA_FRAME)
-            threading.Timer(max(0.0, stamp + camera.latency - time.time()), writer.write, (message,)).start()
+            stamp, at, turned = camera_pose(newest.pop(), camera.mount)
+            picture = panorama(renderer, camera.rows, at, turned, world.ball_at(stamp - begun))
+            sender.submit(send, picture_message(picture, stamp, CAMERA_FRAME), stamp + camera.latency)
             due = max(due + 1 / camera.rate, time.time())
 
 
-def pose_of(message: Any) -> tuple[float, np.ndarray, np.ndarray]:
-    """Seconds, place ``(3,)`` and rotation ``(3, 3)`` of a nav_msgs/Odometry."""
-    stamp, at, q = message.header.stamp, message.pose.pose.position, message.pose.pose.orientation
-    turned = rotation_from_xyzw(np.array([q.x, q.y, q.z, q.w]))
-    return stamp.sec + 1e-9 * stamp.nanosec, np.array([at.x, at.y, at.z]), turned
+def camera_pose(truth: Any, mount: Sequence[float]) -> tuple[float, np.ndarray, np.ndarray]:
+    """Seconds, and the camera's place ``(3,)`` and orientation ``(3, 3)``, from a message of `TRUTH`."""
+    pose = pose_of(truth)
+    assert pose.position is not None
+    return pose.stamp, pose.position + pose.world_R_body @ mount, pose.world_R_body
