@@ -51,7 +51,7 @@ from eagor.media.bags import BagWriter
 from eagor.perception import load
 from eagor.robots.dds import Link
 from eagor.robots.go2.camera import PICTURE
-from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings, SimWorld
+from eagor.robots.go2.house import CAMERA_TOPIC, MOUNT, SimWorld
 from eagor.robots.go2.plant import HEIGHT
 from eagor.robots.go2.sim import TRUTH as TRUTH_POSE
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
@@ -68,9 +68,8 @@ LATENCIES = (0.0, 0.4, 1.6)
 DOMAINS = 10
 REGIONS = 5  # answers from one check of the region to the next
 NEAR, GONE = math.radians(15), 2.0
-CAMERA = CameraSettings(rows=128, rate=5.0)
 AHEAD, GAINS = 12.5, 2e-5  # seconds by which the robot's clock is ahead, and seconds per second
-EYES = HEIGHT + CAMERA.mount[2]  # metres
+EYES = HEIGHT + MOUNT[2]  # metres
 IMAGE, ODOMETRY, TRUTH, BALL = "/image/compressed", "/odom", "/truth", "/ball"
 
 
@@ -99,7 +98,7 @@ class Run:
         """The true direction ``(3,)`` to the ball in the body frame, and the camera's place ``(3,)``."""
         turn, place = self.truth.at(stamp)
         assert place is not None
-        eye = place + turn @ np.asarray(CAMERA.mount)
+        eye = place + turn @ np.asarray(MOUNT)
         return unit(turn.T @ (self.ball(stamp) - eye)), eye
 
     def ball(self, stamp: float) -> np.ndarray:
@@ -140,7 +139,7 @@ class Steering:
 def settings(seed: int, scene: str) -> SimSettings:
     """The robot, its house and its ball. It starts with the ball in sight, 1.5 to 5 m away, with any heading."""
     speed = 0.0 if "lying" in scene else SPEED
-    found = SimSettings(seed=seed, target=QUERY, speed=speed, camera=CAMERA, clock_offset=AHEAD, clock_drift=GAINS)
+    found = SimSettings(seed=seed, target=QUERY, speed=speed, clock_offset=AHEAD, clock_drift=GAINS)
     house, rng = SimulatedGo2(found).house, np.random.default_rng([seed, SCENES.index(scene)])
     assert house is not None
     ball, rays = house.targets[0].centre, Renderer(house.scene).raycaster
@@ -267,7 +266,7 @@ def play(run: Run, looks: Sequence[tuple[float, Evidence]], method: Estimator, l
             break
         if kind != 1 and now > last:
             turn, place = run.told(now)
-            method.move(now, turn, place + turn @ np.asarray(CAMERA.mount))  # type: ignore[operator]
+            method.move(now, turn, place + turn @ np.asarray(MOUNT))  # type: ignore[operator]
             last = now
         if kind == 1:
             method.see(look)
@@ -334,7 +333,7 @@ def conditions() -> Iterator[tuple[str, float, bool]]:
 def judge_run(path: str) -> tuple[str, dict[tuple[str, str], dict[str, float]]]:
     """All figures of one run, by condition and method."""
     run = read(Path(path))
-    house = SimWorld("apartment", run.seed)
+    house = SimWorld(SimSettings(seed=run.seed))
     perception = load("scout")
     calibration, detector = (getattr(perception, key, None) for key in ("calibration", "detector"))
     looks = look_at(run, perception)

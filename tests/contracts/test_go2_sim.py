@@ -19,7 +19,7 @@ from eagor.grids import ErpGrid
 from eagor.lab.worlds.render import Ball, Renderer
 from eagor.robots.dds import Link, free_domain
 from eagor.robots.go2.camera import DdsCamera
-from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings, SimWorld, panorama
+from eagor.robots.go2.house import CAMERA_TOPIC, SimWorld, panorama
 from eagor.robots.go2.sim import Rehearsal, SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import Go2State
@@ -43,7 +43,7 @@ def test_the_same_seed_gives_the_same_walk():
 
 def test_its_camera_sees_the_ball_where_it_is():
     """Direction, handedness, mount and tilt agree: what differs with the ball lies towards the ball."""
-    house, seen = SimWorld("apartment", 5, "red ball"), 0
+    house, seen = SimWorld(SimSettings(seed=5, target="red ball")), 0
     renderer, height = Renderer(house.scene), house.ball_at(0).centre[2]
     at = np.array([*house.clear_start(np.random.default_rng(5))[:2], 0.72])
     for seed in range(16):
@@ -62,13 +62,13 @@ def test_its_camera_sees_the_ball_where_it_is():
 
 
 def test_the_ball_rolls_over_the_floor_and_a_start_has_a_straight_way():
-    house = SimWorld("apartment", 3, "green ball", 0.5)
+    house = SimWorld(SimSettings(seed=3, target="green ball", speed=0.5))
     path = np.array([house.ball_at(t).centre[:2] for t in np.arange(0, 20, 0.1)])
     assert all(house.ground.is_free(xy) for xy in path)
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     assert steps.max() < 0.055
     assert np.median(steps) == pytest.approx(0.05, abs=0.002)
-    house = SimWorld("apartment", 3, "chair")
+    house = SimWorld(SimSettings(seed=3, target="chair"))
     assert len(house.targets) == sum(thing.category == "chair" for thing in house.things)
     start = np.array(house.clear_start(np.random.default_rng(0))[:2])
     assert min(np.linalg.norm(chair.centre[:2] - start) for chair in house.targets) <= 5.0
@@ -93,8 +93,7 @@ def test_settings_that_cannot_be_say_so(settings, error, said):
 @pytest.mark.slow
 @live
 def test_a_rehearsal_walks_sends_pictures_and_tells_the_truth_beside():
-    small = CameraSettings(rows=32, rate=5.0, latency=0.15)
-    with Rehearsal(SimSettings(target="red ball", camera=small)) as robot, Link(robot.domain, "lo") as link:
+    with Rehearsal(SimSettings(target="red ball", rows=32)) as robot, Link(robot.domain, "lo") as link:
         assert robot.targets.shape == (1, 3)
         state, client = Go2State(link), SportClient(link, timeout=20.0)
         camera = DdsCamera(CAMERA_TOPIC, robot.domain, "lo")
@@ -116,10 +115,9 @@ def test_a_rehearsal_walks_sends_pictures_and_tells_the_truth_beside():
 def test_nothing_stays_behind_whatever_ends_it(tmp_path):
     code = f"""
 import time
-from eagor.robots.go2.house import CameraSettings
 from eagor.robots.go2.sim import *
 if __name__ == "__main__":
-    with SimulatedGo2(SimSettings(seed=3, camera=CameraSettings(rows=16)), {free_domain()}):
+    with SimulatedGo2(SimSettings(seed=3, rows=16), {free_domain()}):
         print("ready", flush=True)
         time.sleep(600)
 """

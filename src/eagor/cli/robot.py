@@ -152,7 +152,7 @@ def sim(options: RobotSim) -> int:
     domain = default_domain() if options.domain is None else options.domain
     robot = SimulatedGo2(settings, domain, options.interface)
     if not options.json:
-        terminal.log("waiting for the camera" if settings.camera else "without a camera")
+        terminal.log("waiting for the camera" if settings.rows else "without a camera")
     with robot as live:
         if options.json:
             terminal.emit(_facts(live, options))
@@ -168,16 +168,15 @@ def sim(options: RobotSim) -> int:
 
 def settings_of(options: RobotSim) -> SimSettings:
     """What is simulated with these options. Raises `UsageError`, `DeviceError`."""
-    from eagor.robots.go2.house import CameraSettings
     from eagor.robots.go2.plant import PlantSettings
     from eagor.robots.go2.sim import SimSettings
 
     if not within(options.speed, 0, 3):
         raise terminal.UsageError(f"--speed {options.speed:g}: wanted 0 to 3 metres per second")
-    camera = CameraSettings(options.rows, options.rate, options.latency) if options.camera != "none" else None
     return SimSettings(
         options.world, options.seed, options.target, options.speed, plant=PlantSettings(upright=not options.lying),
-        camera=camera, clock_offset=options.clock_offset, short=options.short,
+        rows=None if options.camera == "none" else options.rows, rate=options.rate, latency=options.latency,
+        clock_offset=options.clock_offset, short=options.short,
     )  # fmt: skip
 
 

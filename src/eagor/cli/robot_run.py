@@ -302,14 +302,17 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 @contextmanager
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
     from eagor.robots.go2.camera import DdsCamera
-    from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings
+    from eagor.robots.go2.house import CAMERA_TOPIC
     from eagor.robots.go2.sim import Rehearsal, SimSettings
 
     rows = rows_for(spec, options.rows, PICTURE)
-    camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)
     start = options.start and (*options.start[:2], math.radians(options.start[2]))
+    settings = SimSettings(
+        options.world, options.seed, query, start=start, rows=rows, rate=PICTURES, latency=options.latency,
+        mount=options.mount,
+    )  # fmt: skip
     terminal.log("the simulated robot starts")
-    with Rehearsal(SimSettings(options.world, options.seed, query, start=start, camera=camera)) as robot:
+    with Rehearsal(settings) as robot:
         terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
         # Its stamps are those of capture.
         yield Place(

@@ -23,21 +23,20 @@ from eagor.errors import DeviceError
 __all__ = ["Link", "Raw", "Reader", "Writer", "default_domain", "free_domain", "raw"]
 
 LAST_DOMAIN = 232  # above, the ports that the standard derives from the number do not exist (DDSI-RTPS 9.6.1.1)
-LOOPBACK = "lo"
 FIRST_PORT, PORTS = 7400, 250  # of domain 0, and per domain (DDSI-RTPS 9.6.1.1)
 LOOKED_AT = 8  # participants of a domain whose ports tell whether it is in use
 FREE = range(1, 120)  # above, ports meet those that the system gives away
 
 # Each of up to 64 processes of a domain on this machine has ports of its own; Cyclone 0.10, which robots run, finds a
-# newer one on the same machine only by such an index (measured). The loopback interface has no multicast: processes
-# ask each other's ports one by one.
+# newer one on the same machine only by such an index (measured).
 _SETTINGS = """<CycloneDDS><Domain Id="any">
-<General><Interfaces><NetworkInterface {which}/></Interfaces>{more}</General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>64</MaxAutoParticipantIndex>{peers}
+<General><Interfaces><NetworkInterface {}/></Interfaces>{}</General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>64</MaxAutoParticipantIndex>{}
 </Discovery></Domain></CycloneDDS>"""
-_LOCAL = _SETTINGS.format(
-    which='name="lo" multicast="false"', more="<AllowMulticast>false</AllowMulticast>",
-    peers='<Peers><Peer address="127.0.0.1"/></Peers>',
+# The loopback interface has no multicast: processes ask each other's ports one by one.
+_LOCAL = (
+    'name="lo" multicast="false"', "<AllowMulticast>false</AllowMulticast>",
+    '<Peers><Peer address="127.0.0.1"/></Peers>',
 )  # fmt: skip
 
 DEPTH = 10  # messages that are kept for a reader that is late
@@ -103,20 +102,32 @@ class Link:
     def __init__(self, domain: int = 0, interface: str | None = None) -> None:
         need("DDS (Unitree)", "robot", "cyclonedds", "rosbags")
         from cyclonedds.core import DDSException
-        from cyclonedds.domain import DomainParticipant
+        from cyclonedds.domain import Domain, DomainParticipant
 
         if not whole(domain, 0, LAST_DOMAIN):
             raise DeviceError(f"DDS domain {domain!r}; wanted a whole number from 0 to {LAST_DOMAIN} (ROS_DOMAIN_ID)")
+        known = [name for _, name in socket.if_nameindex()]
+        if interface is not None and interface not in known:
+            raise DeviceError(f"there is no network interface {interface!r}; this machine has {', '.join(known)}")
+        which = 'autodetermine="true"' if interface is None else f'name="{interface}"'
+        settings = _LOCAL if interface == "lo" else (f'{which} multicast="default"', "", "")
         self.domain, self.interface = int(domain), interface
         self._parts: list[Reader | Writer] = []
         try:
-            _settle(self.domain, interface)
+            with _TURN:
+                if self.domain not in _DOMAINS:
+                    _DOMAINS[self.domain] = interface, Domain(self.domain, _SETTINGS.format(*settings))
             self._participant: Any = DomainParticipant(self.domain)
         except DDSException as error:
             raise DeviceError(
                 f"DDS domain {domain} cannot be joined on {interface or 'any interface'} ({error.msg}): too many "
                 "processes, or another library of this one, may use it. End some, or take another domain"
             ) from error
+        if (before := _DOMAINS[self.domain][0]) != interface:
+            raise DeviceError(
+                f"DDS domain {domain} is already used on {before or 'an automatic interface'} in this process, and "
+                f"{interface or 'an automatic one'} was asked for; take another domain, or one process each"
+            )
 
     def __str__(self) -> str:
         return f"domain {self.domain}, {self.interface or 'automatic interface'}"
@@ -185,7 +196,7 @@ class Writer:
 
     @property
     def readers(self) -> int:
-        """How many readers it has now."""
+        """How many it has now."""
         writer = self._writer
         return 0 if writer is None else len(writer.get_matched_subscriptions())
 
@@ -201,7 +212,6 @@ class Writer:
             raise DeviceError(f"a message of {self.topic} could not be sent: {error.msg}") from error
 
     def close(self) -> None:
-        """Stop writing."""
         self._writer = None
 
 
@@ -257,25 +267,6 @@ class Reader:
                     text = f"a message cannot be used ({type(error).__name__}: {error})"
                     warnings.warn(f"{self.topic}: {text}; it is left out, and others like it", stacklevel=2)
         self._reader = self._wake = None
-
-
-def _settle(domain: int, interface: str | None) -> None:
-    """Give the domain its settings; once per process."""
-    from cyclonedds.domain import Domain
-
-    known = [name for _, name in socket.if_nameindex()]
-    if interface is not None and interface not in known:
-        raise DeviceError(f"there is no network interface {interface!r}; this machine has {', '.join(known)}")
-    which = 'autodetermine="true"' if interface is None else f'name="{interface}"'
-    xml = _SETTINGS.format(which=which + ' multicast="default"', more="", peers="")
-    with _TURN:
-        if domain not in _DOMAINS:
-            _DOMAINS[domain] = interface, Domain(domain, _LOCAL if interface == LOOPBACK else xml)
-        elif (before := _DOMAINS[domain][0]) != interface:
-            raise DeviceError(
-                f"DDS domain {domain} is already used on {before or 'an automatic interface'} in this process, and "
-                f"{interface or 'an automatic one'} was asked for; take another domain, or one process each"
-            )
 
 
 def _qos(reliable: bool, own: bool = True) -> Any:

@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -29,9 +29,20 @@ from eagor.media.ros_messages import pose_of
 from eagor.queries import matching, parse_query
 from eagor.robots.dds import Link, Raw
 from eagor.robots.go2.camera import PICTURE, picture_message
+from eagor.robots.go2.plant import PlantSettings
 from eagor.robots.go2.state import Odometry
 
-__all__ = ["CAMERA_FRAME", "CAMERA_TOPIC", "TRUTH", "CameraSettings", "SimWorld", "camera_pose", "film", "panorama"]
+__all__ = [
+    "CAMERA_FRAME",
+    "CAMERA_TOPIC",
+    "MOUNT",
+    "TRUTH",
+    "SimSettings",
+    "SimWorld",
+    "camera_pose",
+    "film",
+    "panorama",
+]
 
 RADIUS = 0.22  # metres: half the width of a Go2 with its legs, and some; it is longer, but turns through doors
 TALL = 0.9  # metres from the floor to the top of the camera
@@ -41,28 +52,68 @@ BALL_ID = 1 << 20  # among instances: no scene has as many
 TRIES, ROOM, NEAR, FAR = 2000, 0.35, 2.5, 5.0  # draws; metres around the start; metres to the target
 BEFORE = 1.0  # metres before the target's centre at which the way may end: things fill some floor
 
+CAMERA_TOPIC = "rt/x3/image/compressed"  # /x3/image/compressed in ROS
+CAMERA_FRAME = "x3_link"
+MOUNT = (0.0, 0.0, 0.40)  # metres from the body's centre to the camera, body frame: a short stick on its back
+TRUTH = "rt/eagor/truth"  # the true pose of the body (nav_msgs/Odometry), which no robot tells
+
+
+@dataclass(frozen=True)
+class SimSettings:
+    """What is simulated: a body `plant` in the house `world` (of `eagor.lab.worlds`) of this `seed`.
+
+    - `world` None: an endless empty floor, without pictures. `start`: x, y (metres), heading (radians); None: some
+      metres from the target. `target`: what is to be found there, in words: a "red ball" is brought along, and rolls at
+      `speed` metres per second.
+    - The camera: `rows` of its panoramas (None: no camera), `rate` per second, `latency`: seconds from capture to
+      arrival, `mount` ``(3,)``: where it is on the body, metres.
+    - The robot's clock is ahead by `clock_offset` seconds at first, and gains `clock_drift` seconds per second.
+      `short`: states without the planned path. `battery`: per cent at the start.
+    """
+
+    world: str | None = "apartment"
+    seed: int = 7
+    target: str | None = None
+    speed: float = 0.0
+    start: tuple[float, float, float] | None = None
+    plant: PlantSettings = field(default_factory=PlantSettings)
+    rows: int | None = 128
+    rate: float = 5.0
+    latency: float = 0.15
+    mount: tuple[float, float, float] = MOUNT
+    clock_offset: float = 0.0
+    clock_drift: float = 0.0
+    short: bool = False
+    battery: int = 87
+
+    def __post_init__(self) -> None:
+        even = self.rows is None or (whole(self.rows, 16, 4096) and self.rows % 2 == 0)
+        fields = {
+            "seed": (whole(self.seed, 0), "0 or a positive whole number"),
+            "rows": (even, "an even number of rows, 16 to 4096"),
+            "rate": (within(self.rate, 0.01, 60), "0.01 to 60 pictures per second"),
+            "latency": (within(self.latency, 0, 60), "0 to 60 s"),
+            "clock_offset": (within(self.clock_offset, -1e8, 1e8), "seconds"),
+        }
+        require(self, fields, DeviceError)
+
 
 class SimWorld:
-    """A `scene` and its `ground` for a body as wide as a Go2: the one of this seed in a world of `eagor.lab.worlds`.
+    """The `scene` of these settings, and its `ground` for a body as wide as a Go2.
 
-    `things`: all that can be asked for by name; `targets`: those that `target` names, what is to be found there, in
-    words. A "red ball" is brought along, and rolls from where it is listed to one random place after another at `speed`
-    metres per second, as `draws` has them. Raises `WorldError` if there is no such world, or no room in it;
+    `things`: all that can be asked for by name; `targets`: those that the target names. A ball rolls from where it is
+    listed to one random place after another. Raises `WorldError` if there is no such world, or no room in it;
     `QueryError` for a target that is not there, which lists what is.
     """
 
-    def __init__(
-        self, world: str, seed: int, target: str | None = None, speed: float = 0.0,
-        draws: np.random.SeedSequence | None = None,
-    ) -> None:  # fmt: skip
-        if seed < 0:
-            raise WorldError(f"seed = {seed}; wanted 0 or a positive whole number")
-        self._colour, self._speed = None, speed  # of the ball
+    def __init__(self, settings: SimSettings) -> None:
+        target, self._speed = settings.target, settings.speed
+        self._colour: str | None = None  # of the ball
         if target is not None and "ball" in target.lower().split():
             self._colour = parse_query(target, {"ball"}).colour or "red"
             if self._colour not in PAINTS:
                 raise QueryError(f"there is no {self._colour} ball; balls are {', '.join(sorted(PAINTS))}")
-        scene = worlds.load(world)(seed)
+        scene = worlds.load(settings.world or "")(settings.seed)
         if not isinstance(scene, Scene):
             raise WorldError(
                 f"a simulated Go2 walks among triangles, but {scene.source} is held by another simulator; give it an "
@@ -70,9 +121,9 @@ class SimWorld:
             )
         self.scene, self.ground = scene, Ground.from_scene(scene, radius=RADIUS, height=TALL)
         self.things = [each for each in scene.instances if each.category not in STRUCTURE]
-        rng = np.random.default_rng(draws or seed)
         if self._colour is not None:
-            self._points = stroll(self.ground, self.ground.sample(rng, BALL), max(speed, 1e-3) * TICK, rng)
+            rng = np.random.default_rng(np.random.SeedSequence(settings.seed).spawn(1)[0])
+            self._points = stroll(self.ground, self.ground.sample(rng, BALL), max(self._speed, 1e-3) * TICK, rng)
             self._way = [next(self._points)]
         if (ball := self.ball_at(0.0)) is not None:
             self.things.append(Instance("ball", ball.colour, None, ball.centre - BALL, ball.centre + BALL))
@@ -125,33 +176,6 @@ class SimWorld:
 
 # --- its camera -------------------------------------------------------------------------------------------------------
 
-CAMERA_TOPIC = "rt/x3/image/compressed"  # /x3/image/compressed in ROS
-CAMERA_FRAME = "x3_link"
-MOUNT = (0.0, 0.0, 0.40)  # metres from the body's centre to the camera, body frame: a short stick on its back
-TRUTH = "rt/eagor/truth"  # the true pose of the body (nav_msgs/Odometry), which no robot tells
-
-
-@dataclass(frozen=True)
-class CameraSettings:
-    """A simulated panoramic camera.
-
-    `rows`: of its panoramas. `rate`: pictures per second. `latency`: seconds from capture to arrival. `mount` ``(3,)``:
-    where it is on the body, metres.
-    """
-
-    rows: int = 128
-    rate: float = 5.0
-    latency: float = 0.15
-    mount: tuple[float, float, float] = MOUNT
-
-    def __post_init__(self) -> None:
-        fields = {
-            "rows": (whole(self.rows, 16, 4096) and self.rows % 2 == 0, "an even number of rows, 16 to 4096"),
-            "rate": (within(self.rate, 0.01, 60), "0.01 to 60 pictures per second"),
-            "latency": (within(self.latency, 0, 60), "0 to 60 s"),
-        }
-        require(self, fields, DeviceError)
-
 
 def panorama(
     renderer: Renderer, rows: int, position: np.ndarray, world_R_body: np.ndarray, ball: Ball | None = None
@@ -164,15 +188,15 @@ def panorama(
     return seen.rgb
 
 
-def film(line: Connection, house: Sequence[Any], camera: CameraSettings, domain: int, interface: str | None) -> None:
-    """The life of the camera's process: pictures of `house` (as `SimWorld`), from where the robot truly is.
+def film(line: Connection, settings: SimSettings, domain: int, interface: str | None) -> None:
+    """The life of the camera's process: pictures of the house, from where the robot truly is.
 
     On the `line`: it says when it can draw, and hears when the robot began, seconds of this machine's clock.
     """
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
-    world, newest = SimWorld(*house), deque[Any](maxlen=1)
+    world, newest, rows = SimWorld(settings), deque[Any](maxlen=1), settings.rows or 0
     renderer = Renderer(world.scene)
-    panorama(renderer, camera.rows, np.zeros(3), np.eye(3))  # the light, and what else comes first
+    panorama(renderer, rows, np.zeros(3), np.eye(3))  # the light, and what else comes first
     # Pictures that are on their way arrive before the link closes.
     with Link(domain, interface) as link, ThreadPoolExecutor(1) as sender:
         writer = link.publish(CAMERA_TOPIC, PICTURE, reliable=False)
@@ -188,10 +212,10 @@ def film(line: Connection, house: Sequence[Any], camera: CameraSettings, domain:
             if not newest:
                 due = time.time() + 0.01
                 continue
-            stamp, at, turned = camera_pose(newest.pop(), camera.mount)
-            picture = panorama(renderer, camera.rows, at, turned, world.ball_at(stamp - begun))
-            sender.submit(send, picture_message(picture, stamp, CAMERA_FRAME), stamp + camera.latency)
-            due = max(due + 1 / camera.rate, time.time())
+            stamp, at, turned = camera_pose(newest.pop(), settings.mount)
+            picture = panorama(renderer, rows, at, turned, world.ball_at(stamp - begun))
+            sender.submit(send, picture_message(picture, stamp, CAMERA_FRAME), stamp + settings.latency)
+            due = max(due + 1 / settings.rate, time.time())
 
 
 def camera_pose(truth: Any, mount: Sequence[float]) -> tuple[float, np.ndarray, np.ndarray]:

@@ -13,20 +13,18 @@ import time
 import warnings
 from collections import deque
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
 import numpy as np
 
-from eagor._checks import require, within
 from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link, Writer, free_domain, raw
 from eagor.robots.go2 import state as idl
-from eagor.robots.go2.house import CAMERA_TOPIC, TRUTH, CameraSettings, SimWorld, camera_pose, film
-from eagor.robots.go2.plant import GRAVITY, Motion, Plant, PlantSettings
+from eagor.robots.go2.house import CAMERA_TOPIC, TRUTH, SimSettings, SimWorld, camera_pose, film
+from eagor.robots.go2.plant import GRAVITY, Motion, Plant
 from eagor.robots.go2.sport import API_VERSION, AVOID, OK, SPORT, checked_velocity
 from eagor.robots.go2.state import SOURCES, low_state, sport_state
 
@@ -46,32 +44,6 @@ SWITCHES = {AVOID["SwitchSet"]: "enable", AVOID["UseRemoteCommandFromApi"]: "is_
 
 INTERFACE = "lo"  # of a rehearsal
 STARTING, ENDING = 300.0, 10.0  # seconds for the house and its light on a busy machine; for the process to leave
-
-
-@dataclass(frozen=True)
-class SimSettings:
-    """What is simulated: a body `plant` and perhaps a `camera`, in the house `world` of this `seed` (`SimWorld`).
-
-    `world` None: an endless empty floor, without pictures. `target`, `speed`: what it is to find, and how fast that
-    rolls if it is a ball. `start`: x, y (metres), heading (radians); None: some metres from the target. The robot's
-    clock is ahead by `clock_offset` seconds at first, and gains `clock_drift` seconds per second. `short`: states
-    without the planned path. `battery`: per cent at the start.
-    """
-
-    world: str | None = "apartment"
-    seed: int = 7
-    target: str | None = None
-    speed: float = 0.0
-    start: tuple[float, float, float] | None = None
-    plant: PlantSettings = field(default_factory=PlantSettings)
-    camera: CameraSettings | None = field(default_factory=CameraSettings)
-    clock_offset: float = 0.0
-    clock_drift: float = 0.0
-    short: bool = False
-    battery: int = 87
-
-    def __post_init__(self) -> None:
-        require(self, {"clock_offset": (within(self.clock_offset, -1e8, 1e8), "seconds")}, DeviceError)
 
 
 def _odometry(motion: Motion, stamp: float, frame: str) -> Any:
@@ -105,9 +77,7 @@ class SimulatedGo2:
 
     def __init__(self, settings: SimSettings, domain: int = 0, interface: str | None = INTERFACE) -> None:
         self.settings, self._network = settings, (domain, interface)
-        draws, _, body = np.random.SeedSequence(settings.seed).spawn(3)
-        self._wanted = settings.world or "", settings.seed, settings.target, settings.speed, draws  # of the ball's way
-        self.house = SimWorld(*self._wanted) if settings.world else None
+        self.house = None if settings.world is None else SimWorld(settings)
         start, slide = settings.start or (0.0, 0.0, 0.0), np.add
         if self.house is not None:
             x, y, heading = settings.start or self.house.clear_start(np.random.default_rng(settings.seed))
@@ -117,7 +87,8 @@ class SimulatedGo2:
         elif settings.target is not None:
             raise DeviceError("a robot on an empty floor has no target; give a world, or no target")
         self.targets = [] if self.house is None else self.house.targets
-        self.plant = Plant(settings.plant, np.random.default_rng(body), start, slide)
+        chance = np.random.SeedSequence(settings.seed).spawn(3)[2]  # the ball has the first
+        self.plant = Plant(settings.plant, np.random.default_rng(chance), start, slide)
         self.pressed: frozenset[str] = frozenset()
         self.error_code = self.asked = self.skipped = 0
         self.requests: deque[tuple[str, int, dict[str, Any]]] = deque(maxlen=1000)
@@ -143,9 +114,9 @@ class SimulatedGo2:
             for name in VERSIONS:
                 answer = partial(self._answer, name, link.publish(f"rt/api/{name}/response", idl.Response))
                 link.subscribe(f"rt/api/{name}/request", idl.Request, answer, reliable=True)
-            if self.house is not None and self.settings.camera is not None:
+            if self.house is not None and self.settings.rows is not None:
                 self.topics.append(CAMERA_TOPIC)
-                self._camera = Worker(film, self._wanted, self.settings.camera, *self._network)
+                self._camera = Worker(film, self.settings, *self._network)
                 stack.callback(self._camera.close, ENDING)
                 try:
                     self._camera.receive(STARTING)
@@ -277,8 +248,7 @@ class Rehearsal:
         self._stack.close()
 
     def _moved(self, message: Any, _: float) -> None:
-        camera = self.settings.camera
-        self.truth = camera_pose(message, (0.0, 0.0, 0.0) if camera is None else camera.mount)[1:]
+        self.truth = camera_pose(message, self.settings.mount)[1:]
 
 
 def _rehearse(line: Connection, settings: SimSettings, domain: int) -> None:

@@ -88,7 +88,6 @@ class Guard:
         self._stood_in = False  # whether the robot acknowledged a StopMove of this program
         self._state: GateStatus | None = None
         self._error: EagorError | None = None
-        self._silent: float | None = None  # since when nothing was heard, if that is too long
 
     def __enter__(self) -> Self:
         self._line, there = Pipe()
@@ -135,23 +134,13 @@ class Guard:
 
     @property
     def state(self) -> GateStatus:
-        """What the gate did at its last step; while it says nothing, that and what this process does instead.
+        """What the gate did at its last step; while it says nothing, what this process does instead.
 
         Raises `DeviceError` if it has ended, or hangs.
         """
-        doing = "this program sent StopMove itself, " + (
-            "and the robot acknowledged it" if self._stood_in else "not acknowledged yet: Move expires after 1 to 2 s"
-        )
-        if self._state is None or not self._thread.is_alive():
-            raise self._error or DeviceError(f"the guard has ended; {doing}. Start the program again")
-        if self._silent is None:
-            return self._state
-        silent = time.monotonic() - self._silent
-        words = f"the guard has not said a word for {silent:.1f} s; {doing}"
-        if silent > HANGS:
-            raise DeviceError(f"{words}. This machine may be too busy. Start the program again")
-        mode = self._state.mode if self._link is None else Mode.STOPPING
-        return GateStatus(None, mode, (words,), stops=self._state.stops)
+        if self._state is None or self._error is not None:
+            raise self._error or DeviceError("the guard is not there yet: use it in a with statement")
+        return self._state
 
     def set_velocity(self, forward: float, left: float, turn: float) -> None:
         """The wanted velocity from now on, for `Limits.command_age` seconds: m/s, m/s, rad/s (left is positive)."""
@@ -188,18 +177,32 @@ class Guard:
                 while not self._line.poll(SILENCE):
                     if self._leaving.is_set():
                         return
-                    self._silent = asked
-                    self._stood_in = self._link is not None and self._voice.stop()
+                    silent = time.monotonic() - asked
+                    words = self._stand_in(f"the guard has not said a word for {silent:.1f} s")
+                    if silent > HANGS:
+                        self._error = DeviceError(f"{words}. This machine may be too busy. Start the program again")
                 self._take(self._line.recv())
-        if self._link is not None and not self._leaving.is_set():
-            self._silent = time.monotonic()
-            self._stood_in = self._voice.insist()
+        if not self._leaving.is_set():
+            words = self._stand_in("the guard has ended", STANDING_IN)
+            self._error = self._error or DeviceError(f"{words}. Start the program again")
+
+    def _stand_in(self, why: str, seconds: float = 0.0) -> str:
+        """Stop the robot in the place of the process; what to say of it."""
+        assert self._state is not None
+        mode, words = Mode.DRY_RUN, f"{why}; a dry run commands nothing"
+        if self._link is not None:
+            self._state = GateStatus(None, Mode.STOPPING, (why,), stops=self._state.stops)
+            self._stood_in = self._voice.stop(seconds)
+            heard = "and the robot acknowledged it", "not acknowledged yet: Move expires after 1 to 2 s"
+            mode, words = Mode.STOPPING, f"{why}; this program sent StopMove itself, {heard[not self._stood_in]}"
+        self._state = GateStatus(None, mode, (words,), stops=self._state.stops)
+        return words
 
     def _take(self, heard: GateStatus | EagorError) -> None:
         if isinstance(heard, EagorError):  # its last word
             self._error = heard
             raise EOFError
-        self._state, self._silent = heard, None
+        self._state, self._error = heard, None
 
 
 def _stamp_of(age: float | None) -> float | None:
@@ -214,18 +217,14 @@ class Voice:
         self.sport = SportClient(link, timeout=PATIENCE)
         self.avoid = AvoidClient(link, timeout=READY) if avoid else None
 
-    def stop(self) -> bool:
-        """Send StopMove; whether the robot acknowledged it, for which it has `PATIENCE`."""
-        if self.avoid is not None:
-            self.avoid.stop()
-        return self.sport.stop() == OK
-
-    def insist(self) -> bool:
-        """Send StopMove until the robot acknowledges one; whether it did."""
-        end = time.monotonic() + STANDING_IN
-        while not (done := self.stop()) and time.monotonic() < end:
-            pass
-        return done
+    def stop(self, seconds: float = 0.0) -> bool:
+        """Send StopMove, for so long until the robot acknowledges one within `PATIENCE`; whether it did."""
+        end = time.monotonic() + seconds
+        while True:
+            if self.avoid is not None:
+                self.avoid.stop()
+            if (done := self.sport.stop() == OK) or time.monotonic() >= end:
+                return done
 
     def end(self) -> None:
         """Give velocities back to the remote control."""
@@ -282,7 +281,7 @@ class GateProcess:
                 time.sleep(max(0.0, now + PERIOD - time.monotonic()))
         except BaseException:  # the gate itself cannot be trusted any more
             if self._voice is not None and self._state.time is not None:
-                self._voice.insist()
+                self._voice.stop(STANDING_IN)
             raise
         finally:
             self._stoppers.shutdown(cancel_futures=True)
