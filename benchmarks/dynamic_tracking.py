@@ -203,7 +203,6 @@ def record(seed: int, scene: str, path: Path, domain: int) -> None:
                 if "walking" in scene and now >= settle and "pose" in now_at:
                     sport.move(*steering.towards(now_at["pose"]))
                 time.sleep(1 / STEERING)
-            states.close()
         line.send("end")
     finally:
         robot.join(20)

@@ -7,6 +7,7 @@ import math
 import time
 from dataclasses import dataclass
 
+from eagor.robots.go2.plant import STEP
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 from eagor.robots.go2.state import low_state, sport_state
 
@@ -60,7 +61,7 @@ class Peer(SimulatedGo2):
         motion = self.plant.truth
         x, y, _ = (motion.pose.world_R_body.T @ motion.velocity).tolist()
         self.speeds.append((time.monotonic(), (x, y, motion.yaw_rate)))
-        self.late = self.late + self.growing * self.plant.settings.step if self.growing else 0.0
+        self.late = self.late + self.growing * STEP if self.growing else 0.0
         if not (self.mute or self.silent or self.late or self.roll):
             super()._send_states()
         elif not self.mute:

@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise, takewhile
 from pathlib import Path
@@ -25,6 +24,7 @@ pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 
 from eagor.robots.dds import Link, free_domain, raw
+from eagor.robots.go2 import plant
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import SportModeState, sport_state
@@ -123,7 +123,7 @@ def test_a_robot_that_has_not_told_its_orientation_is_said_so():
 
 
 @pytest.mark.slow
-def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
+def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told(monkeypatch):
     domain = free_domain()
     with SimulatedGo2(SimSettings(None), domain) as server:
         walks = {"which": 0.0}
@@ -151,7 +151,7 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
             ended.set()
             thread.join()
         # As its remote control leads it: nothing comes over these topics.
-        server.plant.settings = replace(server.plant.settings, expiry=60.0)
+        monkeypatch.setattr(plant, "EXPIRY", 60.0)
         server.plant.move(0.4, 0.0, 0.0)
         done = check(domain, "--seconds", 1.5)
         assert "problem: the robot moves although nobody tells it to on its topics" in done.stdout

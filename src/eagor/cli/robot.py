@@ -168,13 +168,12 @@ def sim(options: RobotSim) -> int:
 
 def settings_of(options: RobotSim) -> SimSettings:
     """What is simulated with these options. Raises `UsageError`, `DeviceError`."""
-    from eagor.robots.go2.plant import PlantSettings
     from eagor.robots.go2.sim import SimSettings
 
     if not within(options.speed, 0, 3):
         raise terminal.UsageError(f"--speed {options.speed:g}: wanted 0 to 3 metres per second")
     return SimSettings(
-        options.world, options.seed, options.target, options.speed, plant=PlantSettings(upright=not options.lying),
+        options.world, options.seed, options.target, options.speed, upright=not options.lying,
         rows=None if options.camera == "none" else options.rows, rate=options.rate, latency=options.latency,
         clock_offset=options.clock_offset, short=options.short,
     )  # fmt: skip

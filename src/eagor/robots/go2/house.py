@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -29,7 +29,6 @@ from eagor.media.ros_messages import pose_of
 from eagor.queries import matching, parse_query
 from eagor.robots.dds import Link, Raw
 from eagor.robots.go2.camera import PICTURE, picture_message
-from eagor.robots.go2.plant import PlantSettings
 from eagor.robots.go2.state import Odometry
 
 __all__ = [
@@ -60,11 +59,11 @@ TRUTH = "rt/eagor/truth"  # the true pose of the body (nav_msgs/Odometry), which
 
 @dataclass(frozen=True)
 class SimSettings:
-    """What is simulated: a body `plant` in the house `world` (of `eagor.lab.worlds`) of this `seed`.
+    """What is simulated: a robot in the house `world` (of `eagor.lab.worlds`) of this `seed`.
 
     - `world` None: an endless empty floor, without pictures. `start`: x, y (metres), heading (radians); None: some
-      metres from the target. `target`: what is to be found there, in words: a "red ball" is brought along, and rolls at
-      `speed` metres per second.
+      metres from the target. `upright`: whether it stands at first, or lies. `target`: what is to be found there, in
+      words: a "red ball" is brought along, and rolls at `speed` metres per second.
     - The camera: `rows` of its panoramas (None: no camera), `rate` per second, `latency`: seconds from capture to
       arrival, `mount` ``(3,)``: where it is on the body, metres.
     - The robot's clock is ahead by `clock_offset` seconds at first, and gains `clock_drift` seconds per second.
@@ -76,7 +75,7 @@ class SimSettings:
     target: str | None = None
     speed: float = 0.0
     start: tuple[float, float, float] | None = None
-    plant: PlantSettings = field(default_factory=PlantSettings)
+    upright: bool = True
     rows: int | None = 128
     rate: float = 5.0
     latency: float = 0.15

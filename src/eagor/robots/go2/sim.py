@@ -24,7 +24,7 @@ from eagor.errors import DeviceError
 from eagor.robots.dds import Link, Writer, free_domain, raw
 from eagor.robots.go2 import state as idl
 from eagor.robots.go2.house import CAMERA_TOPIC, TRUTH, SimSettings, SimWorld, camera_pose, film
-from eagor.robots.go2.plant import GRAVITY, Motion, Plant
+from eagor.robots.go2.plant import GRAVITY, STEP, Motion, Plant
 from eagor.robots.go2.sport import API_VERSION, AVOID, OK, SPORT, checked_velocity
 from eagor.robots.go2.state import SOURCES, low_state, sport_state
 
@@ -88,7 +88,7 @@ class SimulatedGo2:
             raise DeviceError("a robot on an empty floor has no target; give a world, or no target")
         self.targets = [] if self.house is None else self.house.targets
         chance = np.random.SeedSequence(settings.seed).spawn(3)[2]  # the ball has the first
-        self.plant = Plant(settings.plant, np.random.default_rng(chance), start, slide)
+        self.plant = Plant(np.random.default_rng(chance), start, slide, settings.upright)
         self.pressed: frozenset[str] = frozenset()
         self.error_code = self.asked = self.skipped = 0
         self.requests: deque[tuple[str, int, dict[str, Any]]] = deque(maxlen=1000)
@@ -148,12 +148,12 @@ class SimulatedGo2:
     # --- states ---
 
     def _run(self) -> None:
-        plant, step, start = self.plant, self.plant.settings.step, time.monotonic()
-        while not self._ended.wait(max(0.0, start + plant.seconds + step - time.monotonic())):
+        plant, start = self.plant, time.monotonic()
+        while not self._ended.wait(max(0.0, start + plant.seconds + STEP - time.monotonic())):
             behind = time.monotonic() - start - plant.seconds
             with self._turn:
                 if behind > LATEST:  # states of the past help nobody; the body moves on all the same
-                    for _ in range(missed := int(behind / step) - 1):
+                    for _ in range(missed := int(behind / STEP) - 1):
                         plant.advance()
                     self.skipped += missed
                 plant.advance()

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
@@ -22,8 +22,8 @@ from eagor.robots.go2 import state as idl
 from eagor.robots.go2.state import LONG, MODES, SOURCES, BodyState, Go2Low, Go2State
 
 __all__ = [
-    "ALLOWED", "AVOID", "CODES", "OK", "SEND", "SPORT", "TIMEOUT", "AvoidClient", "ForeignCommands", "Service",
-    "SportClient", "check_robot", "checked_velocity", "in_words",
+    "ALLOWED", "AVOID", "CODES", "OK", "SEND", "SPORT", "TIMEOUT", "AvoidClient", "Service",
+    "SportClient", "check_robot", "checked_velocity", "hear_commands", "in_words",
 ]  # fmt: skip
 
 OK, SEND, TIMEOUT = 0, 3102, 3104
@@ -180,24 +180,19 @@ def checked_velocity(vx: float, vy: float, wz: float) -> tuple[float, float, flo
     return numbers
 
 
-class ForeignCommands:
-    """Listens to the commands that `services` of a Go2 are given by others than `link`.
+def hear_commands(link: Link, heard: Callable[[str], None], services: Iterable[str] = ALLOWED) -> None:
+    """Call `heard("Move on rt/api/sport/request")`, in a thread, for what `services` are told by others than `link`.
 
-    `newest`: when the last came (``time.monotonic()``), and what it was: "Move on rt/api/sport/request"; `count`: how
-    many came. The robot's own remote control does not speak on these topics: only how the robot moves tells of it.
+    The robot's own remote control does not speak on these topics: only how the robot moves tells of it.
     """
 
-    def __init__(self, link: Link, services: Iterable[str] = ALLOWED) -> None:
-        self.newest: tuple[float, str] | None = None
-        self.count = 0
-        for name in services:
-            link.subscribe(f"rt/api/{name}/request", idl.Request, partial(self._received, name), own=False)
-
-    def _received(self, service: str, request: Any, _: float) -> None:
+    def received(service: str, request: Any, _: float) -> None:
         if (number := request.header.identity.api_id) not in ASKING[service]:
             names = {known: name for name, known in COMMANDS[service].items()}
-            words = f"{names.get(number, f'command {number}')} on rt/api/{service}/request"
-            self.newest, self.count = (time.monotonic(), words), self.count + 1
+            heard(f"{names.get(number, f'command {number}')} on rt/api/{service}/request")
+
+    for service in services:
+        link.subscribe(f"rt/api/{service}/request", idl.Request, partial(received, service), own=False)
 
 
 # --- whether a Go2 can be heard and spoken to -------------------------------------------------------------------------
@@ -221,10 +216,11 @@ def check_robot(link: Link, seconds: float = 3.0) -> dict[str, Any]:
     (per cent) and `volts`; `sport_version`, and the seconds to its `answer`. Raises `DeviceError` if nobody is there.
     """
     topics = link.topics(FINDING)  # before this process writes any itself
-    states: list[BodyState] = []
+    states, others = list[BodyState](), list[str]()
     main = Go2State(link, received=states.append)
     odometry = [main, Go2State(link, "slow"), Go2State(link, "lidar")]
-    low, sport, others = Go2Low(link), SportClient(link, timeout=2.0), ForeignCommands(link)
+    low, sport = Go2Low(link), SportClient(link, timeout=2.0)
+    hear_commands(link, others.append)
     time.sleep(FINDING)  # until readers and writers have found each other
     before, begun = [source.count for source in odometry], time.monotonic()
     states.clear()
@@ -240,7 +236,7 @@ def check_robot(link: Link, seconds: float = 3.0) -> dict[str, Any]:
         )
     rates = {topic: round(count / took, 1) for topic, count in heard.items()}
     cameras = [topic for topic, kind in topics.items() if kind in PICTURES]
-    found: dict[str, Any] = {"topics": topics, "cameras": cameras, "rates": rates, "commands": others.count}
+    found: dict[str, Any] = {"topics": topics, "cameras": cameras, "rates": rates, "commands": len(others)}
     problems = [fault for source in odometry if (fault := source.fault)]
     if main.bytes:
         path = "with" if main.bytes == LONG else "without"
@@ -262,10 +258,10 @@ def check_robot(link: Link, seconds: float = 3.0) -> dict[str, Any]:
         nobody = f"nobody publishes {main.topic}: the robot's walking has not started; restart it"
         problems.append(main.silence(topics) or nobody)
     moving = sum(each.speed > MOVES[0] or abs(each.yaw_rate) > MOVES[1] for each in states)
-    if others.newest is not None:
+    if others:
         problems.append(
-            f"somebody else commands this robot ({others.count} times, the last {others.newest[1]}): end that "
-            "program or app, for a robot obeys whoever spoke last"
+            f"somebody else commands this robot ({len(others)} times, the last {others[-1]}): end that program or app, "
+            "for a robot obeys whoever spoke last"
         )
     elif moving > 0.5 * len(states):
         problems.append("the robot moves although nobody tells it to on its topics: is it led by its remote control?")

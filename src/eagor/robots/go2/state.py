@@ -15,8 +15,7 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -25,7 +24,6 @@ from scipy.spatial.transform import Rotation
 
 from eagor._extras import need
 from eagor.errors import DeviceError, FormatError
-from eagor.media import Pose
 from eagor.media.clocks import RelatedClock
 from eagor.robots.dds import Link, raw
 
@@ -117,8 +115,6 @@ MODES = {
     8: "getting up", 10: "sitting",
 }  # fmt: skip
 WALKING = 3
-KEPT = 2000  # states that wait for whoever iterates: 10 s at 200 Hz
-LOOK = 0.1  # seconds between looks at what is wrong while nothing comes
 
 # The remote control's buttons by their bit in bytes 2 and 3, lowest first (Unitree's SDK: wireless_controller).
 BUTTONS = (
@@ -159,32 +155,25 @@ class BodyState:
 
 
 class Go2State:
-    """The states of the Go2 on `link`; iterating gives `Pose` of the body, as `eagor.media.PoseSource`.
+    """The states of the Go2 on `link`, on this machine's clock, to which the robot's `clock` is related.
 
-    `source`: a name of `SOURCES`. `received(state)` is called for each state, in a thread. `mount` ``(3,)``: the point
-    of the body whose position is given when iterating, metres in the body frame (where the camera is). States come on
-    this machine's clock, to which the robot's `clock` is related. `newest`: the last one; `count`: how many came;
-    `bytes`: the length of the message, which tells the firmware's form.
+    `source`: a name of `SOURCES`. `received(state)` is called for each state, in a thread. `newest`: the last one;
+    `count`: how many came; `bytes`: the length of the message, which tells the firmware's form.
 
     Both forms of the message are read. A state without a pose is left out. A message of another length, and two
-    publishers of the same topic, are a `fault`: waiting and iterating then raise `DeviceError`; with two publishers,
-    until one ends.
+    publishers of the same topic until one ends, are a `fault`.
     """
 
     def __init__(
-        self, link: Link, source: str = "sport", *, received: Callable[[BodyState], None] = lambda state: None,
-        mount: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    ) -> None:  # fmt: skip
+        self, link: Link, source: str = "sport", *, received: Callable[[BodyState], None] = lambda state: None
+    ) -> None:
         if source not in SOURCES:
             raise DeviceError(f"there is no odometry {source!r} of a Go2; wanted one of {', '.join(SOURCES)}")
         self.topic, self.clock = SOURCES[source], RelatedClock("Go2")
         self.count, self.bytes = 0, 0
         self.newest: BodyState | None = None
-        self._link, self._mount, self._callback = link, np.asarray(mount, dtype=np.float64), received
+        self._link, self._received, self._turn = link, received, threading.Lock()
         self._wrong: str | None = None  # for good
-        self._ended = False
-        self._turn = threading.Condition()
-        self._waiting: deque[BodyState] = deque(maxlen=KEPT)
         if source == "lidar":
             self._readers = [link.subscribe(self.topic, Odometry, self._odometry)]
             return
@@ -220,43 +209,19 @@ class Go2State:
         return f"{self.topic} is published as {topics[self.topic]}, but {why}"
 
     def wait(self, timeout: float = 5.0) -> BodyState:
-        """The newest state; waits for the first. Raises `DeviceError` if none comes within `timeout` seconds."""
+        """The newest state; waits for the first. Raises `DeviceError` if none comes in time, and for a `fault`."""
         end = time.monotonic() + timeout
-        while self.newest is None:
-            self._check()
-            if time.monotonic() >= end:
-                raise DeviceError(
-                    self.silence(self._link.topics(0.5))
-                    or f"no robot is heard within {timeout:g} s ({self.topic}, {self._link}): is it on, is this "
-                    "machine on its network (192.168.123.x), and is the interface right?"
-                )
-            with self._turn:
-                self._turn.wait_for(lambda: self.newest, LOOK)
-        self._check()
-        return self.newest
-
-    def __iter__(self) -> Iterator[Pose]:
-        while True:
-            with self._turn:
-                self._turn.wait_for(lambda: self._waiting or self._ended, LOOK)
-                state = self._waiting.popleft() if self._waiting else None
-            if state is not None:
-                yield Pose(state.stamp, state.world_R_body, state.position + state.world_R_body @ self._mount)
-            elif self._ended:
-                return
-            self._check()
-
-    def close(self) -> None:
-        """Stop listening; who iterates comes to the end."""
-        with self._turn:
-            self._ended = True
-            self._turn.notify_all()
-        for reader in self._readers:
-            reader.close()
-
-    def _check(self) -> None:
-        if (fault := self.fault) is not None:
+        while (fault := self.fault) is None and self.newest is None and time.monotonic() < end:
+            time.sleep(0.01)
+        if fault is not None:
             raise DeviceError(fault)
+        if self.newest is None:
+            raise DeviceError(
+                self.silence(self._link.topics(0.5))
+                or f"no robot is heard within {timeout:g} s ({self.topic}, {self._link}): is it on, is this machine on "
+                "its network (192.168.123.x), and is the interface right?"
+            )
+        return self.newest
 
     def _sport(self, message: Any, when: float) -> None:
         data = message.data
@@ -288,12 +253,9 @@ class Go2State:
         if ours is None:
             return
         state = BodyState(ours, turned, motion[:3], motion[3:6], float(motion[6]), mode, error_code, stamp, when)
-        with self._turn:
-            self._waiting.append(state)
-            self.newest = state
-            self.count += 1
-            self._turn.notify_all()
-        self._callback(state)
+        with self._turn:  # there may be two readers
+            self.newest, self.count = state, self.count + 1
+        self._received(state)
 
 
 def _rotation(*xyzw: float) -> np.ndarray:

@@ -25,7 +25,7 @@ from typing import Any, Self
 from eagor.errors import DeviceError, EagorError
 from eagor.media.clocks import Lateness
 from eagor.robots.dds import Link
-from eagor.robots.go2.sport import ALLOWED, OK, AvoidClient, ForeignCommands, SportClient, in_words
+from eagor.robots.go2.sport import ALLOWED, OK, AvoidClient, SportClient, hear_commands, in_words
 from eagor.robots.go2.state import MODES, BodyState, Go2Low, Go2State
 from eagor.robots.safety.gate import PERIOD, SILENCE, Gate, GateStatus, Mode, State, Stop
 from eagor.robots.safety.limits import Inputs, Limits, RobotState, Velocity
@@ -252,8 +252,9 @@ class GateProcess:
         self._mode: int | None = None
         self._lateness = Lateness()
         self._link = link = Link(settings["domain"], settings["interface"])
+        self._other = -math.inf, ""  # when somebody else commanded it, and what
         # A robot that avoids obstacles may command its own walking.
-        self._others = ForeignCommands(link, ["obstacles_avoid"] if avoid else ALLOWED)
+        hear_commands(link, self._commanded, ["obstacles_avoid"] if avoid else ALLOWED)
         self._states = Go2State(link, received=self._received)
         self._low = Go2Low(link) if settings["remote"] else None
         self._voice = Voice(link, avoid) if self._gate.armed else None
@@ -338,8 +339,12 @@ class GateProcess:
         if self._mode is not None and self._mode not in ABLE:
             words = MODES.get(self._mode, f"in mode {self._mode}")
             yield f"the robot cannot walk: it is {words}; let it stand first"
-        if (other := self._others.newest) is not None and (ago := time.monotonic() - other[0]) < FOREIGN:
-            yield f"somebody else commands the robot ({other[1]}, {ago:.1f} s ago): end that program or app"
+        when, words = self._other
+        if (ago := time.monotonic() - when) < FOREIGN:
+            yield f"somebody else commands the robot ({words}, {ago:.1f} s ago): end that program or app"
+
+    def _commanded(self, words: str) -> None:
+        self._other = time.monotonic(), words
 
     def _received(self, state: BodyState) -> None:
         """A state of the robot, in a thread."""
