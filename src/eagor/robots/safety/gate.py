@@ -119,7 +119,13 @@ class Gate:
         if state.mode is not Mode.STOPPING or state.stopping is None:
             state = replace(state, mode=Mode.STOPPING, sent=STILL, stopping=state.stops + 1, stopped=-math.inf)
         heard = inputs.acknowledged >= (state.stopping or 0)
-        stands = self._stands(time, inputs)
+        robot = inputs.robot
+        stands = (
+            robot is not None
+            and abs(time - robot.stamp) <= self.limits.state_age
+            and abs(robot.speed) < STANDS[0]
+            and abs(robot.turn) < STANDS[1]
+        )
         if heard and stands:
             return replace(state, mode=Mode.STANDING, stopping=None), None, ()
         remarks = () if heard else ("StopMove is not acknowledged yet",)
@@ -128,13 +134,6 @@ class Gate:
             return state, None, remarks
         number = state.stops + 1
         return replace(state, stops=number, stopped=time), Stop(number), remarks
-
-    def _stands(self, time: float, inputs: Inputs) -> bool:
-        """Whether the robot says, and not too long ago, that it stands."""
-        robot = inputs.robot
-        if robot is None or not abs(time - robot.stamp) <= self.limits.state_age:
-            return False
-        return abs(robot.speed) < STANDS[0] and abs(robot.turn) < STANDS[1]
 
     def _move(
         self, state: State, time: float, gone: float, inputs: Inputs

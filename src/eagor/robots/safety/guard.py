@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -82,25 +82,24 @@ class Guard:
         self._settings = dict(vars(self))
         self._said = Inputs()  # all that this program knows now: every message says all of it, so that none is missed
         self._turn, self._leaving = threading.Lock(), threading.Event()
-        self._thread = threading.Thread(target=self._listen, name="guard", daemon=True)
-        self._process: subprocess.Popen[bytes] | None = None
         self._link: Link | None = None  # a dry run has no voice, not even for StopMove
         self._stood_in = False  # whether the robot acknowledged a StopMove of this program
         self._state: GateStatus | None = None
         self._error: EagorError | None = None
 
     def __enter__(self) -> Self:
-        self._line, there = Pipe()
-        # Imported by its name, so that what is sent has the same types on both sides.
-        code = f"from eagor.robots.safety.guard import main; main({there.fileno()})"
-        try:
+        with ExitStack() as stack:
             if self.armed:
-                self._link = Link(self.domain, self.interface)
+                self._link = stack.enter_context(Link(self.domain, self.interface))
                 self._voice = Voice(self._link, self.avoid)
+            self._line, there = Pipe()
+            # Imported by its name, so that what is sent has the same types on both sides.
+            code = f"from eagor.robots.safety.guard import main; main({there.fileno()})"
             command = [sys.executable, "-c", code]
             self._process = subprocess.Popen(command, pass_fds=[there.fileno()], stdin=subprocess.DEVNULL)
             self.pid = self._process.pid
             there.close()
+            stack.callback(self._end)
             with suppress(OSError, EOFError):
                 self._line.send(self._settings)
                 self._line.send(self._said)
@@ -110,27 +109,25 @@ class Guard:
                 raise self._error or DeviceError("the guard's process ended before its first step; its words are above")
             if self._link is not None and not self._voice.sport.wait(self.patience):
                 raise DeviceError("the robot does not listen to this program, which sends StopMove if the guard ends")
-            self._thread.start()
-        except BaseException:
-            self.__exit__()
-            raise
+            thread = threading.Thread(target=self._listen, name="guard", daemon=True)
+            thread.start()
+            stack.callback(thread.join)
+            stack.callback(self._leaving.set)
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Stop the robot and end the process."""
-        self._leaving.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        self._stack.close()
+
+    def _end(self) -> None:
         self._line.close()  # which tells the process to end
-        if self._process is not None:
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(ENDING)
-            self._process.kill()
-            self._process.wait()
-        if self._link is not None:
-            if self._stood_in:  # whoever turned the avoidance of obstacles on may be gone
-                self._voice.end()
-            self._link.close()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(ENDING)
+        self._process.kill()
+        self._process.wait()
+        if self._stood_in:  # whoever turned the avoidance of obstacles on may be gone
+            self._voice.end()
 
     @property
     def state(self) -> GateStatus:
