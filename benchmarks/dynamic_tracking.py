@@ -51,10 +51,10 @@ from eagor.media.bags import BagWriter
 from eagor.perception import load
 from eagor.robots.dds import Link
 from eagor.robots.go2.camera import PICTURE
-from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings, SimWorld
-from eagor.robots.go2.plant import PlantSettings
+from eagor.robots.go2.house import CAMERA_TOPIC, MOUNT, SimWorld
+from eagor.robots.go2.plant import HEIGHT
 from eagor.robots.go2.sim import TRUTH as TRUTH_POSE
-from eagor.robots.go2.sim import LiveGo2, SimSettings, SimulatedGo2
+from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State, Odometry
 from eagor.sphere import angular_distance, unit
@@ -68,10 +68,8 @@ LATENCIES = (0.0, 0.4, 1.6)
 DOMAINS = 10
 REGIONS = 5  # answers from one check of the region to the next
 NEAR, GONE = math.radians(15), 2.0
-CAMERA = CameraSettings(rows=128, rate=5.0)
-PLANT = PlantSettings(deaf=(0.0, 0.0))
 AHEAD, GAINS = 12.5, 2e-5  # seconds by which the robot's clock is ahead, and seconds per second
-EYES = PlantSettings().height + CAMERA.mount[2]  # metres
+EYES = HEIGHT + MOUNT[2]  # metres
 IMAGE, ODOMETRY, TRUTH, BALL = "/image/compressed", "/odom", "/truth", "/ball"
 
 
@@ -100,7 +98,7 @@ class Run:
         """The true direction ``(3,)`` to the ball in the body frame, and the camera's place ``(3,)``."""
         turn, place = self.truth.at(stamp)
         assert place is not None
-        eye = place + turn @ np.asarray(CAMERA.mount)
+        eye = place + turn @ np.asarray(MOUNT)
         return unit(turn.T @ (self.ball(stamp) - eye)), eye
 
     def ball(self, stamp: float) -> np.ndarray:
@@ -141,12 +139,10 @@ class Steering:
 def settings(seed: int, scene: str) -> SimSettings:
     """The robot, its house and its ball. It starts with the ball in sight, 1.5 to 5 m away, with any heading."""
     speed = 0.0 if "lying" in scene else SPEED
-    found = SimSettings(
-        seed=seed, target=QUERY, speed=speed, camera=CAMERA, plant=PLANT, clock_offset=AHEAD, clock_drift=GAINS
-    )
+    found = SimSettings(seed=seed, target=QUERY, speed=speed, clock_offset=AHEAD, clock_drift=GAINS)
     house, rng = SimulatedGo2(found).house, np.random.default_rng([seed, SCENES.index(scene)])
     assert house is not None
-    ball, rays = house.targets()[0].centre, Renderer(house.scene).raycaster
+    ball, rays = house.targets[0].centre, Renderer(house.scene).raycaster
     for _ in range(2000):
         spot = house.ground.sample(rng, 0.3)
         eye = np.array([*spot, EYES])
@@ -158,7 +154,7 @@ def settings(seed: int, scene: str) -> SimSettings:
 
 def _live(ready: Any, settings: SimSettings, domain: int) -> None:
     """A process: the robot on DDS."""
-    with LiveGo2(SimulatedGo2(settings), domain, "lo") as live:
+    with SimulatedGo2(settings, domain) as live:
         ready.send(live.begun)
         ready.recv()
 
@@ -188,8 +184,9 @@ def record(seed: int, scene: str, path: Path, domain: int) -> None:
                 now_at["pose"] = ros.pose_of(message)
                 pose(TRUTH, now_at["pose"])
                 now = now_at["pose"].stamp
-                where = json.dumps([now, *house.targets(now - begun)[0].centre.tolist()])
-                bag.write(BALL, ros.TEXT, ros.text_message(where), now)
+                ball = house.ball_at(now - begun)
+                assert ball is not None
+                bag.write(BALL, ros.TEXT, ros.text_message(json.dumps([now, *ball.centre.tolist()])), now)
 
             def picture(message: Any, _: float) -> None:
                 received = ros.store().deserialize_cdr(message.data, ros.COMPRESSED)
@@ -206,7 +203,6 @@ def record(seed: int, scene: str, path: Path, domain: int) -> None:
                 if "walking" in scene and now >= settle and "pose" in now_at:
                     sport.move(*steering.towards(now_at["pose"]))
                 time.sleep(1 / STEERING)
-            states.close()
         line.send("end")
     finally:
         robot.join(20)
@@ -269,7 +265,7 @@ def play(run: Run, looks: Sequence[tuple[float, Evidence]], method: Estimator, l
             break
         if kind != 1 and now > last:
             turn, place = run.told(now)
-            method.move(now, turn, place + turn @ np.asarray(CAMERA.mount))  # type: ignore[operator]
+            method.move(now, turn, place + turn @ np.asarray(MOUNT))  # type: ignore[operator]
             last = now
         if kind == 1:
             method.see(look)
@@ -336,7 +332,7 @@ def conditions() -> Iterator[tuple[str, float, bool]]:
 def judge_run(path: str) -> tuple[str, dict[tuple[str, str], dict[str, float]]]:
     """All figures of one run, by condition and method."""
     run = read(Path(path))
-    house = SimWorld("apartment", run.seed)
+    house = SimWorld(SimSettings(seed=run.seed))
     perception = load("scout")
     calibration, detector = (getattr(perception, key, None) for key in ("calibration", "detector"))
     looks = look_at(run, perception)

@@ -223,17 +223,17 @@ class Walk:
         self.recorded = recorded
 
     def __enter__(self) -> Walk:
-        from go2_peer import Simulated
+        from go2_peer import Peer
         from guard_driving import fast_enough
 
         from eagor.robots.dds import free_domain
 
         with ExitStack() as stack:
-            self.robot = stack.enter_context(Simulated(domain=free_domain()))
+            self.robot = stack.enter_context(Peer(free_domain()))
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="eagor-kills-"))
             record = f"{folder}/walk" if self.recorded else ""
             for name in ("camera", "program"):
-                words = [sys.executable, __file__, "--part", name, str(self.robot.domain), record]
+                words = [sys.executable, __file__, "--part", name, str(self.robot.link.domain), record]
                 process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
                 stack.callback(process.wait)
                 stack.callback(process.kill)

@@ -38,7 +38,7 @@ class Driver:
         self._ended.set()
         self._thread.join()
 
-    def say(self, now: float) -> None:
+    def say(self) -> None:
         """One message."""
         known = {"image_age": 0.15, "pose_age": 0.01, "look_age": 0.5, "presence": 0.9, "faults": ()} | self.wrong
         velocity = known.pop("velocity", self.velocity)
@@ -50,7 +50,7 @@ class Driver:
         while not self._ended.wait(1 / RATE):
             if not self.silent:
                 with suppress(DeviceError):
-                    self.say(time.monotonic())
+                    self.say()
 
 
 @contextmanager
@@ -86,7 +86,7 @@ def fast_enough(robot: Any, full: tuple[float, float, float], seconds: float = 6
     """Wait until the robot is told this velocity, and has come near it."""
 
     def is_fast() -> bool:
-        return robot.commanded(time.monotonic()) == full and math.hypot(*robot.speeds[-1][1][:2]) > 0.72 * full[0]
+        return robot.commanded == full and math.hypot(*robot.speeds[-1][1][:2]) > 0.72 * full[0]
 
     until(is_fast, seconds)
 

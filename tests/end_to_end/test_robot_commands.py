@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise, takewhile
 from pathlib import Path
@@ -21,8 +20,12 @@ import pytest
 from commands import eagor
 from processes import alive, sessions_of, wait_for
 
+pytest.importorskip("cyclonedds")
+pytest.importorskip("rosbags")
+
 from eagor.robots.dds import Link, free_domain, raw
-from eagor.robots.go2.sim import LiveGo2, SimSettings, SimulatedGo2
+from eagor.robots.go2 import plant
+from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import SportModeState, sport_state
 
@@ -81,7 +84,7 @@ def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, c
 
 def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
     domain, settings = free_domain(), SimSettings(None, short=True, battery=9, clock_offset=-777.0)
-    with LiveGo2(SimulatedGo2(settings), domain) as robot, Link(domain, "lo") as link:
+    with SimulatedGo2(settings, domain) as robot, Link(domain, "lo") as link:
         robot.error_code = 1001
         link.publish("rt/sportmodestate", raw(SportModeState))
         done = check(domain, "--seconds", 1.5)
@@ -120,9 +123,9 @@ def test_a_robot_that_has_not_told_its_orientation_is_said_so():
 
 
 @pytest.mark.slow
-def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
+def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told(monkeypatch):
     domain = free_domain()
-    with LiveGo2(SimulatedGo2(SimSettings(None)), domain) as server:
+    with SimulatedGo2(SimSettings(None), domain) as server:
         walks = {"which": 0.0}
         ended = threading.Event()
 
@@ -148,7 +151,7 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told():
             ended.set()
             thread.join()
         # As its remote control leads it: nothing comes over these topics.
-        server.plant.settings = replace(server.plant.settings, expiry=60.0)
+        monkeypatch.setattr(plant, "EXPIRY", 60.0)
         server.plant.move(0.4, 0.0, 0.0)
         done = check(domain, "--seconds", 1.5)
         assert "problem: the robot moves although nobody tells it to on its topics" in done.stdout
@@ -226,7 +229,7 @@ def test_nobody_there_is_said():
 
 def test_a_taken_domain_is_refused():
     domain = free_domain()
-    with LiveGo2(SimulatedGo2(SimSettings(None)), domain):
+    with SimulatedGo2(SimSettings(None), domain):
         done = eagor("robot", "sim", "--domain", domain, "--camera", "none", "--seconds", 1)
     assert done.returncode == 2
     assert f"a robot already speaks on DDS domain {domain}, lo" in done.stderr

@@ -13,18 +13,18 @@ from types import SimpleNamespace
 import pytest
 from processes import alive, sessions_of, wait_for
 
+pytest.importorskip("cyclonedds")
+pytest.importorskip("rosbags")
+pytest.importorskip("onnxruntime")
+
 from eagor.cli import main, robot_run
 from eagor.errors import DeviceError
 from eagor.robots.dds import free_domain
-from eagor.robots.safety.guard import GateStatus
+from eagor.robots.safety.gate import GateStatus
 from eagor.robots.safety.limits import STILL
 from eagor.robots.safety.walking import Command, Step, TargetView
 
 pytestmark = pytest.mark.xdist_group("real time")
-
-pytest.importorskip("cyclonedds")
-pytest.importorskip("rosbags")
-pytest.importorskip("onnxruntime")
 
 
 def command(*words):
@@ -157,8 +157,7 @@ def test_why_it_stands_is_said_where_the_gate_has_no_objection(monkeypatch, caps
     answer = SimpleNamespace(estimate=SimpleNamespace(direction=None, status="searching"), faults=())
 
     def step(mode, doing, words, *reasons):
-        view, status = TargetView(0.0, "tracking"), GateStatus(mode, reasons=reasons)
-        return Step(answer, view, Command(STILL, doing, words), status)
+        return Step(answer, TargetView(0.0, "tracking"), Command(STILL, doing, words), GateStatus(None, mode, reasons))
 
     monkeypatch.setattr(robot_run, "QUIET", 0.0)
     steps = [

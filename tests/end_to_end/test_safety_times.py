@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 from processes import wait_for
 
-from eagor.robots.dds import free_domain
-
 pytest.importorskip("cyclonedds")
+pytest.importorskip("rosbags")
 
-from go2_peer import Peer, Simulated
+from go2_peer import MOVE, STOP, UNHEARD, Peer
 from guard_driving import Driver, Time, fast_enough, measured, other_commander, until
 
 from eagor.errors import DeviceError
+from eagor.robots.dds import free_domain
 from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.limits import Limits
 
@@ -45,32 +45,37 @@ def in_time(trial, zero=ZERO):
 
 
 @contextmanager
-def driven(robot, remote=False, **options):
-    """A guard on the robot's domain, and a program that drives with it."""
-    guard = Guard(remote=remote, domain=robot.domain, interface="lo", limits=QUICK, patience=LONG, **options)
-    with guard, Driver(guard) as driver:
-        yield driver
+def driven(remote=False, **options):
+    """A robot, a guard on its domain, and a program that drives with it."""
+    with Peer(free_domain()) as peer:
+        guard = Guard(remote=remote, domain=peer.link.domain, interface="lo", limits=QUICK, patience=LONG, **options)
+        with guard, Driver(guard) as driver:
+            yield driver, peer
 
 
 @pytest.fixture(scope="module")
 def driving():
-    with Peer(domain=free_domain()) as peer, driven(peer, armed=True) as driver:
-        yield driver, peer
+    with driven(armed=True) as both:
+        yield both
 
 
-def stops_since(peer, begun):
-    return [told for told in peer.told if told.api_id == 1003 and told.when > begun]
+def stops_since(peer, begun, number=STOP):
+    return [told for told in peer.told if told.api_id == number and told.when > begun]
+
+
+def says(driver, words):
+    return lambda: any(words in reason for reason in driver.guard.state.reasons)
 
 
 # Faults that the gate is only told of are one of a kind: tests/laws/test_safety_gate.py tries each of them.
 @pytest.mark.parametrize(("whose", "name", "value", "normal", "words"), [
-    ("driver", "wrong", {"image_age": 0.51}, {}, "the newest picture is"),
-    ("driver", "wrong", {"velocity": (math.nan, 0.0, 0.0)}, {}, "not finite"),
-    ("driver", "wrong", {"faults": ("the camera is unplugged",)}, {}, "the camera is unplugged"),
-    ("driver", "mumbles", True, False, "velocity is"), ("driver", "silent", True, False, "the newest p"),
-    ("robot", "roll", 0.6, 0.0, "tilted"), ("robot", "error_code", 7, 0, "error code 7"),
-    ("robot", "mute", True, False, "state of the robot is"), ("robot", "growing", 1.0, 0.0, "state of the robot is"),
-    *(("robot", "mode", mode, 1, "the robot cannot walk: it is") for mode in (2, 5, 9)),
+    (0, "wrong", {"image_age": 0.51}, {}, "the newest picture is"),
+    (0, "wrong", {"velocity": (math.nan, 0.0, 0.0)}, {}, "not finite"),
+    (0, "wrong", {"faults": ("the camera is unplugged",)}, {}, "the camera is unplugged"),
+    (0, "mumbles", True, False, "velocity is"), (0, "silent", True, False, "the newest p"),
+    (1, "roll", 0.6, 0.0, "tilted"), (1, "error_code", 7, 0, "error code 7"),
+    (1, "mute", True, False, "state of the robot is"), (1, "growing", 1.0, 0.0, "state of the robot is"),
+    *((1, "mode", mode, 1, "the robot cannot walk: it is") for mode in (2, 5, 9)),
 ])  # fmt: skip
 def test_each_fault_stops_the_robot_in_time(driving, whose, name, value, normal, words):
     driver, peer = driving
@@ -78,16 +83,14 @@ def test_each_fault_stops_the_robot_in_time(driving, whose, name, value, normal,
     def once():
         fast_enough(peer, driver.velocity)
         begun = time.monotonic()
-        setattr(driver if whose == "driver" else peer, name, value)
+        setattr(driving[whose], name, value)
         try:
             took = measured(peer, begun)
-            until(lambda: any(words in reason for reason in driver.guard.state.reasons))
-            if name in ("mute", "growing"):
-                assert driver.guard.state.mode == "stopping"  # nobody knows whether it stands
-            else:
-                until(lambda: driver.guard.state.mode == "standing")
+            until(says(driver, words))
+            # Nobody knows whether a robot stands that tells no news of itself.
+            until(lambda: driver.guard.state.mode == ("stopping" if name in ("mute", "growing") else "standing"))
         finally:
-            setattr(driver if whose == "driver" else peer, name, normal)
+            setattr(driving[whose], name, normal)
         until(lambda: driver.guard.state.mode == "armed")  # and it goes on when all is well again
         return took
 
@@ -97,9 +100,9 @@ def test_each_fault_stops_the_robot_in_time(driving, whose, name, value, normal,
 def test_a_second_commander_stops_the_robot(driving):
     driver, peer = driving
     fast_enough(peer, driver.velocity)
-    with other_commander(peer.domain) as begun:
+    with other_commander(peer.link.domain) as begun:
         measured(peer, begun)
-        until(lambda: any("Move on rt/api/sport/request" in reason for reason in driver.guard.state.reasons))
+        until(says(driver, "Move on rt/api/sport/request"))
 
 
 def test_stopmove_comes_again_and_again_until_it_is_acknowledged(driving):
@@ -109,7 +112,7 @@ def test_stopmove_comes_again_and_again_until_it_is_acknowledged(driving):
     driver.wrong = {"presence": 0.1}
     measured(peer, begun)
     driver.wrong = {}
-    assert len([told for told in peer.told if told.api_id == -1003 and told.when > begun]) == 4
+    assert len(stops_since(peer, begun, UNHEARD)) == 4
 
 
 PROGRAM = """
@@ -125,10 +128,9 @@ with Guard(armed=True, remote=False, domain={domain}, interface="lo", patience={
 
 def gone(pid):
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except FileNotFoundError:
         return True
-    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
 
 
 @pytest.mark.parametrize(("whom", "how"), [
@@ -137,8 +139,8 @@ def gone(pid):
 ])  # fmt: skip
 def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_process(whom, how):
     def once():
-        with Peer(domain=free_domain()) as peer:
-            code = PROGRAM.format(tests=str(Path(__file__).parents[1]), domain=peer.domain, patience=LONG)
+        with Peer(free_domain()) as peer:
+            code = PROGRAM.format(tests=str(Path(__file__).parents[1]), domain=peer.link.domain, patience=LONG)
             words = [sys.executable, "-c", code]
             child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True)
             try:
@@ -164,7 +166,7 @@ def test_a_program_or_guard_that_is_ended_leaves_a_robot_that_stands_and_no_proc
 
 def test_a_guard_that_is_killed_is_stood_in_for_and_told():
     def once():
-        with Peer(domain=free_domain()) as peer, driven(peer, armed=True) as driver:
+        with driven(armed=True) as (driver, peer):
             fast_enough(peer, driver.velocity)
             begun = time.monotonic()
             os.kill(driver.guard.pid, signal.SIGKILL)
@@ -178,7 +180,7 @@ def test_a_guard_that_is_killed_is_stood_in_for_and_told():
 
 
 def test_a_guard_that_is_frozen_is_stood_in_for_holds_up_nobody_and_goes_on_afterwards():
-    with Peer(domain=free_domain()) as peer, driven(peer, armed=True) as driver:
+    with driven(armed=True) as (driver, peer):
         fast_enough(peer, driver.velocity)
         guard, begun = driver.guard, time.monotonic()
         os.kill(guard.pid, signal.SIGSTOP)
@@ -186,7 +188,7 @@ def test_a_guard_that_is_frozen_is_stood_in_for_holds_up_nobody_and_goes_on_afte
             measured(peer, begun)
             assert stops_since(peer, begun)
             for _ in range(2000):  # more than a pipe holds
-                driver.say(time.monotonic())
+                driver.say()
             until(lambda: time.monotonic() > begun + 3.0)
             with pytest.raises(DeviceError, match=r"has not said a word for .* StopMove itself, and the robot ackno"):
                 _ = guard.state
@@ -194,29 +196,31 @@ def test_a_guard_that_is_frozen_is_stood_in_for_holds_up_nobody_and_goes_on_afte
             thawed = time.monotonic()
             os.kill(guard.pid, signal.SIGCONT)
         until(lambda: any(any(told.velocity or ()) for told in peer.told if told.when > thawed))
-        since = [told.api_id for told in peer.told if told.when > thawed and told.api_id in (1003, 1008)]
-        assert 1003 in since[:2]  # before anything else, except for what was just being sent
+        since = [told.api_id for told in peer.told if told.when > thawed and told.api_id in (STOP, MOVE)]
+        assert STOP in since[:2]  # before anything else, except for what was just being sent
 
 
 def test_a_dry_run_says_what_it_would_do_and_has_no_voice():
-    with Peer(domain=free_domain()) as peer, driven(peer) as driver:
-        until(lambda: (driver.guard.state.velocity or (0.0,))[0] > 0.4)
+    with driven() as (driver, peer):
+        until(lambda: getattr(driver.guard.state.would, "forward", 0.0) > 0.4)
         assert driver.guard.state.mode == "dry run"
+        assert driver.guard.state.stops == 0
     assert peer.told == []
 
 
 def test_a_robot_moves_while_l1_of_its_remote_control_is_held_and_b_latches():
-    with Peer(domain=free_domain()) as peer, driven(peer, armed=True, remote=True) as driver:
+    with driven(armed=True, remote=True) as (driver, peer):
         peer.pressed = frozenset({"R2"})
-        until(lambda: any("dead-man" in reason for reason in driver.guard.state.reasons))
+        until(says(driver, "dead-man"))
         time.sleep(0.7)
         assert not peer.moves
         peer.pressed = frozenset({"L1"})
         until(lambda: peer.moves)
-        for released in (frozenset(), None):  # or the remote control is out of reach
-            begun, peer.pressed = time.monotonic(), released
+        for change in ({"pressed": frozenset()}, {"silent": True}):  # released, or the remote control is out of reach
+            begun = time.monotonic()
+            vars(peer).update(change)
             measured(peer, begun)
-            peer.pressed = frozenset({"L1"})
+            vars(peer).update(pressed=frozenset({"L1"}), silent=False)
             until(lambda: peer.moves)
         peer.pressed = frozenset({"L1", "B"})
         until(lambda: driver.guard.state.mode == "latched")
@@ -239,18 +243,16 @@ def test_no_robot_no_interface_and_no_switch_are_said():
 @pytest.mark.slow
 @pytest.mark.parametrize("killed", [False, True])
 def test_the_robot_may_be_told_to_walk_around_obstacles_by_itself(killed):
-    with Simulated(domain=free_domain()) as robot:
-        server = robot.server
-        with driven(robot, armed=True, avoid=True) as driver:
-            until(lambda: robot.moves)
-            assert all(server.avoid.values())
-            begun = time.monotonic()
-            if killed:
-                os.kill(driver.guard.pid, signal.SIGKILL)
-            else:
-                driver.wrong = {"presence": 0.1}
-            until(lambda: robot.still_since(begun))
-            last = {service: (api_id, asked) for service, api_id, asked in server.requests}
-            assert last["sport"][0] == last["obstacles_avoid"][0] == 1003
-            assert (last["obstacles_avoid"][1]["x"], last["obstacles_avoid"][1]["yaw"]) == (0.0, 0.0)
-        assert not any(server.avoid.values())  # the remote control has its robot back
+    with driven(armed=True, avoid=True) as (driver, peer):
+        until(lambda: peer.moves)
+        assert all(peer.avoid.values())
+        begun = time.monotonic()
+        if killed:
+            os.kill(driver.guard.pid, signal.SIGKILL)
+        else:
+            driver.wrong = {"presence": 0.1}
+        until(lambda: peer.still_since(begun))
+        last = {service: (api_id, asked) for service, api_id, asked in peer.requests}
+        assert last["sport"][0] == last["obstacles_avoid"][0] == STOP
+        assert (last["obstacles_avoid"][1]["x"], last["obstacles_avoid"][1]["yaw"]) == (0.0, 0.0)
+    assert not any(peer.avoid.values())  # the remote control has its robot back

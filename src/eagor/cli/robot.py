@@ -17,7 +17,7 @@ from eagor.cli.options import Common, Flag, Whole, bare
 from eagor.cli.robot_run import RobotRun
 
 if TYPE_CHECKING:
-    from eagor.robots.go2.sim import LiveGo2, SimSettings
+    from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 
 
 Domain = Annotated[int | None, bare("N")]
@@ -142,18 +142,18 @@ def _heard(report: dict[str, Any]) -> dict[str, str]:
 def sim(options: RobotSim) -> int:
     """Run the command."""
     from eagor.robots.dds import default_domain
-    from eagor.robots.go2.sim import LiveGo2, SimulatedGo2
+    from eagor.robots.go2.sim import SimulatedGo2
 
     settings = settings_of(options)
     if options.seconds is not None and not above(options.seconds, 0):
         raise terminal.UsageError(f"--seconds {options.seconds:g}: wanted more than 0")
     if not options.json:
         terminal.log(f"building the house (seed {options.seed})")
-    robot = SimulatedGo2(settings)
     domain = default_domain() if options.domain is None else options.domain
+    robot = SimulatedGo2(settings, domain, options.interface)
     if not options.json:
-        terminal.log("waiting for the camera" if settings.camera else "without a camera")
-    with LiveGo2(robot, domain, options.interface) as live:
+        terminal.log("waiting for the camera" if settings.rows else "without a camera")
+    with robot as live:
         if options.json:
             terminal.emit(_facts(live, options))
         else:
@@ -168,23 +168,21 @@ def sim(options: RobotSim) -> int:
 
 def settings_of(options: RobotSim) -> SimSettings:
     """What is simulated with these options. Raises `UsageError`, `DeviceError`."""
-    from eagor.robots.go2.house import CameraSettings
-    from eagor.robots.go2.plant import PlantSettings
     from eagor.robots.go2.sim import SimSettings
 
     if not within(options.speed, 0, 3):
         raise terminal.UsageError(f"--speed {options.speed:g}: wanted 0 to 3 metres per second")
-    camera = CameraSettings(options.rows, options.rate, options.latency) if options.camera != "none" else None
     return SimSettings(
-        options.world, options.seed, options.target, options.speed, plant=PlantSettings(upright=not options.lying),
-        camera=camera, clock_offset=options.clock_offset, short=options.short,
+        options.world, options.seed, options.target, options.speed, upright=not options.lying,
+        rows=None if options.camera == "none" else options.rows, rate=options.rate, latency=options.latency,
+        clock_offset=options.clock_offset, short=options.short,
     )  # fmt: skip
 
 
-def _facts(live: LiveGo2, options: RobotSim) -> dict[str, Any]:
+def _facts(live: SimulatedGo2, options: RobotSim) -> dict[str, Any]:
     from eagor.sphere import heading
 
-    house, pose = live.robot.house, live.truth.pose
+    house, pose = live.house, live.truth.pose
     assert house is not None
     assert pose.position is not None
     yaw = math.degrees(heading(pose.world_R_body))
@@ -194,13 +192,13 @@ def _facts(live: LiveGo2, options: RobotSim) -> dict[str, Any]:
         "world": house.scene.source,
         "start": {"position": pose.position.round(3).tolist(), "yaw_deg": round(yaw, 1)},
         "target": options.target,
-        "targets": [{"name": each.name, "position": each.centre.round(3).tolist()} for each in live.robot.targets],
-        "things": dict(sorted(Counter(thing.name for thing in house.things()).items())),
+        "targets": [{"name": each.name, "position": each.centre.round(3).tolist()} for each in live.targets],
+        "things": dict(sorted(Counter(thing.name for thing in house.things).items())),
         "topics": live.topics,
     }
 
 
-def _tell(live: LiveGo2, options: RobotSim) -> None:
+def _tell(live: SimulatedGo2, options: RobotSim) -> None:
     facts = _facts(live, options)
     (x, y, _), yaw = facts["start"]["position"], facts["start"]["yaw_deg"]
     where = "only this machine" if options.interface == "lo" else f"all on {options.interface}"
@@ -221,7 +219,7 @@ def _tell(live: LiveGo2, options: RobotSim) -> None:
     print("end it with Ctrl-C" if options.seconds is None else f"it ends after {options.seconds:g} s", flush=True)
 
 
-def _until(seconds: float | None, live: LiveGo2) -> None:
+def _until(seconds: float | None, live: SimulatedGo2) -> None:
     """Wait; Ctrl-C and SIGTERM come as KeyboardInterrupt."""
     end = math.inf if seconds is None else time.monotonic() + seconds
     waiting = threading.Event()
@@ -231,6 +229,6 @@ def _until(seconds: float | None, live: LiveGo2) -> None:
             raise terminal.RunError("the camera's process has ended; start the robot again")
 
 
-def _sum_up(live: LiveGo2, seconds: float) -> None:
+def _sum_up(live: SimulatedGo2, seconds: float) -> None:
     skipped = f", {live.skipped} steps late" if live.skipped else ""
-    terminal.log(f"after {seconds:.0f} s: walked {live.robot.plant.walked:.2f} m, {live.asked} commands{skipped}")
+    terminal.log(f"after {seconds:.0f} s: walked {live.plant.walked:.2f} m, {live.asked} commands{skipped}")

@@ -127,15 +127,15 @@ FLOOR = 0.0  # metres: the odometry of a Go2 begins on the floor
 class Place:
     """Where to walk: the robot's network, its camera, and what only a simulation knows.
 
-    `truth()` gives the true position ``(3,)`` and orientation ``(3, 3)`` of the camera now, `targets()` the true places
-    ``(n, 3)`` of the things.
+    `truth()` gives the true position ``(3,)`` and orientation ``(3, 3)`` of the camera now; `targets` ``(n, 3)``: the
+    true places of the things.
     """
 
     domain: int
     interface: str | None
     camera: Callable[[], CameraSource]
     truth: Callable[[], tuple[np.ndarray, np.ndarray] | None] = lambda: None
-    targets: Callable[[], np.ndarray | tuple[()]] = tuple
+    targets: np.ndarray | tuple[()] = ()
 
 
 @dataclass
@@ -167,7 +167,7 @@ class Summary:
             self.mark = xy
         if (truth := place.truth()) is None or estimate.direction is None or estimate.status != "tracking":
             return
-        (at, world_R_body), targets = truth, np.asarray(place.targets())
+        (at, world_R_body), targets = truth, place.targets
         if len(targets):
             ways = (targets - at) / np.linalg.norm(targets - at, axis=1, keepdims=True)
             angles = np.arccos(np.clip(ways @ (world_R_body @ estimate.direction), -1, 1))
@@ -302,19 +302,22 @@ def _real(options: RobotRun, spec: str) -> Iterator[Place]:
 @contextmanager
 def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
     from eagor.robots.go2.camera import DdsCamera
-    from eagor.robots.go2.house import CAMERA_TOPIC, CameraSettings
+    from eagor.robots.go2.house import CAMERA_TOPIC
     from eagor.robots.go2.sim import Rehearsal, SimSettings
 
     rows = rows_for(spec, options.rows, PICTURE)
-    camera = CameraSettings(rows=rows, rate=PICTURES, latency=options.latency, mount=options.mount)
     start = options.start and (*options.start[:2], math.radians(options.start[2]))
+    settings = SimSettings(
+        options.world, options.seed, query, start=start, rows=rows, rate=PICTURES, latency=options.latency,
+        mount=options.mount,
+    )  # fmt: skip
     terminal.log("the simulated robot starts")
-    with Rehearsal(SimSettings(options.world, options.seed, query, start=start, camera=camera)) as robot:
+    with Rehearsal(settings) as robot:
         terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
         # Its stamps are those of capture.
         yield Place(
-            robot.domain, INTERFACE, lambda: DdsCamera(CAMERA_TOPIC, robot.domain, INTERFACE, rows), robot.truth,
-            robot.targets,
+            robot.domain, INTERFACE, lambda: DdsCamera(CAMERA_TOPIC, robot.domain, INTERFACE, rows),
+            lambda: robot.truth, robot.targets,
         )  # fmt: skip
 
 

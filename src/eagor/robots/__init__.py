@@ -6,22 +6,27 @@ Here: live sources of poses by their names.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any
 
 from eagor.errors import DeviceError
 
 if TYPE_CHECKING:  # the guard's process imports this file as well, and is to hold little
     from eagor.media import Pose, PoseSource
+    from eagor.robots.go2.state import BodyState
 
 __all__ = ["GO2", "ROS", "Go2Poses", "open_poses"]
 
 ROS, GO2 = "ros:", "go2"
+KEPT = 2000  # states of a Go2 that wait for whoever iterates: 10 s at 200 Hz
+LOOK = 1.0  # seconds between looks at what is wrong while nothing comes
 
 
 class Go2Poses:
-    """The odometry of a Go2 (`Go2State`), with the link that it comes over.
+    """The odometry of a Go2, with the link that it comes over; `source`: of `eagor.robots.go2.state.SOURCES`.
 
-    `mount` ``(3,)``: where the camera is on the body, metres.
+    `mount` ``(3,)``: where the camera is on the body, metres. Iterating raises `DeviceError` for a `Go2State.fault`.
     """
 
     def __init__(
@@ -30,16 +35,31 @@ class Go2Poses:
         from eagor.robots.dds import Link
         from eagor.robots.go2.state import Go2State
 
+        self._mount, self._came = mount, SimpleQueue[Any]()
         self._link = Link(domain, interface)
-        self._state = Go2State(self._link, source, mount=mount)
+        self._state = Go2State(self._link, source, received=self._received)
+
+    def _received(self, state: BodyState) -> None:
+        if self._came.qsize() >= KEPT:
+            with suppress(Empty):
+                self._came.get_nowait()
+        self._came.put(state)
 
     def __iter__(self) -> Iterator[Pose]:
-        return iter(self._state)
+        from eagor.media import Pose
+
+        while True:
+            with suppress(Empty):
+                if (state := self._came.get(timeout=LOOK)) is None:
+                    return
+                yield Pose(state.stamp, state.world_R_body, state.position + state.world_R_body @ self._mount)
+            if (fault := self._state.fault) is not None:
+                raise DeviceError(fault)
 
     def close(self) -> None:
-        """Leave the network."""
-        self._state.close()
+        """Leave the network; who iterates comes to the end."""
         self._link.close()
+        self._came.put(None)
 
 
 def open_poses(

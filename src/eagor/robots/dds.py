@@ -23,21 +23,20 @@ from eagor.errors import DeviceError
 __all__ = ["Link", "Raw", "Reader", "Writer", "default_domain", "free_domain", "raw"]
 
 LAST_DOMAIN = 232  # above, the ports that the standard derives from the number do not exist (DDSI-RTPS 9.6.1.1)
-LOOPBACK = "lo"
 FIRST_PORT, PORTS = 7400, 250  # of domain 0, and per domain (DDSI-RTPS 9.6.1.1)
 LOOKED_AT = 8  # participants of a domain whose ports tell whether it is in use
 FREE = range(1, 120)  # above, ports meet those that the system gives away
 
 # Each of up to 64 processes of a domain on this machine has ports of its own; Cyclone 0.10, which robots run, finds a
-# newer one on the same machine only by such an index (measured). The loopback interface has no multicast: processes
-# ask each other's ports one by one.
+# newer one on the same machine only by such an index (measured).
 _SETTINGS = """<CycloneDDS><Domain Id="any">
-<General><Interfaces><NetworkInterface {which}/></Interfaces>{more}</General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>64</MaxAutoParticipantIndex>{peers}
+<General><Interfaces><NetworkInterface {}/></Interfaces>{}</General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>64</MaxAutoParticipantIndex>{}
 </Discovery></Domain></CycloneDDS>"""
-_LOCAL = _SETTINGS.format(
-    which='name="lo" multicast="false"', more="<AllowMulticast>false</AllowMulticast>",
-    peers='<Peers><Peer address="127.0.0.1"/></Peers>',
+# The loopback interface has no multicast: processes ask each other's ports one by one.
+_LOCAL = (
+    'name="lo" multicast="false"', "<AllowMulticast>false</AllowMulticast>",
+    '<Peers><Peer address="127.0.0.1"/></Peers>',
 )  # fmt: skip
 
 DEPTH = 10  # messages that are kept for a reader that is late
@@ -73,8 +72,6 @@ def free_domain() -> int:
 class Raw:
     """A message as the bytes that are sent; stands in for cyclonedds' own encoding, which takes 50 times as long."""
 
-    __slots__ = ("data", "sample_info")
-
     def __init__(self, data: bytes) -> None:
         self.data = data
 
@@ -105,20 +102,32 @@ class Link:
     def __init__(self, domain: int = 0, interface: str | None = None) -> None:
         need("DDS (Unitree)", "robot", "cyclonedds", "rosbags")
         from cyclonedds.core import DDSException
-        from cyclonedds.domain import DomainParticipant
+        from cyclonedds.domain import Domain, DomainParticipant
 
         if not whole(domain, 0, LAST_DOMAIN):
             raise DeviceError(f"DDS domain {domain!r}; wanted a whole number from 0 to {LAST_DOMAIN} (ROS_DOMAIN_ID)")
+        known = [name for _, name in socket.if_nameindex()]
+        if interface is not None and interface not in known:
+            raise DeviceError(f"there is no network interface {interface!r}; this machine has {', '.join(known)}")
+        which = 'autodetermine="true"' if interface is None else f'name="{interface}"'
+        settings = _LOCAL if interface == "lo" else (f'{which} multicast="default"', "", "")
         self.domain, self.interface = int(domain), interface
+        self._parts: list[Reader | Writer] = []
         try:
-            _settle(self.domain, interface)
+            with _TURN:
+                if self.domain not in _DOMAINS:
+                    _DOMAINS[self.domain] = interface, Domain(self.domain, _SETTINGS.format(*settings))
             self._participant: Any = DomainParticipant(self.domain)
         except DDSException as error:
             raise DeviceError(
                 f"DDS domain {domain} cannot be joined on {interface or 'any interface'} ({error.msg}): too many "
                 "processes, or another library of this one, may use it. End some, or take another domain"
             ) from error
-        self._parts: list[Reader | Writer] = []
+        if (before := _DOMAINS[self.domain][0]) != interface:
+            raise DeviceError(
+                f"DDS domain {domain} is already used on {before or 'an automatic interface'} in this process, and "
+                f"{interface or 'an automatic one'} was asked for; take another domain, or one process each"
+            )
 
     def __str__(self) -> str:
         return f"domain {self.domain}, {self.interface or 'automatic interface'}"
@@ -142,24 +151,17 @@ class Link:
         """
         from cyclonedds.pub import DataWriter
 
-        writer = Writer(DataWriter(*self._topic(topic, kind), _qos(reliable)))
-        self._parts.append(writer)
+        self._parts.append(writer := Writer(topic, DataWriter(*self._topic(topic, kind), _qos(reliable))))
         return writer
 
     def subscribe(
-        self,
-        topic: str,
-        kind: type,
-        received: Callable[[Any, float], None],
-        *,
-        reliable: bool = False,
+        self, topic: str, kind: type, received: Callable[[Any, float], None], *, reliable: bool = False,
         own: bool = True,
-    ) -> Reader:
+    ) -> Reader:  # fmt: skip
         """Call ``received(message, when)`` for every message, in a thread; `when` is ``time.time()`` at arrival.
 
-        An exception in `received`, or a message that cannot be decoded, is told once as a `UserWarning`, and counted
-        (`Reader.damaged`). A best-effort reader (default) takes from every writer, a reliable one from reliable ones.
-        `own`: also what this link itself writes.
+        A best-effort reader (default) takes from every writer, a reliable one from reliable ones. `own`: also what this
+        link itself writes.
         """
         from cyclonedds.sub import DataReader
 
@@ -172,15 +174,11 @@ class Link:
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 
         reader = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        time.sleep(wait)
         found: dict[str, str] = {}
-        end = time.monotonic() + wait
-        while True:
-            for sample in reader.take(N=100):
-                if (name := getattr(sample, "topic_name", None)) is not None:  # else a writer has gone
-                    found[name] = sample.type_name
-            if time.monotonic() >= end:
-                return dict(sorted(found.items()))
-            time.sleep(0.02)
+        while samples := reader.take(N=100):  # one without a name: a writer that has gone
+            found |= {each.topic_name: each.type_name for each in samples if hasattr(each, "topic_name")}
+        return dict(sorted(found.items()))
 
     def _topic(self, topic: str, kind: type) -> tuple[Any, Any]:
         from cyclonedds.topic import Topic
@@ -193,37 +191,43 @@ class Link:
 class Writer:
     """Writes messages of one topic (`Link.publish`)."""
 
-    def __init__(self, writer: Any) -> None:
-        self._writer: Any = writer
+    def __init__(self, topic: str, writer: Any) -> None:
+        self.topic, self._writer = topic, writer
 
     @property
     def readers(self) -> int:
-        """How many readers it has now."""
-        return len(self._writer.get_matched_subscriptions())
+        """How many it has now."""
+        writer = self._writer
+        return 0 if writer is None else len(writer.get_matched_subscriptions())
 
     def write(self, message: Any) -> None:
-        """Send `message`. Raises `DeviceError` if the network does not take it."""
+        """Send `message`. Raises `DeviceError` if the network does not take it, or the link is closed."""
         from cyclonedds.core import DDSException
 
+        if (writer := self._writer) is None:
+            raise DeviceError(f"a message of {self.topic} cannot be sent: its link is closed")
         try:
-            self._writer.write(message)
+            writer.write(message)
         except DDSException as error:
-            raise DeviceError(f"a message of {self._writer.topic.name} could not be sent: {error.msg}") from error
+            raise DeviceError(f"a message of {self.topic} could not be sent: {error.msg}") from error
 
     def close(self) -> None:
-        """Stop writing."""
         self._writer = None
 
 
 class Reader:
-    """Reads one topic in a thread (`Link.subscribe`). `damaged`: messages that were not usable; `problem`: the last."""
+    """Reads one topic in a thread (`Link.subscribe`).
+
+    An exception of who receives, or a message that cannot be decoded, is told once as a `UserWarning`. `damaged`: how
+    many there were; `problem`: the last, in words.
+    """
 
     def __init__(self, topic: str, reader: Any, received: Callable[[Any, float], None]) -> None:
         from cyclonedds.core import GuardCondition
 
-        self.topic, self.damaged, self.problem, self._received = topic, 0, "", received
+        self.topic, self.damaged, self.problem = topic, 0, ""
+        self._received = received
         self._reader: Any = reader
-        self._ended = threading.Event()
         self._wake: Any = GuardCondition(reader.participant)
         self._thread = threading.Thread(target=self._read, name=f"DDS reader of {topic}", daemon=True)
         self._thread.start()
@@ -238,7 +242,6 @@ class Reader:
         """Stop reading; waits for the thread unless it is the caller's. May be called twice."""
         if (wake := self._wake) is not None:
             wake.set(True)
-        self._ended.set()
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
@@ -246,15 +249,16 @@ class Reader:
         from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
         from cyclonedds.util import duration
 
-        condition = ReadCondition(self._reader, SampleState.Any | ViewState.Any | InstanceState.Any)
-        waiting = WaitSet(self._reader.participant)
+        reader, wake = self._reader, self._wake
+        condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
+        waiting = WaitSet(reader.participant)
         waiting.attach(condition)
-        waiting.attach(self._wake)
-        while not self._ended.is_set():
+        waiting.attach(wake)
+        while not wake.read():
             with suppress(DDSException):
                 waiting.wait(duration(seconds=WAIT))
             try:  # one by one, so that a damaged one takes no other with it
-                while not self._ended.is_set() and (samples := self._reader.take(N=1)):
+                while not wake.read() and (samples := reader.take(N=1)):
                     if samples[0].sample_info.valid_data:  # else a writer has gone
                         self._received(samples[0], time.time())
             except Exception as error:
@@ -263,25 +267,6 @@ class Reader:
                     text = f"a message cannot be used ({type(error).__name__}: {error})"
                     warnings.warn(f"{self.topic}: {text}; it is left out, and others like it", stacklevel=2)
         self._reader = self._wake = None
-
-
-def _settle(domain: int, interface: str | None) -> None:
-    """Give the domain its settings; once per process."""
-    from cyclonedds.domain import Domain
-
-    known = [name for _, name in socket.if_nameindex()]
-    if interface is not None and interface not in known:
-        raise DeviceError(f"there is no network interface {interface!r}; this machine has {', '.join(known)}")
-    which = 'autodetermine="true"' if interface is None else f'name="{interface}"'
-    xml = _SETTINGS.format(which=which + ' multicast="default"', more="", peers="")
-    with _TURN:
-        if domain not in _DOMAINS:
-            _DOMAINS[domain] = interface, Domain(domain, _LOCAL if interface == LOOPBACK else xml)
-        elif (before := _DOMAINS[domain][0]) != interface:
-            raise DeviceError(
-                f"DDS domain {domain} is already used on {before or 'an automatic interface'} in this process, and "
-                f"{interface or 'an automatic one'} was asked for; take another domain, or one process each"
-            )
 
 
 def _qos(reliable: bool, own: bool = True) -> Any:

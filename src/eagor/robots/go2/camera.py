@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import math
-import threading
+import queue
 import warnings
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor._checks import is_twice_as_wide
-from eagor.errors import DeviceError, EagorError, ImageError, TimeError
-from eagor.grids import ErpGrid
-from eagor.media import Frame
-from eagor.media.panorama import resized
+from eagor._extras import need
+from eagor.errors import EagorError
+from eagor.media.live_camera import LiveCamera
 from eagor.media.ros_messages import COMPRESSED, compressed_message, panorama_of, stamp_of, store
 from eagor.robots.dds import Link, Raw, raw
 from eagor.robots.go2.state import CompressedImage
 
-__all__ = ["PICTURE", "DdsCamera", "picture_message"]
+if TYPE_CHECKING:
+    from av.video.frame import VideoFrame
+
+__all__ = ["PICTURE", "DdsCamera", "DdsStream", "picture_message"]
 
 PICTURE = raw(CompressedImage)  # as bytes: cyclonedds takes 40 ms per megabyte
-FIRST = 10.0  # seconds in which the first picture has to come
 
 
 def picture_message(panorama: np.ndarray, stamp: float, frame: str) -> Raw:
@@ -30,77 +29,55 @@ def picture_message(panorama: np.ndarray, stamp: float, frame: str) -> Raw:
     return PICTURE(bytes(store().serialize_cdr(compressed_message(panorama, stamp, frame), COMPRESSED)))
 
 
-class DdsCamera:
-    """A `CameraSource`: the panoramas of a topic of sensor_msgs/CompressedImage on DDS domain `domain`.
+class DdsStream:
+    """The pictures of a topic of sensor_msgs/CompressedImage on DDS domain `domain`, as `LiveCamera` reads streams.
 
-    Stamps are those of the headers, which are times of capture, less the `latency`; where a header has none, the time
-    of arrival less the latency. Only the newest picture is kept, and decoded when it is taken; `dropped` counts the
-    others. `rows`: the most rows of a picture. Raises `DeviceError` if no picture comes, `ImageError` for pictures that
-    are no panoramas.
+    Stamps are those of the headers, which are times of capture; where a header has none, the time of arrival.
     """
 
-    live = True
-    keeps_newest = True
+    stamped, again = True, False
 
-    def __init__(
-        self, topic: str, domain: int, interface: str | None, rows: int | None = None, latency: float = 0.0
-    ) -> None:
-        if not math.isfinite(latency):
-            raise TimeError(f"latency = {latency!r}; wanted seconds from capture to the stamp, 0 or more")
-        self.topic, self.latency, self.dropped = topic, latency, 0
-        self.problem: str | None = None
-        self._changed, self._closed = threading.Condition(), False
-        self._newest: tuple[Any, float] | None = None
+    def __init__(self, topic: str, domain: int, interface: str | None) -> None:
+        need("reading pictures", "robot", "av")
+        self.name, self._came = topic, queue.SimpleQueue[tuple[Any, float] | None]()
         self._link = Link(domain, interface)
-        try:
-            self._link.subscribe(topic, PICTURE, self._received)
-            with self._changed:
-                self._changed.wait_for(lambda: self._newest is not None, FIRST)
-            if self._newest is None:
-                raise DeviceError(f"no picture came on {topic} within {FIRST:g} s ({self._link}): is the camera there?")
-            height = self._panorama(self._newest[0]).shape[0]
-        except BaseException:
-            self.close()
-            raise
-        height = min(rows or height, height)
-        self.grid = ErpGrid(height, 2 * height)
+        self._link.subscribe(topic, PICTURE, self._received)
 
-    def __iter__(self) -> Iterator[Frame]:
-        last = -math.inf
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._newest is not None)
-                if self._newest is None or self._closed:
-                    return
-                (message, when), self._newest = self._newest, None
+    def _received(self, message: Raw, when: float) -> None:
+        self._came.put((store().deserialize_cdr(message.data, COMPRESSED), when))
+
+    def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float, VideoFrame]]:
+        """Until it is closed; those that came while one was looked at are `damaged`, but for the newest."""
+        from av import VideoFrame
+
+        last = 0.0
+        while (came := self._came.get()) is not None:
+            message, when = came
+            stamp = stamp_of(message) or when
+            if not self._came.empty() or stamp <= last:  # late, sent twice, or out of order
+                damaged()
+                continue
             try:
-                picture = resized(self._panorama(message), self.grid.shape, wrap=True)
+                picture = VideoFrame.from_ndarray(np.ascontiguousarray(panorama_of(message)), "rgb24")
             except EagorError as error:
-                if self.problem is None:
-                    warnings.warn(f"{self.topic}: a picture is left out: {error}", UserWarning, stacklevel=2)
-                self.problem, self.dropped = str(error), self.dropped + 1
+                damaged()
+                warnings.warn(f"{self.name}: a picture is left out: {error}", UserWarning, stacklevel=2)
                 continue
-            stamp = (stamp_of(message) or when) - self.latency
-            if stamp <= last:  # sent twice, or out of order
-                self.dropped += 1
-                continue
-            last, self.problem = stamp, None
-            yield Frame(stamp, picture, f"{self.topic} at {stamp:.3f} s")
+            last = stamp
+            yield stamp, picture
 
     def close(self) -> None:
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
         self._link.close()
+        self._came.put(None)
 
-    def _panorama(self, message: Any) -> np.ndarray:
-        picture = panorama_of(message)
-        if not is_twice_as_wide(*picture.shape[:2]):
-            raise ImageError(f"{self.topic} has pictures of {picture.shape[1]} x {picture.shape[0]}; wanted panoramas")
-        return picture
 
-    def _received(self, message: Any, when: float) -> None:
-        with self._changed:
-            self.dropped += self._newest is not None
-            self._newest = store().deserialize_cdr(message.data, COMPRESSED), when
-            self._changed.notify_all()
+class DdsCamera(LiveCamera):
+    """A `CameraSource`: the panoramas of a `DdsStream`, of at most so many `rows`; otherwise as `LiveCamera`."""
+
+    def __init__(self, topic: str, domain: int, interface: str | None, rows: int | None = None) -> None:
+        self._stream = DdsStream(topic, domain, interface)
+        super().__init__([self._stream], rows=rows)  # type: ignore[list-item]  # it is read as those are
+
+    def close(self) -> None:
+        super().close()
+        self._stream.close()

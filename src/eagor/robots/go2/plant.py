@@ -14,55 +14,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eagor._checks import require, stretch, within
-from eagor.errors import DeviceError
 from eagor.media import Pose
 
-__all__ = ["STANDING", "WALKING", "Motion", "Plant", "PlantSettings", "Slide"]
+__all__ = ["GRAVITY", "HEIGHT", "STANDING", "STEP", "WALKING", "Motion", "Plant", "Slide"]
 
 Slide = Callable[[np.ndarray, np.ndarray], np.ndarray]  # start (2,), step (2,) -> end (2,), metres
 STANDING, WALKING, LYING, LOCKED, LIMP = 1, 3, 5, 6, 7  # numbers of `eagor.robots.go2.state.MODES`
-GRAVITY = 9.81  # m/s^2
+READY, LOW = (STANDING, WALKING), (LYING, LIMP)
+STEP = 0.005  # seconds
+GAIN = (0.80, 0.74, 0.90)  # speed reached per speed commanded: forward, left, turning
+LAG, DEAD_TIME = 0.30, 0.15  # seconds to 63 % of a speed; before anything happens
+FASTEST = np.array([2.5, 1.0, 4.0])  # m/s, m/s, rad/s: commands beyond are cut
+EXPIRY = 1.0  # seconds for which a Move holds
+DEAF = (4.0, 10.0)  # from and to how many seconds after StandUp Moves are ignored
 MOVING = 0.02  # metres or radians per second below which the legs stand still
-
-
-@dataclass(frozen=True)
-class PlantSettings:
-    """A Go2's body.
-
-    - `step`: seconds per step. `gain`: speed reached per speed commanded, forward, sideways, turning. `lag`: seconds to
-      63 % of it; `dead_time`: seconds before anything happens. `fastest`: commands beyond are cut (m/s, m/s, rad/s).
-    - `expiry`: seconds for which a Move holds. `deaf`: from and to how many seconds after StandUp Moves are ignored.
-    - `tilt`: radians by which it rocks while walking; `trot`: how often per second. `height`: of the standing body, m.
-    - Odometry: `scale_drift`: share by which distances are wrong; `turn_drift`: share by which turns are; `yaw_drift`:
-      radians of heading after one metre, growing with the root of the way. Standard deviations of normal distributions.
-    - `upright`: whether it stands ready to walk at first, or lies.
-    """
-
-    step: float = 0.005
-    gain: tuple[float, float, float] = (0.80, 0.74, 0.90)
-    lag: float = 0.30
-    dead_time: float = 0.15
-    fastest: tuple[float, float, float] = (2.5, 1.0, 4.0)
-    expiry: float = 1.0
-    deaf: tuple[float, float] = (4.0, 10.0)
-    tilt: float = math.radians(2.0)
-    trot: float = 3.0
-    height: float = 0.32
-    scale_drift: float = 0.02
-    turn_drift: float = 0.01
-    yaw_drift: float = math.radians(0.5)
-    upright: bool = True
-
-    def __post_init__(self) -> None:
-        ranges = dict.fromkeys(
-            ("dead_time", "expiry", "tilt", "trot", "scale_drift", "turn_drift", "yaw_drift"), (0, 60)
-        )
-        ranges |= {"step": (1e-4, 0.1), "lag": (1e-3, 60), "height": (0.05, 1)}
-        fields = {
-            key: (within(getattr(self, key), *ends), "{:g} to {:g}".format(*ends)) for key, ends in ranges.items()
-        }
-        require(self, fields | {"deaf": (stretch(self.deaf, 0, 600), "seconds (from, to)")}, DeviceError)
+TILT, TROT = math.radians(2.0), 3.0  # radians by which it rocks while walking, and times per second
+HEIGHT, LYING_HEIGHT = 0.32, 0.08  # metres
+GRAVITY = 9.81  # m/s^2
+# Odometry, standard deviations: shares by which distances and turns are wrong; radians of heading after one metre,
+# which grow with the root of the way.
+SCALE_DRIFT, TURN_DRIFT, YAW_DRIFT = 0.02, 0.01, math.radians(0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,64 +51,55 @@ class Motion:
 class Plant:
     """A Go2's body. `rng` draws drift and how long it is deaf; `start`: x, y (metres) and heading (radians, left).
 
-    `slide(start, step)` gives where a step over the floor ends, at walls; without it the floor has no end.
+    `slide(start, step)` gives where a step over the floor ends, at walls; without it the floor has no end. `upright`:
+    whether it stands ready to walk at first, or lies.
     """
 
     def __init__(
-        self,
-        settings: PlantSettings,
-        rng: np.random.Generator,
-        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        slide: Slide | None = None,
-    ) -> None:
-        self.settings, self._rng, self._slide = settings, rng, slide
-        self.steps = 0
-        self.mode = STANDING if settings.upright else LYING
-        self.walked = 0.0
+        self, rng: np.random.Generator, start: tuple[float, float, float] = (0.0, 0.0, 0.0), slide: Slide = np.add,
+        upright: bool = True,
+    ) -> None:  # fmt: skip
+        self._rng, self._slide, self.mode = rng, slide, STANDING if upright else LYING
+        self.steps, self.walked = 0, 0.0
         self._xy, self._yaw = np.array(start[:2], dtype=np.float64), float(start[2])
         self._speed = np.zeros(3)  # forward, left, turning; body frame
         self._velocity = np.zeros(2)  # of the last step, world frame
-        self._wanted, self._until = np.zeros(3), 0  # command, and the step at which it ends
-        self._pipe: deque[np.ndarray] = deque([np.zeros(3)] * round(settings.dead_time / settings.step))
-        self._deaf_until = 0
+        self._wanted, self._until, self._deaf_until = np.zeros(3), 0, 0  # command; steps at which it, and that, ends
+        self._pipe = deque([np.zeros(3)] * round(DEAD_TIME / STEP))
         self._phase, self._rocking = 0.0, 0.0  # of the trot; 0 standing, 1 walking
-        self._attitude = self._before = _turned(0.0, 0.0, self._yaw)
+        self._attitude, self._rates = _turned(0.0, 0.0, self._yaw), np.zeros(3)
         # Odometry: where the robot believes it is.
-        self._scale = 1.0 + settings.scale_drift * float(rng.standard_normal())
-        self._turn_scale = 1.0 + settings.turn_drift * float(rng.standard_normal())
-        self._believed_xy, self._believed_yaw = self._xy.copy(), self._yaw
+        self._scale = 1.0 + SCALE_DRIFT * float(rng.standard_normal())
+        self._turn_scale = 1.0 + TURN_DRIFT * float(rng.standard_normal())
+        self._believed_xy, self._believed_yaw = self._xy, self._yaw
 
     @property
     def seconds(self) -> float:
-        """Since the start."""
-        return self.steps * self.settings.step
+        return self.steps * STEP
 
-    # --- commands ---
+    # --- commands, by their names in Unitree's SDK ---
 
     def move(self, vx: float, vy: float, wz: float) -> None:
-        """A Move: heeded only by a robot that stands ready."""
-        if self.mode in (STANDING, WALKING) and self.steps >= self._deaf_until:
-            limit = np.array(self.settings.fastest)
-            self._wanted = np.clip([vx, vy, wz], -limit, limit)
-            self._until = self.steps + round(self.settings.expiry / self.settings.step)
+        """Heeded only by a robot that stands ready."""
+        if self.mode in READY and self.steps >= self._deaf_until:
+            self._wanted = np.clip([vx, vy, wz], -FASTEST, FASTEST)
+            self._until = self.steps + round(EXPIRY / STEP)
 
-    def stop(self) -> None:
-        """StopMove."""
+    def stop_move(self) -> None:
         self._until = self.steps
 
     def stand_up(self) -> None:
         """Stand with locked joints, deaf to Moves for a while."""
         self._rest(LOCKED)
-        low, high = self.settings.deaf
-        self._deaf_until = self.steps + round(float(self._rng.uniform(low, high)) / self.settings.step)
+        self._deaf_until = self.steps + round(float(self._rng.uniform(*DEAF)) / STEP)
 
     def balance_stand(self) -> None:
         """Unlock the joints: ready to walk (once it is no longer deaf)."""
-        if self.mode not in (LYING, LIMP):
+        if self.mode not in LOW:
             self._rest(STANDING)
 
-    def recover(self) -> None:
-        """RecoveryStand: from anything to standing, ready to walk once it is no longer deaf."""
+    def recovery_stand(self) -> None:
+        """From anything to standing, ready to walk once it is no longer deaf."""
         self.stand_up()
         self.balance_stand()
 
@@ -146,76 +108,63 @@ class Plant:
         self._rest(LIMP)
 
     def stand_down(self) -> None:
-        """Lie down."""
         self._rest(LYING)
 
     def _rest(self, mode: int) -> None:
-        self.stop()
+        self.stop_move()
         self.mode = mode
 
     # --- time ---
 
     def advance(self) -> None:
-        """One step."""
-        rules = self.settings
         self._pipe.append(self._wanted if self.steps < self._until else np.zeros(3))
-        command = self._pipe.popleft() * rules.gain
-        if self.mode not in (STANDING, WALKING):
-            command = np.zeros(3)
+        command = self._pipe.popleft() * GAIN * (self.mode in READY)
         # Exact for a command that is constant over the step.
-        self._speed = command + math.exp(-rules.step / rules.lag) * (self._speed - command)
-        if self.mode in (LYING, LIMP):
+        self._speed = command + math.exp(-STEP / LAG) * (self._speed - command)
+        if self.mode in LOW:
             self._speed = np.zeros(3)
-        turned = float(self._speed[2]) * rules.step
-        step = _along(self._yaw + turned / 2, self._speed[:2] * rules.step)
-        end = self._xy + step if self._slide is None else np.asarray(self._slide(self._xy, step), dtype=np.float64)
+        turned = float(self._speed[2]) * STEP
+        end = self._slide(self._xy, _along(self._yaw + turned / 2, self._speed[:2] * STEP))
         done = end - self._xy
         way = float(np.hypot(*done))
         # What the robot believes of that: the step in body axes, with errors of scale and heading.
         self._believed_xy = self._believed_xy + _along(self._believed_yaw - self._yaw, done * self._scale)
-        slip = rules.yaw_drift * math.sqrt(way) * float(self._rng.standard_normal()) if way > 0 else 0.0
+        slip = YAW_DRIFT * math.sqrt(way) * float(self._rng.standard_normal()) if way > 0 else 0.0
         self._believed_yaw += turned * self._turn_scale + slip
         self._xy, self._yaw = end, self._yaw + turned
-        self._velocity = done / rules.step
+        self._velocity = done / STEP
         self.walked += way
-        self._trot()
+        # It rocks from side to side and to and fro while the legs move, and fades in and out as the speed does.
+        moving = bool((np.abs(self._speed) > MOVING).any())
+        if self.mode in READY:
+            self.mode = WALKING if moving or self.steps < self._until else STANDING
+        self._rocking += (float(moving) - self._rocking) * (1.0 - math.exp(-STEP / LAG))
+        self._phase += 2 * math.pi * TROT * STEP
+        before, self._attitude = self._attitude, _turned(*self._leaning(self._yaw))
+        # For the small turn of one step the antisymmetric part is the rotation vector (to 1e-6 of it).
+        turn = before.T @ self._attitude - self._attitude.T @ before
+        self._rates = np.array([turn[2, 1], turn[0, 2], turn[1, 0]]) / (2 * STEP)
         self.steps += 1
 
-    def _trot(self) -> None:
-        """Rock from side to side and to and fro while the legs move; fade in and out as the speed does."""
-        rules = self.settings
-        moving = bool((np.abs(self._speed) > MOVING).any())
-        if self.mode in (STANDING, WALKING):
-            self.mode = WALKING if moving or self.steps < self._until else STANDING
-        self._rocking += (float(moving) - self._rocking) * (1.0 - math.exp(-rules.step / rules.lag))
-        self._phase += 2 * math.pi * rules.trot * rules.step
-        self._before, self._attitude = self._attitude, _turned(*self._leaning(self._yaw))
-
     def _leaning(self, yaw: float) -> tuple[float, float, float]:
-        lean = self.settings.tilt * self._rocking
+        lean = TILT * self._rocking
         return lean * math.sin(self._phase), lean * math.sin(self._phase + 1.0), yaw
 
-    # --- what is so, and what the robot believes ---
+    # --- what is so, and what the robot believes of it ---
 
     @property
     def truth(self) -> Motion:
-        """The body as it is."""
         return self._motion(self._xy, self._yaw, self._velocity)
 
     @property
     def odometry(self) -> Motion:
-        """The body as the robot believes."""
         speed = _along(self._believed_yaw - self._yaw, self._velocity * self._scale)
         return self._motion(self._believed_xy, self._believed_yaw, speed)
 
     def _motion(self, xy: np.ndarray, yaw: float, velocity: np.ndarray) -> Motion:
-        turn, rpy = self._before.T @ self._attitude, self._leaning(yaw)
-        # For the small turn of one step the antisymmetric part is the rotation vector (to 1e-6 of it).
-        rates = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-        rates /= 2 * self.settings.step
-        height = self.settings.height * (0.25 if self.mode in (LYING, LIMP) else 1.0)
+        rpy, height = self._leaning(yaw), LYING_HEIGHT if self.mode in LOW else HEIGHT
         pose = Pose(self.seconds, _turned(*rpy), np.array([*xy, height]))
-        return Motion(pose, rpy, np.array([*velocity, 0.0]), rates, float(self._speed[2]), self.mode)
+        return Motion(pose, rpy, np.array([*velocity, 0.0]), self._rates, float(self._speed[2]), self.mode)
 
 
 def _along(heading: float, step: np.ndarray) -> np.ndarray:
@@ -229,10 +178,5 @@ def _turned(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """As `eagor.sphere.world_R_body`, multiplied out: it is needed 400 times per second."""
     a, b, c = math.cos(roll), math.cos(pitch), math.cos(yaw)
     x, y, z = math.sin(roll), math.sin(pitch), math.sin(yaw)
-    return np.array(
-        [
-            [c * b, c * y * x - z * a, c * y * a + z * x],
-            [z * b, z * y * x + c * a, z * y * a - c * x],
-            [-y, b * x, b * a],
-        ]
-    )
+    rows = [c * b, c * y * x - z * a, c * y * a + z * x], [z * b, z * y * x + c * a, z * y * a - c * x]
+    return np.array([*rows, [-y, b * x, b * a]])

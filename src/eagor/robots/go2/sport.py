@@ -10,10 +10,9 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Iterable
-from enum import IntEnum
+from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +22,8 @@ from eagor.robots.go2 import state as idl
 from eagor.robots.go2.state import LONG, MODES, SOURCES, BodyState, Go2Low, Go2State
 
 __all__ = [
-    "ALLOWED", "CODES", "OK", "SEND", "TIMEOUT", "AvoidClient", "ForeignCommand", "ForeignCommands", "Service",
-    "SportClient", "check_robot", "checked_velocity", "in_words",
+    "ALLOWED", "AVOID", "CODES", "OK", "SEND", "SPORT", "TIMEOUT", "AvoidClient", "Service",
+    "SportClient", "check_robot", "checked_velocity", "hear_commands", "in_words",
 ]  # fmt: skip
 
 OK, SEND, TIMEOUT = 0, 3102, 3104
@@ -41,35 +40,16 @@ CODES = {
 }  # fmt: skip
 
 
-class Sport(IntEnum):
-    """Commands of the service ``sport``, by their names in Unitree's SDK."""
-
-    DAMP = 1001
-    BALANCE_STAND = 1002
-    STOP_MOVE = 1003
-    STAND_UP = 1004
-    STAND_DOWN = 1005
-    RECOVERY_STAND = 1006
-    MOVE = 1008
-
-
-class Avoid(IntEnum):
-    """Commands of the service ``obstacles_avoid``."""
-
-    SWITCH_SET = 1001
-    SWITCH_GET = 1002
-    MOVE = 1003
-    USE_REMOTE_COMMAND_FROM_API = 1004
-
-
-COMMANDS: dict[str, type[IntEnum]] = {"sport": Sport, "obstacles_avoid": Avoid}
-# Numbers that a request of each service may have.
-ALLOWED = {
-    "sport": {API_VERSION, *Sport} - {Sport.DAMP, Sport.RECOVERY_STAND},
-    "obstacles_avoid": {API_VERSION, *Avoid} - {Avoid.SWITCH_GET},
-}
+# Commands of the services by their names in Unitree's SDK, and those that a request may have.
+SPORT = {
+    "Damp": 1001, "BalanceStand": 1002, "StopMove": 1003, "StandUp": 1004, "StandDown": 1005, "RecoveryStand": 1006,
+    "Move": 1008,
+}  # fmt: skip
+AVOID = {"SwitchSet": 1001, "SwitchGet": 1002, "Move": 1003, "UseRemoteCommandFromApi": 1004}
+COMMANDS = {"sport": SPORT, "obstacles_avoid": AVOID}
+ALLOWED = {"sport": {API_VERSION, 1002, 1003, 1004, 1005, 1008}, "obstacles_avoid": {API_VERSION, 1001, 1003, 1004}}
 # Those that only ask: versions, heights, the speed level, the state.
-ASKING = {"sport": {API_VERSION, 1024, 1025, 1026, 1034}, "obstacles_avoid": {API_VERSION, Avoid.SWITCH_GET}}
+ASKING = {"sport": {API_VERSION, 1024, 1025, 1026, 1034}, "obstacles_avoid": {API_VERSION, AVOID["SwitchGet"]}}
 
 
 def in_words(code: int) -> str:
@@ -101,37 +81,33 @@ class Service:
             time.sleep(0.01)
         return matched
 
-    def request(self, api_id: int, parameter: dict[str, Any] | None = None) -> tuple[int, str]:
-        """Send a request and wait for its response: the status code, and what it says."""
-        end = time.monotonic() + self.timeout
-        if not self.wait(self.timeout) or not (number := self._write(api_id, parameter, reply=True)):
-            return SEND, ""
-        with self._turn:
-            self._turn.wait_for(lambda: self._answers[number] is not None, max(0.0, end - time.monotonic()))
-            response = self._answers.pop(number)
-        return (TIMEOUT, "") if response is None else (response.header.status.code, response.data)
+    def request(self, api_id: int, parameter: dict[str, Any] | None = None, *, reply: bool = True) -> tuple[int, str]:
+        """Send a request and wait for its response: the status code, and what it says.
 
-    def send(self, api_id: int, parameter: dict[str, Any]) -> int:
-        """Send a request that has no response: 0 once it is on its way, which does not mean that it is obeyed."""
-        return OK if self._writer.readers and self._write(api_id, parameter, reply=False) else SEND
-
-    def _write(self, api_id: int, parameter: dict[str, Any] | None, *, reply: bool) -> int:
-        """The number of the request, or 0 if it cannot be sent."""
+        Without a `reply` the code is 0 once it is on its way, which does not mean that it is obeyed.
+        """
         if api_id not in ALLOWED[self.name]:
             raise DeviceError(f"command {api_id} of {self.name!r} is never sent; allowed are {ALLOWED[self.name]}")
+        end = time.monotonic() + self.timeout
+        if not (self.wait(self.timeout) if reply else self._writer.readers):
+            return SEND, ""
         with self._turn:
             number = self._last = max(self._last + 1, time.monotonic_ns())
             if reply:
                 self._answers[number] = None
-        header = idl.RequestHeader(
-            idl.RequestIdentity(number, api_id), idl.RequestLease(0), idl.RequestPolicy(0, not reply)
-        )
+        about = idl.RequestIdentity(number, api_id), idl.RequestLease(0), idl.RequestPolicy(0, not reply)
         try:
-            self._writer.write(idl.Request(header, json.dumps(parameter or {}, allow_nan=False), []))
+            self._writer.write(idl.Request(idl.RequestHeader(*about), json.dumps(parameter or {}, allow_nan=False), []))
+            if not reply:
+                return OK, ""
+            with self._turn:
+                self._turn.wait_for(lambda: self._answers[number] is not None, max(0.0, end - time.monotonic()))
+                response = self._answers[number]
         except DeviceError:
+            return SEND, ""
+        finally:
             self._answers.pop(number, None)
-            return 0
-        return number
+        return (TIMEOUT, "") if response is None else (response.header.status.code, response.data)
 
     def _received(self, response: Any, when: float) -> None:
         with self._turn:
@@ -152,23 +128,23 @@ class SportClient(Service):
     def move(self, vx: float, vy: float, wz: float) -> int:
         """Walk forward and left (metres per second), turn left (radians per second). Raises `DeviceError` for NaN."""
         x, y, z = checked_velocity(vx, vy, wz)
-        return self.send(Sport.MOVE, {"x": x, "y": y, "z": z})
+        return self.request(SPORT["Move"], {"x": x, "y": y, "z": z}, reply=False)[0]
 
     def stop(self) -> int:
         """Stand still; 0 once the robot says so."""
-        return self.request(Sport.STOP_MOVE)[0]
+        return self.request(SPORT["StopMove"])[0]
 
     def balance_stand(self) -> int:
         """Stand, ready to walk."""
-        return self.request(Sport.BALANCE_STAND)[0]
+        return self.request(SPORT["BalanceStand"])[0]
 
     def stand_up(self) -> int:
         """Stand up, with locked joints."""
-        return self.request(Sport.STAND_UP)[0]
+        return self.request(SPORT["StandUp"])[0]
 
     def stand_down(self) -> int:
         """Lie down."""
-        return self.request(Sport.STAND_DOWN)[0]
+        return self.request(SPORT["StandDown"])[0]
 
 
 class AvoidClient(Service):
@@ -178,18 +154,18 @@ class AvoidClient(Service):
 
     def start(self) -> int:
         """Heed obstacles, and take velocities from here instead of from the remote control; the first code not 0."""
-        code, _ = self.request(Avoid.SWITCH_SET, {"enable": True})
-        return code or self.request(Avoid.USE_REMOTE_COMMAND_FROM_API, {"is_remote_commands_from_api": True})[0]
+        code, _ = self.request(AVOID["SwitchSet"], {"enable": True})
+        return code or self.request(AVOID["UseRemoteCommandFromApi"], {"is_remote_commands_from_api": True})[0]
 
     def end(self) -> int:
         """Give velocities back to the remote control, and heed obstacles no more; the first code not 0."""
-        code, _ = self.request(Avoid.USE_REMOTE_COMMAND_FROM_API, {"is_remote_commands_from_api": False})
-        return code or self.request(Avoid.SWITCH_SET, {"enable": False})[0]
+        code, _ = self.request(AVOID["UseRemoteCommandFromApi"], {"is_remote_commands_from_api": False})
+        return code or self.request(AVOID["SwitchSet"], {"enable": False})[0]
 
     def move(self, vx: float, vy: float, wz: float) -> int:
         """As `SportClient.move`; the robot goes around obstacles, or stops before them."""
         x, y, yaw = checked_velocity(vx, vy, wz)
-        return self.send(Avoid.MOVE, {"x": x, "y": y, "yaw": yaw, "mode": 0})
+        return self.request(AVOID["Move"], {"x": x, "y": y, "yaw": yaw, "mode": 0}, reply=False)[0]
 
     def stop(self) -> int:
         """Walk no further; a `SportClient.stop` is answered, this is not."""
@@ -198,43 +174,25 @@ class AvoidClient(Service):
 
 def checked_velocity(vx: float, vy: float, wz: float) -> tuple[float, float, float]:
     """The three as floats. Raises `DeviceError` for what is no number of 32 bits, with which a robot computes."""
-    x, y, z = numbers = float(vx), float(vy), float(wz)
+    numbers = float(vx), float(vy), float(wz)
     if not all(abs(number) <= FLOAT32 for number in numbers):  # neither does NaN
         raise DeviceError(f"velocities {numbers}; wanted three finite numbers of 32 bits (m/s, m/s, rad/s)")
-    return x, y, z
+    return numbers
 
 
-class ForeignCommand(NamedTuple):
-    """A command of somebody else. `when`: ``time.monotonic()`` of its arrival."""
+def hear_commands(link: Link, heard: Callable[[str], None], services: Iterable[str] = ALLOWED) -> None:
+    """Call `heard("Move on rt/api/sport/request")`, in a thread, for what `services` are told by others than `link`.
 
-    when: float
-    service: str
-    api_id: int
-
-    @property
-    def words(self) -> str:
-        """The command and its topic: "Move on rt/api/sport/request"."""
-        known = {each.value: each.name.title().replace("_", "") for each in COMMANDS[self.service]}
-        return f"{known.get(self.api_id, f'command {self.api_id}')} on rt/api/{self.service}/request"
-
-
-class ForeignCommands:
-    """Listens to the commands that `services` of a Go2 are given by others than `link`.
-
-    `newest`: the last of them; `count`: how many came.
     The robot's own remote control does not speak on these topics: only how the robot moves tells of it.
     """
 
-    def __init__(self, link: Link, services: Iterable[str] = ALLOWED) -> None:
-        self.newest: ForeignCommand | None = None
-        self.count = 0
-        for name in services:
-            link.subscribe(f"rt/api/{name}/request", idl.Request, partial(self._received, name), own=False)
+    def received(service: str, request: Any, _: float) -> None:
+        if (number := request.header.identity.api_id) not in ASKING[service]:
+            names = {known: name for name, known in COMMANDS[service].items()}
+            heard(f"{names.get(number, f'command {number}')} on rt/api/{service}/request")
 
-    def _received(self, service: str, request: Any, _: float) -> None:
-        if (api_id := request.header.identity.api_id) not in ASKING[service]:
-            self.newest = ForeignCommand(time.monotonic(), service, api_id)
-            self.count += 1
+    for service in services:
+        link.subscribe(f"rt/api/{service}/request", idl.Request, partial(received, service), own=False)
 
 
 # --- whether a Go2 can be heard and spoken to -------------------------------------------------------------------------
@@ -258,60 +216,59 @@ def check_robot(link: Link, seconds: float = 3.0) -> dict[str, Any]:
     (per cent) and `volts`; `sport_version`, and the seconds to its `answer`. Raises `DeviceError` if nobody is there.
     """
     topics = link.topics(FINDING)  # before this process writes any itself
-    states: list[BodyState] = []
-    odometry = [Go2State(link, name, received=states.append if name == "sport" else _ignore) for name in SOURCES]
-    low, sport, others = Go2Low(link), SportClient(link, timeout=2.0), ForeignCommands(link)
+    states, others = list[BodyState](), list[str]()
+    main = Go2State(link, received=states.append)
+    odometry = [main, Go2State(link, "slow"), Go2State(link, "lidar")]
+    low, sport = Go2Low(link), SportClient(link, timeout=2.0)
+    hear_commands(link, others.append)
     time.sleep(FINDING)  # until readers and writers have found each other
-    before = [source.count for source in odometry]
+    before, begun = [source.count for source in odometry], time.monotonic()
     states.clear()
-    begun = time.monotonic()
     time.sleep(seconds)
     took = time.monotonic() - begun
-    there = any(topic in SOURCES.values() or topic.startswith("rt/api/") for topic in topics)
-    if not there and not any(source.count for source in odometry):
+    heard = {source.topic: source.count - count for source, count in zip(odometry, before, strict=True) if source.count}
+    if not heard and not any(topic in SOURCES.values() or topic.startswith("rt/api/") for topic in topics):
         speak = f"; others speak here: {', '.join(topics)}" if topics else ""
         raise DeviceError(
             f"no Go2 is heard within {took + 2 * FINDING:.0f} s ({link}{speak}). Is it on? Is this machine on its "
             "network (address 192.168.123.x, mask 255.255.255.0), and is that --interface? Does a firewall hold back "
             "UDP?"
         )
-    counts = [(each.topic, each.count - count) for each, count in zip(odometry, before, strict=True) if each.count]
-    rates, main = {topic: round(count / took, 1) for topic, count in counts}, odometry[0]
+    rates = {topic: round(count / took, 1) for topic, count in heard.items()}
     cameras = [topic for topic, kind in topics.items() if kind in PICTURES]
+    found: dict[str, Any] = {"topics": topics, "cameras": cameras, "rates": rates, "commands": len(others)}
     problems = [fault for source in odometry if (fault := source.fault)]
-    found: dict[str, Any] = {"topics": topics, "cameras": cameras, "rates": rates, "commands": others.count}
     if main.bytes:
-        found["firmware"] = (
-            f"states of {main.bytes} bytes, {'with' if main.bytes == LONG else 'without'} a planned path"
-        )
+        path = "with" if main.bytes == LONG else "without"
+        found["firmware"] = f"states of {main.bytes} bytes, {path} a planned path"
     if states:
-        newest, late = states[-1], np.array([state.received - state.stamp for state in states])
+        newest, late = states[-1], np.quantile([state.received - state.stamp for state in states], (0.5, 0.99))
         found |= {"mode": MODES.get(newest.mode or 0, f"mode {newest.mode}"), "error_code": newest.error_code}
-        found |= {"clock": -(main.clock.offsets.offset or 0.0), "lateness": np.quantile(late, (0.5, 0.99)).tolist()}
+        found |= {"clock": -(main.clock.offsets.offset or 0.0), "lateness": late.tolist()}
         problems += [
             f"{topic} comes only {rates[topic]:g} times per second (wanted {least:g} or more): {BUSY}"
             for topic, least in SLOW.items()
             if rates.get(topic, least) < least
         ]
-        if found["lateness"][1] > LATE:
-            problems.append(f"one state in a hundred comes {found['lateness'][1]:.3f} s late: {BUSY}")
+        if late[1] > LATE:
+            problems.append(f"one state in a hundred comes {late[1]:.3f} s late: {BUSY}")
         if newest.error_code:
             problems.append(f"the robot reports error {newest.error_code}: look at its own app")
     elif main.fault is None:
         nobody = f"nobody publishes {main.topic}: the robot's walking has not started; restart it"
         problems.append(main.silence(topics) or nobody)
-    moving = [each for each in states if each.speed > MOVES[0] or abs(each.yaw_rate) > MOVES[1]]
-    if others.newest is not None:
+    moving = sum(each.speed > MOVES[0] or abs(each.yaw_rate) > MOVES[1] for each in states)
+    if others:
         problems.append(
-            f"somebody else commands this robot ({others.count} times, the last {others.newest.words}): end that "
-            "program or app, for a robot obeys whoever spoke last"
+            f"somebody else commands this robot ({len(others)} times, the last {others[-1]}): end that program or app, "
+            "for a robot obeys whoever spoke last"
         )
-    elif len(moving) > 0.5 * len(states):
+    elif moving > 0.5 * len(states):
         problems.append("the robot moves although nobody tells it to on its topics: is it led by its remote control?")
-    begun = time.monotonic()
+    asked = time.monotonic()
     code, version = sport.request(API_VERSION)
     if code == OK:
-        found |= {"sport_version": version, "answer": time.monotonic() - begun}
+        found |= {"sport_version": version, "answer": time.monotonic() - asked}
     else:
         problems.append(f"a question to the walking service: {in_words(code)} ({code}); start its walking again")
     if (reading := low.newest) is None:
@@ -321,7 +278,3 @@ def check_robot(link: Link, seconds: float = 3.0) -> dict[str, Any]:
         if reading.soc < EMPTY:
             problems.append(f"the battery is at {reading.soc} %: charge it before a walk")
     return found | {"problems": problems}
-
-
-def _ignore(_: BodyState) -> None:
-    pass

@@ -12,12 +12,10 @@ reads both; types that cyclonedds decodes fit one form only.
 
 from __future__ import annotations
 
-import math
 import struct
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -26,7 +24,6 @@ from scipy.spatial.transform import Rotation
 
 from eagor._extras import need
 from eagor.errors import DeviceError, FormatError
-from eagor.media import Pose
 from eagor.media.clocks import RelatedClock
 from eagor.robots.dds import Link, raw
 
@@ -37,8 +34,8 @@ from cyclonedds.idl.annotations import autoid, final  # noqa: E402
 from cyclonedds.idl.types import array, byte, float32, float64, int16, int32, int64, sequence, uint16, uint32  # noqa: E402
 
 __all__ = [
-    "BUTTONS", "LONG", "MODES", "SHORT", "SOURCES", "BodyState", "Go2Low", "Go2State", "LowReading", "Remote",
-    "low_state", "sport_state",
+    "BUTTONS", "LONG", "MODES", "SHORT", "SOURCES", "BodyState", "Go2Low", "Go2State", "LowReading", "low_state",
+    "sport_state",
 ]  # fmt: skip
 
 # --- messages as types ------------------------------------------------------------------------------------------------
@@ -86,9 +83,7 @@ LowState = _message(
 RequestIdentity = _message("RequestIdentity", _API, id=int64, api_id=int64)
 RequestLease = _message("RequestLease", _API, id=int64)
 RequestPolicy = _message("RequestPolicy", _API, priority=int32, noreply=bool)
-RequestHeader = _message(
-    "RequestHeader", _API, identity=RequestIdentity, lease=RequestLease, policy=RequestPolicy
-)  # fmt: skip
+RequestHeader = _message("RequestHeader", _API, identity=RequestIdentity, lease=RequestLease, policy=RequestPolicy)
 Request = _message("Request", _API, header=RequestHeader, parameter=str, binary=sequence[byte])
 ResponseStatus = _message("ResponseStatus", _API, code=int32)
 ResponseHeader = _message("ResponseHeader", _API, identity=RequestIdentity, status=ResponseStatus)
@@ -120,8 +115,6 @@ MODES = {
     8: "getting up", 10: "sitting",
 }  # fmt: skip
 WALKING = 3
-KEPT = 2000  # states that wait for whoever iterates: 10 s at 200 Hz
-LOOK = 1.0  # seconds between looks at who publishes
 
 # The remote control's buttons by their bit in bytes 2 and 3, lowest first (Unitree's SDK: wireless_controller).
 BUTTONS = (
@@ -150,10 +143,10 @@ class BodyState:
     position: np.ndarray
     velocity: np.ndarray
     yaw_rate: float
-    mode: int | None = None
-    error_code: int = 0
-    robot_stamp: float = 0.0
-    received: float = 0.0
+    mode: int | None
+    error_code: int
+    robot_stamp: float
+    received: float
 
     @property
     def speed(self) -> float:
@@ -162,37 +155,25 @@ class BodyState:
 
 
 class Go2State:
-    """The states of the Go2 on `link`; iterating gives `Pose` of the body, as `eagor.media.PoseSource`.
+    """The states of the Go2 on `link`, on this machine's clock, to which the robot's `clock` is related.
 
-    `source`: a name of `SOURCES`. `received(state)` is called for each state, in a thread. `mount` ``(3,)``: the point
-    of the body whose position is given when iterating, metres in the body frame (where the camera is). States come on
-    this machine's clock, to which the robot's `clock` is related. `newest`: the last one; `count`: how many came;
-    `bytes`: the length of the message, which tells the firmware's form.
+    `source`: a name of `SOURCES`. `received(state)` is called for each state, in a thread. `newest`: the last one;
+    `count`: how many came; `bytes`: the length of the message, which tells the firmware's form.
 
     Both forms of the message are read. A state without a pose is left out. A message of another length, and two
-    publishers of the same topic, are a `fault`: waiting and iterating then raise `DeviceError`; with two publishers,
-    until one ends.
+    publishers of the same topic until one ends, are a `fault`.
     """
 
     def __init__(
-        self,
-        link: Link,
-        source: str = "sport",
-        *,
-        received: Callable[[BodyState], None] = lambda state: None,
-        mount: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        self, link: Link, source: str = "sport", *, received: Callable[[BodyState], None] = lambda state: None
     ) -> None:
         if source not in SOURCES:
             raise DeviceError(f"there is no odometry {source!r} of a Go2; wanted one of {', '.join(SOURCES)}")
         self.topic, self.clock = SOURCES[source], RelatedClock("Go2")
         self.count, self.bytes = 0, 0
         self.newest: BodyState | None = None
-        self._link, self._mount, self._callback = link, np.asarray(mount, dtype=np.float64), received
+        self._link, self._received, self._turn = link, received, threading.Lock()
         self._wrong: str | None = None  # for good
-        self._crowd, self._looked = 0, 0.0  # publishers, and when that was
-        self._ended = False
-        self._turn = threading.Condition()
-        self._waiting: deque[BodyState] = deque(maxlen=KEPT)
         if source == "lidar":
             self._readers = [link.subscribe(self.topic, Odometry, self._odometry)]
             return
@@ -209,14 +190,11 @@ class Go2State:
     @property
     def fault(self) -> str | None:
         """What is wrong, in words; None if nothing is."""
-        now = time.monotonic()
-        if now - self._looked >= LOOK or self._crowd > 1:
-            self._looked = now
-            self._crowd = len(frozenset().union(*(reader.matched for reader in self._readers)))
-        if self._wrong is None and self._crowd > 1:
+        writers = len({writer for reader in self._readers for writer in reader.matched})
+        if self._wrong is None and writers > 1:
             return (
-                f"{self._crowd} publish {self.topic}, so the poses of different robots would mix: end all but one "
-                "(a simulator?), or use another DDS domain or interface"
+                f"{writers} publish {self.topic}, so the poses of different robots would mix: end all but one (a "
+                "simulator?), or use another DDS domain or interface"
             )
         return self._wrong
 
@@ -231,43 +209,19 @@ class Go2State:
         return f"{self.topic} is published as {topics[self.topic]}, but {why}"
 
     def wait(self, timeout: float = 5.0) -> BodyState:
-        """The newest state; waits for the first. Raises `DeviceError` if none comes within `timeout` seconds."""
+        """The newest state; waits for the first. Raises `DeviceError` if none comes in time, and for a `fault`."""
         end = time.monotonic() + timeout
-        while True:
-            with self._turn:
-                self._turn.wait_for(lambda: self.newest is not None, min(0.1, max(0.0, end - time.monotonic())))
-            self._check()
-            if self.newest is not None:
-                return self.newest
-            if time.monotonic() >= end:
-                raise DeviceError(
-                    self.silence(self._link.topics(0.5))
-                    or f"no robot is heard within {timeout:g} s ({self.topic}, {self._link}): is it on, is this "
-                    "machine on its network (192.168.123.x), and is the interface right?"
-                )
-
-    def __iter__(self) -> Iterator[Pose]:
-        while True:
-            with self._turn:
-                self._turn.wait_for(lambda: self._waiting or self._ended, LOOK)
-                state = self._waiting.popleft() if self._waiting else None
-            if state is not None:
-                yield Pose(state.stamp, state.world_R_body, state.position + state.world_R_body @ self._mount)
-            elif self._ended:
-                return
-            self._check()
-
-    def close(self) -> None:
-        """Stop listening; who iterates comes to the end."""
-        with self._turn:
-            self._ended = True
-            self._turn.notify_all()
-        for reader in self._readers:
-            reader.close()
-
-    def _check(self) -> None:
-        if (fault := self.fault) is not None:
+        while (fault := self.fault) is None and self.newest is None and time.monotonic() < end:
+            time.sleep(0.01)
+        if fault is not None:
             raise DeviceError(fault)
+        if self.newest is None:
+            raise DeviceError(
+                self.silence(self._link.topics(0.5))
+                or f"no robot is heard within {timeout:g} s ({self.topic}, {self._link}): is it on, is this machine on "
+                "its network (192.168.123.x), and is the interface right?"
+            )
+        return self.newest
 
     def _sport(self, message: Any, when: float) -> None:
         data = message.data
@@ -283,31 +237,25 @@ class Go2State:
         self._take(when, sec + 1e-9 * nanosec, _rotation(x, y, z, w), np.array(motion), mode, error_code)
 
     def _odometry(self, message: Any, when: float) -> None:
-        pose, twist, stamp = message.pose.pose, message.twist.twist, message.header.stamp
-        at, q, v = pose.position, pose.orientation, twist.linear
+        at, q, stamp = message.pose.pose.position, message.pose.pose.orientation, message.header.stamp
+        v, turning = message.twist.twist.linear, message.twist.twist.angular.z
         turned = _rotation(q.x, q.y, q.z, q.w)
-        velocity = turned @ (v.x, v.y, v.z)  # it was in the body frame
-        motion = np.array([at.x, at.y, at.z, *velocity, twist.angular.z])
-        self._take(when, stamp.sec + 1e-9 * stamp.nanosec, turned, motion)
+        motion = np.array([at.x, at.y, at.z, *(turned @ (v.x, v.y, v.z)), turning])  # it was in the body frame
+        self._take(when, stamp.sec + 1e-9 * stamp.nanosec, turned, motion, None, 0)
 
     def _take(
-        self, when: float, robot_stamp: float, turned: np.ndarray, motion: np.ndarray, mode: int | None = None,
-        error_code: int = 0,
-    ) -> None:  # fmt: skip
+        self, when: float, stamp: float, turned: np.ndarray, motion: np.ndarray, mode: int | None, error_code: int
+    ) -> None:
         if not np.isfinite(motion).all():
             raise FormatError(f"a state has the numbers {motion.tolist()}; wanted finite ones")
-        stamp: float | None = when
-        if robot_stamp > 0:  # otherwise the robot tells no time, and the arrival counts
-            stamp, _ = self.clock.take(robot_stamp, when)
-        if stamp is None:
+        # A robot that tells no time: the arrival counts.
+        ours = self.clock.take(stamp, when)[0] if stamp > 0 else when
+        if ours is None:
             return
-        state = BodyState(stamp, turned, motion[:3], motion[3:6], float(motion[6]), mode, error_code, robot_stamp, when)
-        with self._turn:
-            self._waiting.append(state)
-            self.newest = state
-            self.count += 1
-            self._turn.notify_all()
-        self._callback(state)
+        state = BodyState(ours, turned, motion[:3], motion[3:6], float(motion[6]), mode, error_code, stamp, when)
+        with self._turn:  # there may be two readers
+            self.newest, self.count = state, self.count + 1
+        self._received(state)
 
 
 def _rotation(*xyzw: float) -> np.ndarray:
@@ -323,30 +271,13 @@ def _rotation(*xyzw: float) -> np.ndarray:
     return Rotation.from_quat(xyzw).as_matrix()
 
 
-class Remote(NamedTuple):
-    """The remote control: which buttons of `BUTTONS` are `pressed`."""
-
-    pressed: frozenset[str] = frozenset()
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Remote:
-        """From the 40 bytes of `wireless_remote`."""
-        keys = int.from_bytes(data[2:4], "little")
-        return cls(frozenset(name for bit, name in enumerate(BUTTONS) if keys >> bit & 1))
-
-    def to_bytes(self) -> bytes:
-        """The 40 bytes; the sticks are in the middle."""
-        keys = sum(1 << bit for bit, name in enumerate(BUTTONS) if name in self.pressed)
-        return b"\0\0" + keys.to_bytes(2, "little") + bytes(36)
-
-
 class LowReading(NamedTuple):
-    """`received`: when, on this machine's clock; `soc`: the battery's charge, per cent; `volts`: of the battery."""
+    """`received`: when; the battery's charge `soc`, per cent, and `volts`; which `BUTTONS` are `pressed`."""
 
     received: float
     soc: int
     volts: float
-    remote: Remote
+    pressed: frozenset[str]
 
 
 class Go2Low:
@@ -356,15 +287,12 @@ class Go2Low:
 
     def __init__(self, link: Link) -> None:
         self.newest: LowReading | None = None
-        self._reader = link.subscribe(self.topic, LowState, self._received)
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._reader.close()
+        link.subscribe(self.topic, LowState, self._received)
 
     def _received(self, message: Any, when: float) -> None:
-        remote = Remote.from_bytes(bytes(message.wireless_remote))
-        self.newest = LowReading(when, message.bms_state.soc, message.power_v, remote)
+        low, high = message.wireless_remote[2:4]
+        pressed = frozenset(name for bit, name in enumerate(BUTTONS) if (low | high << 8) >> bit & 1)
+        self.newest = LowReading(when, message.bms_state.soc, message.power_v, pressed)
 
 
 # --- what a simulated robot says --------------------------------------------------------------------------------------
@@ -377,21 +305,16 @@ def sport_state(
 ) -> bytes:  # fmt: skip
     """A ``SportModeState`` at `stamp` seconds of the robot's clock, as bytes; all that is not here is 0."""
     body = struct.pack(
-        "<iI I 4f 3f 3f 3f x B 2x 4x B 3x 4x 3f f 3f f", *split_time(stamp), error_code, *wxyz, *gyroscope,
-        *accelerometer, *rpy, mode, mode == WALKING, *position, position[2], *velocity, yaw_speed,
+        "<iI I 4f 3f 3f 3f x B 2x 4x B 3x 4x 3f f 3f f", *divmod(int(1e9 * stamp), 10**9), error_code, *wxyz,
+        *gyroscope, *accelerometer, *rpy, mode, mode == WALKING, *position, position[2], *velocity, yaw_speed,
     )  # fmt: skip
     return (b"\x00\x01\x00\x00" + body).ljust(SHORT if short else LONG, b"\0")
 
 
-def low_state(remote: Remote, soc: int = 100, volts: float = 29.0, seconds: float = 0.0) -> Any:
+def low_state(pressed: Iterable[str] = (), soc: int = 100, volts: float = 29.0, seconds: float = 0.0) -> Any:
     """A ``LowState`` that many seconds after the robot's start; all that is not here is 0."""
     message = LowState.deserialize(b"\x00\x01\x00\x00" + bytes(1176))
-    message.wireless_remote, message.bms_state.soc = list(remote.to_bytes()), soc
-    message.power_v, message.tick = volts, int(1000 * seconds)
+    keys = sum(1 << BUTTONS.index(name) for name in pressed)
+    message.wireless_remote = bytes(2) + keys.to_bytes(2, "little") + bytes(36)
+    message.bms_state.soc, message.power_v, message.tick = soc, volts, int(1000 * seconds)
     return message
-
-
-def split_time(stamp: float) -> tuple[int, int]:
-    """Whole seconds, and nanoseconds."""
-    second = math.floor(stamp)
-    return second, min(int(1e9 * (stamp - second)), 999_999_999)

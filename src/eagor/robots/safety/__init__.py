@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from eagor.robots.safety.gate import Gate, Mode, Output, State
+from eagor.robots.safety.gate import Gate, GateStatus, Mode, State
 from eagor.robots.safety.limits import Inputs, Limits, RobotState, Velocity
 
-__all__ = ["Gate", "Inputs", "Limits", "Mode", "Output", "RobotState", "State", "Velocity"]
+__all__ = ["Gate", "GateStatus", "Inputs", "Limits", "Mode", "RobotState", "State", "Velocity"]

@@ -12,7 +12,7 @@ from enum import StrEnum
 
 from eagor.robots.safety.limits import STILL, Inputs, Limits, Velocity, faults_of
 
-__all__ = ["PERIOD", "SILENCE", "Gate", "Mode", "Output", "State", "Stop"]
+__all__ = ["PERIOD", "SILENCE", "Gate", "GateStatus", "Mode", "State", "Stop"]
 
 PERIOD = 0.02  # seconds between two steps
 SILENCE = 0.2  # seconds between two steps after which the gate was away for too long: it stops, and begins anew
@@ -41,14 +41,23 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class Output:
-    """What to send now (in a dry run nothing: `would` is what would be sent), why it must not move, and remarks."""
+class GateStatus:
+    """What one step comes to.
+
+    `send`: what to send now, in a dry run nothing; `would`: what would be sent. `faults`: why the robot must not move,
+    in words; `remarks`: why it does not, though it might. `stops`: how many StopMove were sent so far.
+    """
 
     send: Velocity | Stop | None
     mode: Mode
     faults: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     would: Velocity | Stop | None = None
+    stops: int = 0
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        return self.faults + self.remarks
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,7 @@ class Gate:
     armed: bool = False
     ignored_codes: tuple[int, ...] = (0,)
 
-    def step(self, state: State, now: float, inputs: Inputs) -> tuple[State, Output]:
+    def step(self, state: State, now: float, inputs: Inputs) -> tuple[State, GateStatus]:
         """One step at `now` (seconds, a clock that does not go back): the next state, and what to send.
 
         Call it every `PERIOD`. It never raises for what `inputs` hold; what it cannot read is a fault.
@@ -102,14 +111,21 @@ class Gate:
         mode = Mode.LATCHED if latched and (state.mode is Mode.STANDING or not self.armed) else state.mode
         if not self.armed and not latched:
             mode = Mode.DRY_RUN
-        return state, Output(send if self.armed else None, mode, faults, remarks, would=send)
+        sent, stops = (send, state.stops) if self.armed else (None, 0)
+        return state, GateStatus(sent, mode, faults, remarks, send, stops)
 
     def _stop(self, state: State, time: float, inputs: Inputs) -> tuple[State, Stop | None, tuple[str, ...]]:
         """StopMove until one is acknowledged and the robot's own state says that it stands."""
         if state.mode is not Mode.STOPPING or state.stopping is None:
             state = replace(state, mode=Mode.STOPPING, sent=STILL, stopping=state.stops + 1, stopped=-math.inf)
-        heard = inputs.acknowledged is not None and inputs.acknowledged >= (state.stopping or 0)
-        stands = self._stands(time, inputs)
+        heard = inputs.acknowledged >= (state.stopping or 0)
+        robot = inputs.robot
+        stands = (
+            robot is not None
+            and abs(time - robot.stamp) <= self.limits.state_age
+            and abs(robot.speed) < STANDS[0]
+            and abs(robot.turn) < STANDS[1]
+        )
         if heard and stands:
             return replace(state, mode=Mode.STANDING, stopping=None), None, ()
         remarks = () if heard else ("StopMove is not acknowledged yet",)
@@ -119,29 +135,22 @@ class Gate:
         number = state.stops + 1
         return replace(state, stops=number, stopped=time), Stop(number), remarks
 
-    def _stands(self, time: float, inputs: Inputs) -> bool:
-        """Whether the robot says, and not too long ago, that it stands."""
-        robot = inputs.robot
-        if robot is None or not abs(time - robot.stamp) <= self.limits.state_age:
-            return False
-        return abs(robot.speed) < STANDS[0] and abs(robot.turn) < STANDS[1]
-
     def _move(
         self, state: State, time: float, gone: float, inputs: Inputs
     ) -> tuple[State, Velocity | Stop | None, tuple[str, ...]]:
         """Pass on what is wanted, as far as the acceleration allows. `gone`: seconds since the last step."""
         wanted, remark = self._wanted(state, time, inputs)
         remarks = (remark,) if remark else ()
-        if wanted.still and state.mode is not Mode.ARMED:
+        if wanted == STILL and state.mode is not Mode.ARMED:
             return state, None, remarks
-        if wanted.still:
+        if wanted == STILL:
             since = time if state.resting is None else state.resting
             state = replace(state, sent=STILL, resting=since)
             return (state, STILL, remarks) if time - since < REST else self._stop(state, time, inputs)
         if state.mode is not Mode.ARMED and time - (state.clear or 0.0) < RESUME:
             return state, None, (f"nothing may be wrong for {RESUME:g} s before it moves",)
         rates = self.limits.acceleration, self.limits.acceleration, self.limits.turn_acceleration
-        three = zip(state.sent.parts, wanted.parts, rates, strict=True)
+        three = zip(state.sent, wanted, rates, strict=True)
         sent = Velocity(*(_ramp(before, after, gone * rate) for before, after, rate in three))
         return replace(state, mode=Mode.ARMED, sent=sent, resting=None), sent, remarks
 
@@ -156,7 +165,7 @@ class Gate:
             return STILL, f"the wanted velocity is {time - stamp:.2f} s old"
         turn = limits.turn if (inputs.presence or 0.0) >= limits.presence else BLIND_TURN
         highest = limits.forward, limits.aside, turn
-        three = zip(wanted.parts, (-limits.aside, -limits.aside, -turn), highest, strict=True)
+        three = zip(wanted, (-limits.aside, -limits.aside, -turn), highest, strict=True)
         return Velocity(*(min(max(each, low), high) for each, low, high in three)), ""
 
 

@@ -1,9 +1,9 @@
 """The guard: what a program uses to move a robot safely. The gate runs in a process of its own behind it.
 
-That process, ``python -m eagor.robots.safety.guard``, alone sends velocities. It steps the gate on the monotonic clock,
-reads the robot's state itself, and ends by StopMove when it is interrupted, when its parent ends however that happens,
-and on errors of its own. Over a pipe the program says all that it knows, as plain data, and the process answers each
-word with what the gate did: so none waits for one that is frozen, and each notices when the other is.
+That process (`main`) alone sends velocities. It steps the gate on the monotonic clock, reads the robot's state itself,
+and ends by StopMove when it is interrupted, when its parent ends however that happens, and on errors of its own. Over a
+pipe the program says all that it knows, and the process answers each word with what the gate did: so none waits for one
+that is frozen, and each notices when the other is.
 """
 
 from __future__ import annotations
@@ -16,22 +16,21 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
-from eagor import errors
 from eagor.errors import DeviceError, EagorError
 from eagor.media.clocks import Lateness
 from eagor.robots.dds import Link
-from eagor.robots.go2.sport import OK, AvoidClient, ForeignCommands, SportClient, in_words
+from eagor.robots.go2.sport import ALLOWED, OK, AvoidClient, SportClient, hear_commands, in_words
 from eagor.robots.go2.state import MODES, BodyState, Go2Low, Go2State
-from eagor.robots.safety.gate import PERIOD, SILENCE, Gate, Mode, State, Stop
+from eagor.robots.safety.gate import PERIOD, SILENCE, Gate, GateStatus, Mode, State, Stop
 from eagor.robots.safety.limits import Inputs, Limits, RobotState, Velocity
 
-__all__ = ["GateStatus", "Guard", "main"]
+__all__ = ["Guard", "main"]
 
 STARTING = 60.0  # seconds beyond its patience for the process to start, on a busy machine
 ENDING = 6.0  # seconds for it to end: it stops the robot first
@@ -49,20 +48,7 @@ HELD, EMERGENCY, RELEASE, UNHEARD = "L1", "B", "start", 0.2  # of the remote con
 LOCKED, ABLE = 6, (0, 1, 3)
 
 
-@dataclass(frozen=True)
-class GateStatus:
-    """What the gate did at its last step.
-
-    `velocity`: what was sent (m/s forward, m/s left, rad/s), in a dry run what would have been; None: none. `stops`:
-    StopMove sent so far. `reasons`: why the robot does not do what is wanted, in words.
-    """
-
-    mode: Mode
-    velocity: tuple[float, float, float] | None = None
-    stops: int = 0
-    reasons: tuple[str, ...] = ()
-
-
+@dataclass(kw_only=True, eq=False)
 class Guard:
     """The only way from a program to a Go2's legs; a context manager, which stops the robot when it is left.
 
@@ -78,114 +64,89 @@ class Guard:
     Raises `DeviceError` if there is no robot or no switch.
     """
 
-    def __init__(
-        self,
-        *,
-        armed: bool = False,
-        remote: bool = True,
-        limits: Limits | None = None,
-        domain: int = 0,
-        interface: str | None = None,
-        avoid: bool = False,
-        ignored_codes: tuple[int, ...] = (0,),
-        patience: float = 10.0,
-    ) -> None:
-        if armed and not remote and interface != "lo":
+    armed: bool = False
+    remote: bool = True
+    limits: Limits = field(default_factory=Limits)
+    domain: int = 0
+    interface: str | None = None
+    avoid: bool = False
+    ignored_codes: tuple[int, ...] = (0,)
+    patience: float = 10.0
+
+    def __post_init__(self) -> None:
+        if self.armed and not self.remote and self.interface != "lo":
             raise DeviceError(
-                f"without a dead-man switch, but {interface or 'an automatic interface'} may lead to a real robot: "
-                "somebody has to hold L1 of its remote control (a simulated robot is on the interface lo)"
+                f"without a dead-man switch, but {self.interface or 'an automatic interface'} may lead to a real "
+                "robot: somebody has to hold L1 of its remote control (a simulated robot is on the interface lo)"
             )
-        self._settings: dict[str, Any] = {
-            "armed": armed, "remote": remote, "network": (domain, interface), "avoid": avoid,
-            "ignored_codes": ignored_codes, "patience": patience, "limits": asdict(limits or Limits()),
-        }  # fmt: skip
-        # All that this program knows now: every message says all of it, so that none is missed.
-        self._said: dict[str, Any] = {}
+        self._settings = dict(vars(self))
+        self._said = Inputs()  # all that this program knows now: every message says all of it, so that none is missed
         self._turn, self._leaving = threading.Lock(), threading.Event()
-        self._thread = threading.Thread(target=self._listen, name="guard", daemon=True)
-        self._process: subprocess.Popen[bytes] | None = None
         self._link: Link | None = None  # a dry run has no voice, not even for StopMove
         self._stood_in = False  # whether the robot acknowledged a StopMove of this program
         self._state: GateStatus | None = None
         self._error: EagorError | None = None
-        self._silent: float | None = None  # since when nothing was heard, if that is too long
 
     def __enter__(self) -> Self:
-        settings, patience = self._settings, self._settings["patience"]
-        self._line, there = Pipe()
-        command = [sys.executable, "-m", "eagor.robots.safety.guard", str(there.fileno())]
-        try:
-            if settings["armed"]:
-                self._link = Link(*settings["network"])
-                self._voice = Voice(self._link, settings["avoid"])
+        with ExitStack() as stack:
+            if self.armed:
+                self._link = stack.enter_context(Link(self.domain, self.interface))
+                self._voice = Voice(self._link, self.avoid)
+            self._line, there = Pipe()
+            # Imported by its name, so that what is sent has the same types on both sides.
+            code = f"from eagor.robots.safety.guard import main; main({there.fileno()})"
+            command = [sys.executable, "-c", code]
             self._process = subprocess.Popen(command, pass_fds=[there.fileno()], stdin=subprocess.DEVNULL)
             self.pid = self._process.pid
             there.close()
+            stack.callback(self._end)
             with suppress(OSError, EOFError):
-                self._line.send(settings)
+                self._line.send(self._settings)
                 self._line.send(self._said)
-                if self._line.poll(patience + STARTING):
+                if self._line.poll(self.patience + STARTING):
                     self._take(self._line.recv())
             if self._state is None:
                 raise self._error or DeviceError("the guard's process ended before its first step; its words are above")
-            if self._link is not None and not self._voice.sport.wait(patience):
+            if self._link is not None and not self._voice.sport.wait(self.patience):
                 raise DeviceError("the robot does not listen to this program, which sends StopMove if the guard ends")
-            self._thread.start()
-        except BaseException:
-            self.__exit__()
-            raise
+            thread = threading.Thread(target=self._listen, name="guard", daemon=True)
+            thread.start()
+            stack.callback(thread.join)
+            stack.callback(self._leaving.set)
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
         """Stop the robot and end the process."""
-        self._leaving.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        self._stack.close()
+
+    def _end(self) -> None:
         self._line.close()  # which tells the process to end
-        process, self._process = self._process, None
-        if process is not None:
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(ENDING)
-            process.kill()
-            process.wait()
-        if self._link is not None:
-            if self._stood_in:  # whoever turned the avoidance of obstacles on may be gone
-                self._voice.end()
-            self._link.close()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(ENDING)
+        self._process.kill()
+        self._process.wait()
+        if self._stood_in:  # whoever turned the avoidance of obstacles on may be gone
+            self._voice.end()
 
     @property
     def state(self) -> GateStatus:
-        """What the gate did at its last step; while it says nothing, that and what this process does instead.
+        """What the gate did at its last step; while it says nothing, what this process does instead.
 
         Raises `DeviceError` if it has ended, or hangs.
         """
-        doing = "this program sent StopMove itself, " + (
-            "and the robot acknowledged it" if self._stood_in else "not acknowledged yet: Move expires after 1 to 2 s"
-        )
-        if self._state is None or not self._thread.is_alive():
-            raise self._error or DeviceError(f"the guard has ended; {doing}. Start the program again")
-        if self._silent is None:
-            return self._state
-        silent = time.monotonic() - self._silent
-        words = f"the guard has not said a word for {silent:.1f} s; {doing}"
-        if silent > HANGS:
-            raise DeviceError(f"{words}. This machine may be too busy. Start the program again")
-        mode = self._state.mode if self._link is None else Mode.STOPPING
-        return replace(self._state, mode=mode, velocity=None, reasons=(words,))
+        if self._state is None or self._error is not None:
+            raise self._error or DeviceError("the guard is not there yet: use it in a with statement")
+        return self._state
 
     def set_velocity(self, forward: float, left: float, turn: float) -> None:
         """The wanted velocity from now on, for `Limits.command_age` seconds: m/s, m/s, rad/s (left is positive)."""
-        self._say(wanted=(float(forward), float(left), float(turn)), command=time.monotonic())
+        self._say(wanted=Velocity(float(forward), float(left), float(turn)), command=time.monotonic())
 
     def report(
-        self,
-        *,
-        image_age: float | None,
-        pose_age: float | None,
-        look_age: float | None,
-        presence: float | None,
+        self, *, image_age: float | None, pose_age: float | None, look_age: float | None, presence: float | None,
         faults: tuple[str, ...] = (),
-    ) -> None:
+    ) -> None:  # fmt: skip
         """What the program knows now; ages in seconds since capture, None or infinite: nothing came yet.
 
         `faults`: what is wrong, in words; the robot stands while there are any.
@@ -202,7 +163,7 @@ class Guard:
     def _say(self, **news: Any) -> None:
         """Let the thread tell this at once, beside all that was said before."""
         with self._turn:
-            self._said = self._said | news
+            self._said = replace(self._said, **news)
 
     def _listen(self) -> None:
         """Tell the process what is known, and hear what it does, in a thread; stop the robot when it is silent."""
@@ -213,19 +174,32 @@ class Guard:
                 while not self._line.poll(SILENCE):
                     if self._leaving.is_set():
                         return
-                    self._silent = asked
-                    self._stood_in = self._link is not None and self._voice.stop()
+                    silent = time.monotonic() - asked
+                    words = self._stand_in(f"the guard has not said a word for {silent:.1f} s")
+                    if silent > HANGS:
+                        self._error = DeviceError(f"{words}. This machine may be too busy. Start the program again")
                 self._take(self._line.recv())
-        if self._link is not None and not self._leaving.is_set():
-            self._silent = time.monotonic()
-            self._stood_in = self._voice.insist()
+        if not self._leaving.is_set():
+            words = self._stand_in("the guard has ended", STANDING_IN)
+            self._error = self._error or DeviceError(f"{words}. Start the program again")
 
-    def _take(self, message: dict[str, Any]) -> None:
-        if "error" in message:
-            self._error = getattr(errors, message["kind"], DeviceError)(message["error"])
+    def _stand_in(self, why: str, seconds: float = 0.0) -> str:
+        """Stop the robot in the place of the process; what to say of it."""
+        assert self._state is not None
+        mode, words = Mode.DRY_RUN, f"{why}; a dry run commands nothing"
+        if self._link is not None:
+            self._state = GateStatus(None, Mode.STOPPING, (why,), stops=self._state.stops)
+            self._stood_in = self._voice.stop(seconds)
+            heard = "and the robot acknowledged it", "not acknowledged yet: Move expires after 1 to 2 s"
+            mode, words = Mode.STOPPING, f"{why}; this program sent StopMove itself, {heard[not self._stood_in]}"
+        self._state = GateStatus(None, mode, (words,), stops=self._state.stops)
+        return words
+
+    def _take(self, heard: GateStatus | EagorError) -> None:
+        if isinstance(heard, EagorError):  # its last word
+            self._error = heard
             raise EOFError
-        self._state = GateStatus(Mode(message.pop("mode")), **message)
-        self._silent = None
+        self._state, self._error = heard, None
 
 
 def _stamp_of(age: float | None) -> float | None:
@@ -240,18 +214,14 @@ class Voice:
         self.sport = SportClient(link, timeout=PATIENCE)
         self.avoid = AvoidClient(link, timeout=READY) if avoid else None
 
-    def stop(self) -> bool:
-        """Send StopMove; whether the robot acknowledged it, for which it has `PATIENCE`."""
-        if self.avoid is not None:
-            self.avoid.stop()
-        return self.sport.stop() == OK
-
-    def insist(self) -> bool:
-        """Send StopMove until the robot acknowledges one; whether it did."""
-        end = time.monotonic() + STANDING_IN
-        while not (done := self.stop()) and time.monotonic() < end:
-            pass
-        return done
+    def stop(self, seconds: float = 0.0) -> bool:
+        """Send StopMove, for so long until the robot acknowledges one within `PATIENCE`; whether it did."""
+        end = time.monotonic() + seconds
+        while True:
+            if self.avoid is not None:
+                self.avoid.stop()
+            if (done := self.sport.stop() == OK) or time.monotonic() >= end:
+                return done
 
     def end(self) -> None:
         """Give velocities back to the remote control."""
@@ -265,26 +235,26 @@ class Voice:
 class GateProcess:
     """One step after another: what the parent says and the robot's state go into the gate, its output to the robot.
 
-    One that is not armed never has a writer, so it cannot command anything. `settings`: those of `Guard`. Raises
+    One that is not armed never has a writer, so it cannot command anything. `settings`: the fields of `Guard`. Raises
     `DeviceError`, `MissingExtraError`.
     """
 
     def __init__(self, line: Connection, settings: dict[str, Any]) -> None:
-        self._line, self._settings, armed, avoid = line, settings, settings["armed"], settings["avoid"]
-        self._gate, self._state = Gate(Limits(**settings["limits"]), armed, settings["ignored_codes"]), State()
+        self._line, self._patience, avoid = line, settings["patience"], settings["avoid"]
+        self._gate = Gate(settings["limits"], settings["armed"], settings["ignored_codes"])
         self.ending: str | None = None  # why it ends
-        self._said: dict[str, Any] = {}
-        self._acknowledged: int | None = None
+        self._state, self._said = State(), Inputs()
+        self._acknowledged = 0
         self._robot: RobotState | None = None
         self._mode: int | None = None
         self._lateness = Lateness()
-        self._link = Link(*settings["network"])
+        self._link = link = Link(settings["domain"], settings["interface"])
+        self._other = -math.inf, ""  # when somebody else commanded it, and what
         # A robot that avoids obstacles may command its own walking.
-        topics = ["obstacles_avoid"] if avoid else ["sport", "obstacles_avoid"]
-        self._others = ForeignCommands(self._link, topics)
-        self._states = Go2State(self._link, received=self._received)
-        self._low = Go2Low(self._link) if settings["remote"] else None
-        self._voice = Voice(self._link, avoid) if armed else None
+        hear_commands(link, self._commanded, ["obstacles_avoid"] if avoid else ALLOWED)
+        self._states = Go2State(link, received=self._received)
+        self._low = Go2Low(link) if settings["remote"] else None
+        self._voice = Voice(link, avoid) if self._gate.armed else None
         self._stoppers = ThreadPoolExecutor(AT_ONCE, "StopMove")
 
     def run(self) -> None:
@@ -298,42 +268,39 @@ class GateProcess:
                 end = min(end, now + STANDING_IN) if self.ending else end
                 if now > end:
                     return
-                self._state, output = self._gate.step(self._state, now, self._inputs())
-                if isinstance(output.send, Stop):
-                    self._stoppers.submit(self._stop, output.send.number)
-                elif output.send is not None and self._voice is not None:
-                    (self._voice.avoid or self._voice.sport).move(*output.send.parts)
+                self._state, status = self._gate.step(self._state, now, self._inputs())
+                if isinstance(status.send, Stop):
+                    self._stoppers.submit(self._stop, status.send.number)
+                elif status.send is not None and self._voice is not None:
+                    (self._voice.avoid or self._voice.sport).move(*status.send)
                 if asked:
                     with suppress(OSError):  # nobody listens; the robot matters more
-                        self._line.send({
-                            "mode": str(output.mode), "stops": 0 if self._voice is None else self._state.stops,
-                            "velocity": output.would.parts if isinstance(output.would, Velocity) else None,
-                            "reasons": output.faults + output.remarks,
-                        })  # fmt: skip
+                        self._line.send(status)
                 time.sleep(max(0.0, now + PERIOD - time.monotonic()))
         except BaseException:  # the gate itself cannot be trusted any more
             if self._voice is not None and self._state.time is not None:
-                self._voice.insist()
+                self._voice.stop(STANDING_IN)
             raise
         finally:
             self._stoppers.shutdown(cancel_futures=True)
             if self._voice is not None:
                 self._voice.end()
-            self._states.close()
             self._link.close()
 
     def _start(self) -> None:
         """Wait for the robot, and make it ready to walk if it may. Raises `DeviceError`."""
-        patience, voice, told = self._settings["patience"], self._voice, {}
-        self._states.wait(patience)
-        if voice is not None and not voice.sport.wait(patience):
+        self._states.wait(self._patience)
+        if (voice := self._voice) is None:
+            return
+        if not voice.sport.wait(self._patience):
             raise DeviceError(
                 "the robot tells its state, but nobody takes commands (rt/api/sport/request): its walking service is "
                 "off, or another program holds it; switch to sport mode in the robot's app"
             )
-        if voice is not None and self._mode == LOCKED:
+        told = {}
+        if self._mode == LOCKED:
             told["BalanceStand"] = SportClient(self._link, timeout=READY).balance_stand()
-        if voice is not None and voice.avoid is not None:
+        if voice.avoid is not None:
             told["obstacle avoidance"] = voice.avoid.start()
         for what, code in told.items():
             if code != OK:
@@ -350,19 +317,15 @@ class GateProcess:
         return heard
 
     def _stop(self, number: int) -> None:
-        assert self._voice is not None
-        if self._voice.stop():
-            self._acknowledged = max(self._acknowledged or 0, number)
+        if self._voice is not None and self._voice.stop():
+            self._acknowledged = max(self._acknowledged, number)
 
     def _inputs(self) -> Inputs:
         """What the parent said, and what this process knows of the robot and of its remote control."""
-        said = {"wanted": None, "stated": ()} | self._said
-        wanted, stated = said.pop("wanted"), (*said.pop("stated"), *self._faults())
-        pressed: frozenset[str] = frozenset()
-        if self._low is not None and (reading := self._low.newest) is not None:
-            pressed = reading.remote.pressed if abs(time.time() - reading.received) <= UNHEARD else pressed
-        return Inputs(
-            wanted and Velocity(*wanted), **said, stated=stated, robot=self._robot,
+        low = None if self._low is None else self._low.newest
+        pressed = frozenset() if low is None or abs(time.time() - low.received) > UNHEARD else low.pressed
+        return replace(
+            self._said, stated=(*self._said.stated, *self._faults()), robot=self._robot,
             deadman=None if self._low is None else HELD in pressed, acknowledged=self._acknowledged,
             emergency=EMERGENCY in pressed or self.ending is not None, reset=RELEASE in pressed,
         )  # fmt: skip
@@ -373,9 +336,12 @@ class GateProcess:
         if self._mode is not None and self._mode not in ABLE:
             words = MODES.get(self._mode, f"in mode {self._mode}")
             yield f"the robot cannot walk: it is {words}; let it stand first"
-        other = self._others.newest
-        if other is not None and (ago := time.monotonic() - other.when) < FOREIGN:
-            yield f"somebody else commands the robot ({other.words}, {ago:.1f} s ago): end that program or app"
+        when, words = self._other
+        if (ago := time.monotonic() - when) < FOREIGN:
+            yield f"somebody else commands the robot ({words}, {ago:.1f} s ago): end that program or app"
+
+    def _commanded(self, words: str) -> None:
+        self._other = time.monotonic(), words
 
     def _received(self, state: BodyState) -> None:
         """A state of the robot, in a thread."""
@@ -386,8 +352,8 @@ class GateProcess:
         self._robot = RobotState(stamp, roll, pitch, state.speed, state.yaw_rate, state.error_code)
 
 
-def main(handle: int) -> int:
-    """Run until the parent ends; `handle`: of the pipe."""
+def main(handle: int) -> None:
+    """The life of the process, until the parent ends; `handle`: of the pipe."""
     line, process = Connection(handle), None
 
     def interrupted(number: int, _: Any) -> None:
@@ -402,10 +368,5 @@ def main(handle: int) -> int:
         process.run()
     except EagorError as error:
         with suppress(OSError):
-            line.send({"error": str(error), "kind": type(error).__name__})
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1])))
+            line.send(error)
+        sys.exit(2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from eagor._checks import above, require
 
@@ -16,22 +17,12 @@ MOST = {  # each limit may be tightened; ages, presence and tilt never loosened
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Velocity:
+class Velocity(NamedTuple):
     """A velocity of the body, axes as in REP-103: `forward` and `left` in m/s, `turn` to the left in rad/s."""
 
     forward: float = 0.0
     left: float = 0.0
     turn: float = 0.0
-
-    @property
-    def parts(self) -> tuple[float, float, float]:
-        return self.forward, self.left, self.turn
-
-    @property
-    def still(self) -> bool:
-        """Whether all three are zero."""
-        return not any(self.parts)
 
     @property
     def walks(self) -> bool:
@@ -94,7 +85,7 @@ class Inputs:
     - `image`, `pose`, `look`: capture of the newest picture, of the newest pose, of the newest look.
     - `presence`: probability that the thing is there. `stated`: other faults that are known, in words.
     - `robot`: its state. `deadman`: whether the switch is held; None: there is none.
-    - `acknowledged`: the number of the newest StopMove that the robot acknowledged.
+    - `acknowledged`: the number of the newest StopMove that the robot acknowledged; 0: none yet.
     - `emergency`: the emergency stop is pressed now; `reset`: somebody releases it.
     """
 
@@ -107,7 +98,7 @@ class Inputs:
     stated: tuple[str, ...] = ()
     robot: RobotState | None = None
     deadman: bool | None = None
-    acknowledged: int | None = None
+    acknowledged: int = 0
     emergency: bool = False
     reset: bool = False
 
@@ -124,7 +115,7 @@ def faults_of(
     yield from inputs.stated
     if inputs.deadman is False:
         yield "the dead-man switch is not held"
-    numbers = {"time": (now,), "wanted velocity": wanted.parts, "presence": (presence or 0.0,)}
+    numbers = {"time": (now,), "wanted velocity": wanted, "presence": (presence or 0.0,)}
     if robot is not None:
         numbers["state of the robot"] = robot.roll, robot.pitch, robot.speed, robot.turn
     for what, values in numbers.items():

@@ -17,8 +17,8 @@ from typing import Any, Literal
 
 from eagor._checks import above, require, within
 from eagor.live.events import Answer, Event, PoseCame
-from eagor.robots.safety.gate import Mode
-from eagor.robots.safety.guard import GateStatus, Guard
+from eagor.robots.safety.gate import GateStatus, Mode
+from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.limits import STILL, Velocity
 from eagor.sphere import heading
 from eagor.tracking.estimate import Status
@@ -64,14 +64,14 @@ class WalkSettings:
 class TargetView:
     """What is known at one time: of the answer, and of the robot's own way (odometry).
 
-    `stamp`: seconds; `azimuth`, `elevation`: radians, body frame, None while nothing is known; `distance`: metres to
+    `stamp`: seconds; `azimuth` (None while nothing is known), `elevation`: radians, body frame; `distance`: metres to
     the thing, with `spread`, the standard deviation of its logarithm. `xy`: metres; `yaw`: radians; None: not known.
     """
 
     stamp: float
     status: Status
     azimuth: float | None = None
-    elevation: float | None = None
+    elevation: float = 0.0
     distance: float | None = None
     spread: float | None = None
     xy: tuple[float, float] | None = None
@@ -82,7 +82,7 @@ class TargetView:
         """Metres to the thing over the ground, if that is known well enough."""
         if self.distance is None or self.spread is None or self.spread > SPREAD:
             return None
-        return self.distance * math.cos(self.elevation or 0.0)
+        return self.distance * math.cos(self.elevation)
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ class ControllerState:
     side: float = 1.0  # to search: 1 left, -1 right; where the thing was last
     turned: float = 0.0  # radians, while searching
     blind: float = 0.0  # metres walked since the distance was known
-    mark: tuple[float, float] | None = None  # where the way was counted last
-    anchor: tuple[float, tuple[float, float]] | None = None  # when and where it last got on
+    mark: tuple[float, float] | None = None  # where it last got on
+    stuck: float = 0.0  # seconds of walking since then
     blocked: bool = False
 
 
@@ -115,40 +115,31 @@ def walk(
 
     `held`: the gate does not let it move. That time does not count: nothing is known then of what is in its way.
     """
-    if held and state.anchor is not None and state.last is not None:
-        when, where = state.anchor
-        state = replace(state, anchor=(when + view.stamp - state.last.stamp, where))
-    state, command = _wanted(settings, _moved(state, view), view)
-    walks = command.velocity.walks
-    anchor = state.anchor if walks else None
-    if walks and anchor is None and view.xy is not None:
-        anchor = view.stamp, view.xy
-    return replace(state, doing=command.doing, last=view, anchor=anchor), command
+    state, command = _wanted(settings, _moved(state, view, held), view)
+    return replace(state, doing=command.doing, last=view), command
 
 
-def _moved(state: ControllerState, view: TargetView) -> ControllerState:
-    """Count the way and the turn since the last view."""
-    last, searching = state.last, view.status == "searching"
+def _moved(state: ControllerState, view: TargetView, held: bool) -> ControllerState:
+    """Count the way, the turn, and the time without getting on, since the last view."""
+    last, searching, walks = state.last, view.status == "searching", state.doing == "walking"
     if not searching:
         side = math.copysign(1.0, view.azimuth) if view.azimuth else state.side
         state = replace(state, turned=0.0, side=side)
     if last is None or not 0 <= view.stamp - last.stamp <= UNHEARD:
-        return replace(state, anchor=None, mark=view.xy)
-    gone, mark = 0.0, state.mark or view.xy
+        return replace(state, stuck=0.0, mark=view.xy)
+    gone, stuck, mark, seconds = 0.0, state.stuck if walks else 0.0, state.mark or view.xy, view.stamp - last.stamp
     if view.xy is not None and mark is not None:
         # A camera on a walking robot sways: only what adds up is a way.
         if (away := math.dist(view.xy, mark)) >= PROGRESS:
-            gone, mark = away, view.xy
-    elif state.doing == "walking":  # without odometry: as if it had gone as fast as it was told
-        gone = BLIND_SPEED * (view.stamp - last.stamp)
-    state = replace(state, blind=state.blind + gone if view.known is None else 0.0, mark=mark)
+            gone, stuck, mark = away, 0.0, view.xy
+        elif walks and not held:
+            stuck += seconds
+    elif walks:  # without odometry: as if it had gone as fast as it was told
+        gone = BLIND_SPEED * seconds
+    blind = state.blind + gone if view.known is None else 0.0
+    state = replace(state, blind=blind, mark=mark, stuck=stuck, blocked=state.blocked or stuck > STUCK)
     if searching and state.doing == "searching" and view.yaw is not None and last.yaw is not None:
         state = replace(state, turned=state.turned + abs(math.remainder(view.yaw - last.yaw, 2 * math.pi)))
-    if state.anchor is not None and view.xy is not None:
-        when, where = state.anchor
-        if math.dist(view.xy, where) >= PROGRESS:
-            return replace(state, anchor=(view.stamp, view.xy))
-        return replace(state, blocked=state.blocked or view.stamp - when > STUCK)
     return state
 
 
@@ -161,7 +152,7 @@ def _wanted(settings: WalkSettings, state: ControllerState, view: TargetView) ->
     if view.status != "tracking":
         why = "several places are likely" if view.status == "ambiguous" else "the answer is old"
         return state, Command(STILL, "holding", f"{why}: it stands")
-    if view.elevation is not None and abs(view.elevation) > STEEP:
+    if abs(view.elevation) > STEEP:
         where = "above" if view.elevation > 0 else "below"
         return state, Command(STILL, "arrived", f"the thing is right {where} the camera")
     turn, away = min(max(TURN_GAIN * view.azimuth, -TURN), TURN), abs(view.azimuth)
@@ -182,9 +173,8 @@ def _speed(settings: WalkSettings, state: ControllerState, view: TargetView) -> 
     """How fast to walk straight on, 0 to stop; and why."""
     ground, spread = view.known, view.spread
     if ground is None or spread is None:
-        if state.blind >= settings.blind:
+        if (more := settings.blind - state.blind) <= 0:
             return 0.0, f"the distance is still not known after {settings.blind:g} m: it stands"
-        more = settings.blind - state.blind
         return BLIND_SPEED, f"it walks slowly: the distance is not known ({more:.1f} m left)"
     least = ground * math.exp(-spread)
     told = f"{ground:.1f} m (68 %: {least:.1f} to {ground * math.exp(spread):.1f} m)"
@@ -240,7 +230,7 @@ def steer(loop: Any, guard: Guard, odometer: Odometer, settings: WalkSettings) -
         elif not 0 <= answer.stamp - read < RANGED:
             read, far = answer.stamp, (estimate.distance, estimate.distance_spread)
         view = TargetView(
-            estimate.stamp, estimate.status, estimate.azimuth, estimate.elevation, *far, odometer.xy,
+            estimate.stamp, estimate.status, estimate.azimuth, estimate.elevation or 0.0, *far, odometer.xy,
             heading(estimate.world_R_body),
         )  # fmt: skip
         state, command = walk(settings, state, view, held=guard.state.mode is not Mode.ARMED)
@@ -252,5 +242,5 @@ def steer(loop: Any, guard: Guard, odometer: Odometer, settings: WalkSettings) -
             presence=estimate.presence,
             faults=tuple(fault.text for fault in answer.faults if fault.part in PARTS),
         )
-        guard.set_velocity(*command.velocity.parts)
+        guard.set_velocity(*command.velocity)
         yield Step(answer, view, command, guard.state)
