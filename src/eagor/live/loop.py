@@ -85,10 +85,10 @@ class LiveLoop:
     which is killed and started anew if one look takes more than `patience` seconds. `poses`: a source of odometry, or a
     function that opens one; "auto": rotation from the pictures; "level": the same for a camera that stays level; None:
     the camera stands still. `record`: a new folder for a bag of all that happens (`eagor.live.recording`), with
-    the `pictures` as "jpeg", "png" or "none". `acceleration`: see `LoopSettings`. `around`: follow all else that the
-    perception sees, too (`LiveCore.around`), if it knows its classes. `mask`: what the camera never sees. `watchers`
-    see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does, gives no
-    answers meanwhile.
+    the `pictures` as "jpeg", "png" or "none". `acceleration`, `extrapolate`: see `LoopSettings`. `around`: follow all
+    else that the perception sees, too (`LiveCore.around`), if it knows its classes. `mask`: what the camera never sees.
+    `watchers` see all that happens, too. `clock`: what tells the time; one that stands still, as a simulation's does,
+    gives no answers meanwhile.
 
     Iterate over it for answers, one per query and tick, or call `run`. Once only. Neither the camera, the poses nor the
     perception can hold up an answer; what is wrong with them is said in each answer's `faults`. The sources are closed
@@ -111,6 +111,7 @@ class LiveLoop:
         pictures: Pictures = "jpeg",
         fast: bool = False,
         acceleration: float = LoopSettings.acceleration,
+        extrapolate: bool = True,
         around: bool = False,
         mask: BodyMask | None = None,
         watchers: Sequence[Watcher] = (),
@@ -134,7 +135,7 @@ class LiveLoop:
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
         aside = None if not around else 0.0 if fast and not self.live else ASIDE
         self._settings = LoopSettings(
-            tuple(queries), config, poses is not None, self._camera.latency, acceleration, aside
+            tuple(queries), config, poses is not None, self._camera.latency, acceleration, aside, extrapolate
         )
         self.core = LiveCore(self._settings)
         masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
