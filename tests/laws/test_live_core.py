@@ -46,9 +46,9 @@ def run_of(turn, latency, until=8.0, rate=5.0, poses=100.0, robot=0.0, query="ch
     return [event for _, _, event in sorted(events, key=lambda each: each[:2])]
 
 
-def played(events, asked, poses=True, queries=("chair",)):
+def played(events, asked, poses=True, queries=("chair",), extrapolate=True):
     """The last answer, after events and questions in order of time."""
-    core = LiveCore(LoopSettings(tuple(queries), CONFIG, poses))
+    core = LiveCore(LoopSettings(tuple(queries), CONFIG, poses, extrapolate=extrapolate))
     answers = []
     for event in sorted([*events, *map(Asked, asked)], key=lambda each: each.arrival):
         answers += core.take(event)
@@ -264,11 +264,20 @@ EVENTS = st.one_of(
 )  # fmt: skip
 
 
-@given(st.lists(EVENTS, max_size=30), st.booleans())
+@pytest.mark.parametrize("extrapolate", [True, False])
+def test_after_the_newest_pose_the_turn_goes_on_unless_the_answer_is_to_be_that_of_the_pose(extrapolate):
+    (answer,) = played(run_of(0.5, 0.1, until=4.0), [4.2], extrapolate=extrapolate)
+    turned = 0.5 * (4.2 if extrapolate else 4.0)
+    assert math.degrees(angular_distance(answer.estimate.world_R_body[:, 0], yawed(turned)[:, 0])) < 0.1
+    assert math.degrees(angular_distance(answer.direction, THING @ yawed(turned))) < 1.0
+    assert answer.pose_age == pytest.approx(0.2)
+
+
+@given(st.lists(EVENTS, max_size=30), st.booleans(), st.booleans())
 @settings(max_examples=100, deadline=None)
-def test_nothing_that_comes_in_can_stop_the_answers_and_the_same_gives_the_same(events, poses):
+def test_nothing_that_comes_in_can_stop_the_answers_and_the_same_gives_the_same(events, poses, extrapolate):
     """Also after the way into a recording and back: bit for bit."""
-    start = LoopSettings(("chair",), CONFIG, poses, 0.1)
+    start = LoopSettings(("chair",), CONFIG, poses, 0.1, extrapolate=extrapolate)
     events = sorted(events, key=lambda event: event.arrival)
     asked = [each for event in events for each in (event, Asked(event.arrival))]
     first, second = LiveCore(start), LiveCore(settings_from(settings_in_bytes(start)))

@@ -20,19 +20,20 @@ from eagor._values import altered, inherited, known, lazy
 from eagor.grids import ErpGrid, ErpWindow, PatchGrid
 
 
-def interpolated(values: np.ndarray, places: np.ndarray, over: float | None = None) -> np.ndarray:
+def interpolated(
+    values: np.ndarray, places: np.ndarray, over: float | None = None, spline: np.ndarray | None = None
+) -> np.ndarray:
     """Fields ``(..., n_1, ..., n_d)`` at `places` ``(d, m...)``, counted in nodes from 0 to n - 1: ``(..., m...)``.
 
-    By at most `over` they exceed the nodes around a place.
+    By at most `over` they exceed the nodes around a place. `spline`: that of the values, if it is known.
     """
     shape = values.shape[-len(places) :]
     lower = places.astype(np.intp).reshape(len(places), -1)
     weights = np.stack(_weights(places.reshape(lower.shape) - lower), axis=1)
     first = np.zeros(lower.shape[1], dtype=np.intp)
-    coefficients = values
-    for axis, count in enumerate(shape, start=-len(shape)):
-        coefficients = np.swapaxes(np.swapaxes(coefficients, axis, -1) @ _coefficients(count), axis, -1)
+    for axis, count in enumerate(shape):
         first = first * (count + 3) + lower[axis]
+    coefficients = spline_through(values, len(shape)) if spline is None else spline
     near = coefficients.reshape(-1, coefficients[(0,) * (values.ndim - len(shape))].size)
     near = near.take(first + _neighbours(shape), axis=1).reshape(len(near), *[4] * len(shape), len(first))
     for weight in weights[::-1]:
@@ -41,6 +42,13 @@ def interpolated(values: np.ndarray, places: np.ndarray, over: float | None = No
         corners = values.reshape(-1, math.prod(shape)).take(_first(lower, shape) + _corners(shape), axis=1)
         near = np.clip(near, corners.min(axis=1) - over, corners.max(axis=1) + over)
     return near.reshape(*values.shape[: -len(shape)], *places.shape[1:])
+
+
+def spline_through(values: np.ndarray, dimensions: int) -> np.ndarray:
+    """The coefficients ``(..., n_1 + 3, ..., n_d + 3)`` of the splines through fields ``(..., n_1, ..., n_d)``."""
+    for axis in range(-dimensions, 0):
+        values = np.swapaxes(np.swapaxes(values, axis, -1) @ _coefficients(values.shape[axis]), axis, -1)
+    return values
 
 
 def _first(lower: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -152,7 +160,11 @@ class Patch(Nodes):
 
     def at(self, places: np.ndarray) -> np.ndarray:
         """Values at coordinates ``(2, m)`` as `places` gives them, by a cubic spline."""
-        return interpolated(self.values, (places + 1) * ((self.values.shape[0] - 1) / 2))
+        return interpolated(self.values, (places + 1) * ((self.values.shape[0] - 1) / 2), spline=self._spline)
+
+    @lazy
+    def _spline(self) -> np.ndarray:
+        return spline_through(self.values, 2)
 
     def finer(self) -> np.ndarray:
         """Values ``(m, m)`` at nodes `FINER` times as dense, m = (n - 1) FINER + 1, by the same spline."""
@@ -257,16 +269,26 @@ class SphereField:
 
     def __call__(self, where: ErpGrid | ErpWindow | np.ndarray) -> np.ndarray:
         """The field on a grid ``(H, W)``, or at unit vectors ``(..., 3)``."""
-        found = self.smooth(where)
         if not self.patches:
-            return found
-        directions = where if isinstance(where, np.ndarray) else where.directions
-        return self.with_patches(found.reshape(-1), directions.reshape(-1, 3)).reshape(found.shape)
+            return self.smooth(where)
+        if not isinstance(where, np.ndarray):
+            found = self.smooth(where)
+            return self.with_patches(found.reshape(-1), where.directions.reshape(-1, 3)).reshape(found.shape)
+        directions = where.reshape(-1, 3)
+        found, inside = self._in_patches(directions)
+        around = (~inside).nonzero()[0]
+        if len(around):
+            found[around] = self.smooth(directions[around])
+        return found.reshape(where.shape[:-1])
 
     def with_patches(self, values: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """`values` ``(n,)`` at directions ``(n, 3)``, replaced by those of the patches where they lie."""
-        found = values.copy()
-        nearest = np.full(found.shape, np.inf)
+        found, inside = self._in_patches(directions)
+        return np.where(inside, found, values)
+
+    def _in_patches(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The values ``(n,)`` of the patches at directions ``(n, 3)``, and the mask ``(n,)`` of where they lie."""
+        found, nearest = np.zeros(len(directions)), np.full(len(directions), np.inf)
         for patch in self.patches:
             near = np.flatnonzero(directions @ patch.frame[0] > patch.least_ahead)
             if not len(near):
@@ -276,10 +298,17 @@ class SphereField:
             inside &= depth < nearest[near]
             found[near[inside]] = patch.at(places[:, inside])
             nearest[near[inside]] = depth[inside]
-        return found
+        return found, nearest < np.inf
+
+    @lazy
+    def _spline(self) -> np.ndarray:
+        """The coefficients of the cubic spline through the cells, with `MARGIN` around the grid."""
+        from scipy.ndimage import spline_filter
+
+        return spline_filter(self.values.reshape(-1)[_padded(self.grid)], 3, mode="mirror")
 
     def smooth(self, where: ErpGrid | ErpWindow | np.ndarray, order: int = 3) -> np.ndarray:
-        """The values of the grid alone, by splines of this order (1: linear, which is several times as fast)."""
+        """The values of the grid alone, by cubic splines (order 3), or linear (1), which is several times as fast."""
         from scipy.ndimage import map_coordinates
 
         if isinstance(where, ErpGrid) and where == self.grid:
@@ -296,9 +325,9 @@ class SphereField:
             y = (np.arange(rows) + top + 0.5)[:, None] * (height / whole.height) + np.zeros(columns)
             x = ((np.arange(columns) + left + 0.5) * (width / whole.width))[None, :] % width + np.zeros((rows, 1))
         y, x = y + (MARGIN - 0.5), x + (MARGIN - 0.5)
-        flat, around = self.values.reshape(-1), _padded(self.grid)
         if order > 1:
-            return map_coordinates(flat[around], np.stack([y, x]), order=order, mode="mirror")
+            return map_coordinates(self._spline, np.stack([y, x]), order=3, mode="mirror", prefilter=False)
+        flat, around = self.values.reshape(-1), _padded(self.grid)
         top, left = y.astype(np.intp), x.astype(np.intp)
         start, high, wide = top * around.shape[1] + left, 1 - (y - top), 1 - (x - left)
         low, beside = 1 - high, 1 - wide

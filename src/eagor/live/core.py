@@ -152,7 +152,8 @@ class LoopSettings:
     `acceleration`: radians per second squared (root mean square) by which the camera may turn faster or slower. The
     poses tell more: this counts as one observation beside many, and alone where there are too few. `around`: also
     follow all else that a perception sees that knows its classes, with one computation, for one thing, every so many
-    seconds at most; 0: all at once, however long it takes; None: do not.
+    seconds at most; 0: all at once, however long it takes; None: do not. `extrapolate`: answers are those of the time
+    that is asked for; otherwise those of the newest pose.
     """
 
     queries: tuple[str, ...]
@@ -161,6 +162,7 @@ class LoopSettings:
     latency: float = 0.0
     acceleration: float = 0.5
     around: float | None = None
+    extrapolate: bool = True
 
 
 class LiveCore:
@@ -183,6 +185,7 @@ class LiveCore:
         self._apart = settings.around or 0.0  # seconds between two works on it, at least
         self._aside = -math.inf  # when the last was
         self._recent = RecentPoses(settings.acceleration)
+        self._extrapolates = settings.poses and settings.extrapolate
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
         self._pose = -math.inf
         self._images: dict[int, tuple[float, float]] = {}  # by lens: the newest stamp, and seconds from the one before
@@ -439,7 +442,7 @@ class LiveCore:
             self._compute(query, now)
         # A look without a pose of its time has the newest pose: what matters is how the camera has turned since.
         known = max(self._pose, self._looks.get(query, -math.inf))
-        pose, spread = self._recent.after(now - known if self.has_poses else 0.0)
+        pose, spread = self._recent.after(now - known if self._extrapolates else 0.0)
         return self._full[query][0].turned(now, pose, spread)
 
     def _unknown(self, now: float) -> Estimate:

@@ -97,8 +97,8 @@ class Loop:
       works in this process, with a warning.
     - `sinks` see all that comes in and out. `record`: a new folder for a bag of all that happens
       (`eagor.live.recording`), with the `pictures` as "jpeg", "png" or "none".
-    - `acceleration`: see `LoopSettings`. `around`: follow all else that the perception sees, too (`LiveCore.around`),
-      if it knows its classes. `mask`: what the camera never sees. `clock`: what tells the time; one that stands still,
+    - `acceleration`, `extrapolate`: see `LoopSettings`. `around`: follow all else that the perception sees, too
+      (`LiveCore.around`), if it knows its classes. `mask`: what the camera never sees. `clock`: what tells the time; one that stands still,
       as a simulation's does, gives no answers meanwhile.
 
     Iterate over it for answers, or call `run`. Once only. In real time, neither the camera, the poses nor the
@@ -126,6 +126,7 @@ class Loop:
         record: Path | None = None,
         pictures: Pictures = "jpeg",
         acceleration: float = LoopSettings.acceleration,
+        extrapolate: bool = True,
         around: bool = False,
         mask: BodyMask | None = None,
         clock: LoopClock | None = None,
@@ -150,7 +151,9 @@ class Loop:
         config = config or TrackerConfig()
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
         aside = None if not around else ASIDE if self.realtime else 0.0
-        self._settings = LoopSettings(queries, config, poses is not None, self._camera.latency, acceleration, aside)
+        self._settings = LoopSettings(
+            queries, config, poses is not None, self._camera.latency, acceleration, aside, extrapolate
+        )
         self.core = LiveCore(self._settings)
         masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
         perception = as_perception(perception)

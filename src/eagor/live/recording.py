@@ -13,7 +13,7 @@ import struct
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Literal
@@ -67,7 +67,7 @@ FLUSHED = 0.5  # seconds between two flushes: as much may be lost
 WAITING = 16  # pictures that may wait to be written; further ones are left out
 QUALITY = 92  # of JPEG
 BODY = "base_link"  # REP-105
-VERSION = 3  # of the events
+VERSION = 4  # of the events
 
 Pictures = Literal["jpeg", "png", "none"]
 
@@ -150,8 +150,7 @@ def event_from(content: bytes) -> Event:
 
 def settings_in_bytes(settings: LoopSettings) -> bytes:
     """What the core began with."""
-    values = settings.queries, settings.config, settings.poses, settings.latency, settings.acceleration, settings.around
-    return b"S" + packed((VERSION, *values))
+    return b"S" + packed((VERSION, *(getattr(settings, each.name) for each in fields(settings))))
 
 
 def settings_from(content: bytes) -> LoopSettings:
@@ -163,8 +162,8 @@ def settings_from(content: bytes) -> LoopSettings:
         raise FormatError(
             f"the recording is of version {found[0]}; wanted {VERSION}: play it with the eagor that made it"
         )
-    _, queries, config, poses, latency, acceleration, around = found
-    return LoopSettings(tuple(queries), config, bool(poses), float(latency), float(acceleration), around)
+    _, queries, config, poses, latency, acceleration, around, extrapolate = found
+    return LoopSettings(tuple(queries), config, bool(poses), float(latency), float(acceleration), around, extrapolate)
 
 
 def _text(kind: bytes, arrival: float, *words: Any) -> bytes:

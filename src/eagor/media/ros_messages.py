@@ -42,8 +42,8 @@ LATEST = 2**31  # seconds: builtin_interfaces/Time counts them as int32
 _NORM = 0.01  # by which a quaternion's length may differ from 1
 # Encodings of sensor_msgs/Image (sensor_msgs/image_encodings.hpp): values a pixel, and which of them are R, G, B. Those
 # with 16 in their names have two bytes a value.
-ENCODINGS: Mapping[str, tuple[int, list[int]]] = {
-    **{f"{order}{bits}": (len(order), [order.index(each) for each in "rgb"])
+ENCODINGS: Mapping[str, tuple[int, slice | list[int]]] = {
+    **{f"{order}{bits}": (len(order), slice(3) if order[0] == "r" else slice(2, None, -1))
        for order in ("rgb", "bgr", "rgba", "bgra") for bits in (8, 16)},
     "mono8": (1, [0, 0, 0]), "mono16": (1, [0, 0, 0]),
 }  # fmt: skip
@@ -147,7 +147,7 @@ def _raw(received: Any) -> np.ndarray:
         return _of_yuv(*_planes(received, *PLANES[encoding]))
     if encoding not in ENCODINGS and encoding not in BAYER:
         raise _refused("an Image has the encoding", encoding)
-    count, places = ENCODINGS.get(encoding, (1, [0]))
+    count, places = ENCODINGS.get(encoding, (1, slice(1)))
     if "16" in encoding:
         order = ">u2" if received.is_bigendian else "<u2"
         wide = np.ascontiguousarray(_rows(received, 2 * count)).view(order)

@@ -48,6 +48,7 @@ LEVEL = 0.5  # likeness from which on a cell belongs to a region
 LEAST = 1.5  # least weight of a region, in the largest cells: two cells in a row weigh 1 and may be noise, a thing 4
 # Across, in a panorama: smaller regions are specks and fringes. With finer rows, photographs have five times as many.
 SMALLEST = math.radians(1)
+STRIP = 32  # rows that are judged at a time: small arrays stay in the processor's cache, and cost no new memory
 
 
 def _above(low: float, high: float) -> Interval:
@@ -203,6 +204,8 @@ def _reduced(panorama: np.ndarray, rows: int, columns: int) -> np.ndarray:
     else:
         raise ImageError(f"the panorama holds {image.dtype}; wanted uint8, or floating numbers in [0, 1]")
     height, width = image.shape[:2]
+    if height <= rows and width <= columns:
+        return decode(image)
     # Cells end at the nearest pixel border; rounding down would shift everything by half a pixel, up and to the left.
     tops = np.rint(np.linspace(0, height, min(height, rows) + 1)).astype(int)
     lefts = np.rint(np.linspace(0, width, min(width, columns) + 1)).astype(int)
@@ -222,13 +225,13 @@ _XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.
 _XYZ /= _XYZ.sum(axis=1, keepdims=True)
 
 
-def _lightness_chroma_hue(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """CIELAB lightness (0 to 100), chroma and hue (degrees) of linear sRGB ``(..., 3)`` (CIE 15, section 8.2.1)."""
+def _lab(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """CIELAB L* (0 to 100), a* and b* of linear sRGB ``(..., 3)`` (CIE 15, section 8.2.1)."""
     ratio = linear @ _XYZ.T
-    f = np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), ratio * (29 / 6) ** 2 / 3 + 4 / 29)
+    f, dark = np.cbrt(ratio), ratio <= (6 / 29) ** 3
+    f[dark] = ratio[dark] * (29 / 6) ** 2 / 3 + 4 / 29
     x, y, z = f[..., 0], f[..., 1], f[..., 2]
-    a, b = 500 * (x - y), 200 * (y - z)
-    return 116 * y - 16, np.hypot(a, b), np.degrees(np.arctan2(b, a))
+    return 116 * y - 16, 500 * (x - y), 200 * (y - z)
 
 
 def _likeness(linear: np.ndarray, colour: Colour, around: bool = True) -> np.ndarray:
@@ -236,13 +239,26 @@ def _likeness(linear: np.ndarray, colour: Colour, around: bool = True) -> np.nda
 
     Each value is weighted by the agreement of its 3 x 3 neighbourhood; `around`: the last column touches the first.
     """
-    lightness, chroma, hue = _lightness_chroma_hue(linear)
-    likeness = _member(chroma / (lightness + 12), colour.saturation) * _member(lightness, colour.lightness)
+    strips = np.split(linear, range(STRIP, len(linear), STRIP))
+    likeness = np.concatenate([_pixel_likeness(strip, colour) for strip in strips])
+    return likeness * _ramp(blurred(likeness, around), 0.25, 0.5)
+
+
+def _pixel_likeness(linear: np.ndarray, colour: Colour) -> np.ndarray:
+    """Likeness of each pixel of ``(h, w, 3)`` by itself, in [0, 1]."""
+    lightness, a, b = _lab(linear)
+    saturation = np.hypot(a, b) / (lightness + 12)
+    # Mostly few: what is too pale or too vivid is not judged any further.
+    some = ((saturation > colour.saturation[0]) & (saturation < colour.saturation[-1])).nonzero()
+    lightness, a, b = lightness[some], a[some], b[some]
+    members = _member(saturation[some], colour.saturation) * _member(lightness, colour.lightness)
     if colour.hue is not None:
         start, full_low, full_high, end = colour.hue
-        turned = (hue - start) % 360  # the interval now starts at zero and does not wrap
-        likeness = likeness * _member(turned, (0.0, full_low - start, full_high - start, end - start))
-    return likeness * _ramp(blurred(likeness, around), 0.25, 0.5)
+        turned = (np.degrees(np.arctan2(b, a)) - start) % 360  # the interval now starts at zero and does not wrap
+        members *= _member(turned, (0.0, full_low - start, full_high - start, end - start))
+    likeness = np.zeros_like(saturation)
+    likeness[some] = members
+    return likeness
 
 
 def _member(values: np.ndarray, interval: Interval) -> np.ndarray:

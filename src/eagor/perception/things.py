@@ -202,13 +202,15 @@ def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[
     where = np.flatnonzero(labels)
     order = where[np.argsort(labels[where], kind="stable")]
     ends = np.cumsum(np.bincount(labels[where])[1:])
-    directions, areas, values = grid.directions.reshape(-1, 3), grid.weights.reshape(-1), response.reshape(-1)
+    areas, values = grid.weights.reshape(-1), response.reshape(-1)
     found = []
     for cells in np.split(order, ends[:-1]) if len(order) else ():
         weights = areas[cells] * values[cells]
         if weights.sum() >= least:
             beyond, more = _beyond(cells, float(weights.sum()), grid)
-            points, masses = np.concatenate([directions[cells], beyond]), np.concatenate([weights, more])
+            rows, columns = np.divmod(cells, grid.width)
+            directions = grid.unproject(columns + 0.5, rows + 0.5)
+            points, masses = np.concatenate([directions, beyond]), np.concatenate([weights, more])
             centre, spread = moments_of(points, masses)
             found.append((centre, spread, float(weights.sum() / areas[cells].sum())))
     return found

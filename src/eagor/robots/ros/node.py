@@ -19,7 +19,16 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PointStamped, PoseStamped, Quaternion, TransformStamped, Vector3, Vector3Stamped
+from geometry_msgs.msg import (
+    Point,
+    PointStamped,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    TransformStamped,
+    Vector3,
+    Vector3Stamped,
+)
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
@@ -50,7 +59,7 @@ MOST = 16  # queries at a time
 AGAIN, FIRST_TIME = 2.0, 10.0  # seconds before sources are opened again; in which a simulation has to tell the time
 GRAVE = 5.0  # seconds after which a fault is an error rather than a warning
 LASTING = Duration(nanoseconds=NANO // 2)  # of markers
-TURNS = np.linspace(0, 2 * np.pi, 25)
+TURNS = [math.tau * each / 24 for each in range(25)]  # about the axis of the cone
 
 
 def queries_after(now: Sequence[str], text: str) -> list[str]:
@@ -248,7 +257,8 @@ class EagorNode(LifecycleNode):
             self.placed = self.ears.placed(self.base, self.frame)
             self.loop = Loop(
                 already_open(first, camera), poses if isinstance(source, tuple) else source, spec.perception, queries,
-                sinks=[self], config=spec.config, rate=values["rate"], patience=values["patience"], clock=self.ears,
+                sinks=[self], config=spec.config, rate=values["rate"], patience=values["patience"],
+                extrapolate=False, clock=self.ears,
             )  # fmt: skip
         except BaseException:
             first.close()
@@ -300,14 +310,12 @@ class EagorNode(LifecycleNode):
         header, d = Header(stamp=Time(nanoseconds=nanoseconds).to_msg(), frame_id=self.base), estimate.direction
         if d is not None:
             space = spaces(queries)[queries.index(answer.query)]
-            self.publish(f"{space}/direction", Vector3Stamped(header=header, vector=numbers(Vector3, d)))
-            towards = PoseStamped(header=header)
-            towards.pose.position, towards.pose.orientation = numbers(Point, place), quaternion(pointing(d))
-            self.publish(f"{space}/pose", towards)
+            self.publish(f"{space}/direction", Vector3Stamped, header=header, vector=numbers(Vector3, d))
+            self.publish(f"{space}/pose", PoseStamped, header=header, pose=lambda: posed(place, d))
             if estimate.status == "tracking" and estimate.distance is not None:
                 there = numbers(Point, place + estimate.distance * d)
-                self.publish(f"{space}/point", PointStamped(header=header, point=there))
-            self.publish("~/markers", MarkerArray(markers=markers(header, answer.query, estimate, place)))
+                self.publish(f"{space}/point", PointStamped, header=header, point=there)
+            self.publish("~/markers", MarkerArray, markers=lambda: markers(header, answer.query, estimate, place))
         ages = {"pose_age": answer.pose_age, "look_age": answer.look_age, "image_age": answer.image_age}
         self.tick[answer.query] = {
             "query": answer.query, "stamp": nanoseconds / NANO, "stamp_ns": nanoseconds, "frame": self.base,
@@ -317,7 +325,7 @@ class EagorNode(LifecycleNode):
         }  # fmt: skip
         if answer.query == queries[-1]:
             self.told, self.tick, self.faults = [*self.tick.values()], {}, answer.faults
-            self.publish("~/answers", String(data=json.dumps(self.told)))
+            self.publish("~/answers", String, data=lambda: json.dumps(self.told))
             for text, wrong in self.log.of(self.wrong(), time.monotonic()):
                 if wrong:  # rclpy knows a call by its line, whose severity must stay
                     self.get_logger().warning(text)
@@ -335,11 +343,14 @@ class EagorNode(LifecycleNode):
             )
         return [*self.faults, *([] if problem is None else [Fault("poses", problem, self.ears.now())])]
 
-    def publish(self, topic: str, message: Any) -> None:
-        if topic not in self.outputs:
-            self.outputs[topic] = self.create_publisher(type(message), topic, 10)
+    def publish(self, topic: str, kind: Any, **fields: Any) -> None:
+        """A message of a `kind`, if anybody listens; only then is called what makes a field."""
         try:
-            self.outputs[topic].publish(message)
+            if topic not in self.outputs:
+                self.outputs[topic] = self.create_publisher(kind, topic, 10)
+            if self.outputs[topic].get_subscription_count():
+                made = {name: value() if callable(value) else value for name, value in fields.items()}
+                self.outputs[topic].publish(kind(**made))
         except Exception:  # the context may end at any time
             if self.context.ok():
                 raise
@@ -358,23 +369,23 @@ class EagorNode(LifecycleNode):
         for each in told:
             where = "" if each["direction"] is None else f", {each['azimuth_deg']:.0f} degrees to the left"
             found.append(DiagnosticStatus(name=f"eagor: {each['query']}", message=f"{each['status']}{where}"))
-        self.publish("/diagnostics", DiagnosticArray(header=Header(stamp=now.to_msg()), status=found))
+        self.publish("/diagnostics", DiagnosticArray, header=Header(stamp=now.to_msg()), status=found)
 
 
 def markers(header: Header, query: str, estimate: Any, place: np.ndarray) -> list[Marker]:
     """An arrow, the cone that holds 90 % of the belief, and words, from the camera's `place`."""
-    d, angle, turn = estimate.direction, estimate.credible_angle, pointing(estimate.direction)
+    d, angle = estimate.direction, estimate.credible_angle
 
     def marker(number: int, kind: int, alpha: float, at: np.ndarray, **more: Any) -> Marker:
         colour = ColorRGBA(r=0.9, g=0.1, b=0.1, a=alpha)
         made = Marker(header=header, ns=query, id=number, type=kind, lifetime=LASTING.to_msg(), color=colour, **more)
-        made.pose.position = numbers(Point, at)
+        made.pose = posed(at, d)
         return made
 
     arrow = marker(0, Marker.ARROW, 1.0, place, scale=Vector3(x=1.0, y=0.03, z=0.06))
-    arrow.pose.orientation = quaternion(turn)
-    rim = math.cos(angle) * d + math.sin(angle) * np.stack([np.cos(TURNS), np.sin(TURNS)], 1) @ turn[:, 1:].T
-    sides = [each for a, b in pairwise(rim) for each in (Point(), numbers(Point, a), numbers(Point, b))]
+    ahead, beside = math.cos(angle), math.sin(angle)
+    rim = [Point(x=ahead, y=beside * math.cos(turn), z=beside * math.sin(turn)) for turn in TURNS]
+    sides = [each for a, b in pairwise(rim) for each in (Point(), a, b)]
     cone = marker(1, Marker.TRIANGLE_LIST, 0.25, place, scale=Vector3(x=1.0, y=1.0, z=1.0), points=sides)
     said = f"{query}: {estimate.status}"
     return [arrow, cone, marker(2, Marker.TEXT_VIEW_FACING, 1.0, place + 1.1 * d, scale=Vector3(z=0.1), text=said)]
@@ -389,10 +400,11 @@ def quaternion(turn: np.ndarray) -> Quaternion:
     return Quaternion(**dict(zip("xyzw", map(float, xyzw_from_rotation(turn)), strict=True)))
 
 
-def pointing(d: np.ndarray) -> np.ndarray:
-    """The rotation whose x axis is `d`, with y level."""
+def posed(place: np.ndarray, d: np.ndarray) -> Pose:
+    """At a place; the x axis is `d`, and y level."""
     azimuth, elevation = azimuth_elevation(d)
-    return world_R_body(float(azimuth), -float(elevation), 0.0)  # pitch is positive with the nose down
+    turn = world_R_body(float(azimuth), -float(elevation))  # pitch is positive with the nose down
+    return Pose(position=numbers(Point, place), orientation=quaternion(turn))
 
 
 def run(setup: Callable[[Mapping[str, Any], Sequence[str]], Setup], args: Sequence[str]) -> bool:

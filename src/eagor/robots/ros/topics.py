@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -19,17 +20,13 @@ from uuid import uuid4
 
 import numpy as np
 import rclpy
+from rclpy.callback_groups import CallbackGroup
 from rclpy.context import Context
 from rclpy.exceptions import NameValidationException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-
-try:
-    from rclpy.event_handler import SubscriptionEventCallbacks
-except ImportError:  # Humble
-    from rclpy.qos_event import SubscriptionEventCallbacks  # type: ignore[import-not-found, no-redef]
 
 from eagor.errors import DeviceError, EagorError
 from eagor.live.threads import LoopClock
@@ -37,19 +34,32 @@ from eagor.media import Frame, Pose
 from eagor.media.bag_sources import apart
 from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC
 from eagor.media.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
-from eagor.media.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds
+from eagor.media.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds, store
 from eagor.media.topic_pictures import Lenses, LensTold, TopicPictures, beside, lens_told, placed, topics_of
 
 __all__ = ["Ears", "RosCamera", "RosPoses"]
 
 FIRST = 10.0  # seconds in which a publisher, and the first message, have to come
 SETTLING = 2.0  # seconds in which a CameraInfo, or a transform that was told before, has to come
+BREATH = 0.1  # seconds after which somebody looks whether there is more to hear, or an end
 LEASE = 30.0  # seconds that one who has died without a word may still be counted among the publishers
 KEPT = 20_000  # poses that wait to be taken, and stamps that are known to the nanosecond
 
 
+class NoExecutor(CallbackGroup):
+    """Of subscriptions that executors leave alone."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    beginning_execution = can_execute
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing has begun."""
+
+
 class Ears(LoopClock):
-    """What an rclpy `node`, which somebody spins, hears; with the transforms of /tf where tf2_msgs is installed.
+    """What an rclpy `node` hears in a thread of its own; with the transforms of /tf where tf2_msgs is installed.
 
     Without a node it makes one, where the environment says (ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE). `ended`:
     whether nobody waits any more. `stamps`: those of messages in whole nanoseconds, by seconds. `news` is notified of
@@ -57,15 +67,14 @@ class Ears(LoopClock):
     """
 
     def __init__(self, node: Node | None = None, ended: Callable[[], bool] = lambda: False) -> None:
-        self._executor: SingleThreadedExecutor | None = None
+        self._own = node is None
         if node is None:
             context = Context()
             rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-            node = Node(f"eagor_{uuid4().hex}", context=context)
-            self._executor = SingleThreadedExecutor(context=context)
-            self._executor.add_node(node)
-            threading.Thread(target=self._executor.spin, name="eagor rclpy", daemon=True).start()
-        self.node, self.ended = node, ended
+            node = Node(f"eagor_{uuid4().hex}", context=context, start_parameter_services=False)
+        self.node: Node = node
+        self.ended = ended
+        self._closed, self._heard = False, dict[Any, Callable[[Any], Any]]()
         self.stamps, self.tree, self.news = dict[float, int](), TransformTree(), threading.Condition()
         self.taker: Callable[[Any, bool], Any] = self.tree.add  # of transforms: poses are, while they are read
         self.has_transforms = find_spec("tf2_msgs") is not None  # no wheel has it
@@ -73,11 +82,14 @@ class Ears(LoopClock):
             durability = DurabilityPolicy.TRANSIENT_LOCAL if fixed else DurabilityPolicy.VOLATILE
             qos = QoSProfile(depth=100, durability=durability)
             self.subscribe(TRANSFORMS, topic, lambda told, fixed=fixed: self.taker(told, fixed), qos)
+        threading.Thread(target=self._hear, name="eagor ears", daemon=True).start()
 
     def close(self) -> None:
-        """Leave the graph, if the node is its own."""
-        if self._executor is not None:
-            self._executor.shutdown(1.0)
+        """Hear nothing more; leave the graph, if the node is its own."""
+        self._closed = True
+        for each in [*self._heard]:
+            self.unsubscribe(each)
+        if self._own:
             self.node.destroy_node()
             self.node.context.try_shutdown()
 
@@ -88,17 +100,59 @@ class Ears(LoopClock):
         except NameValidationException as error:
             raise DeviceError(f"{topic!r} is no name of a topic: {error}") from error
 
-    def subscribe(self, kind: str, topic: str, heard: Callable[[Any], Any], qos: QoSProfile, **more: Any) -> Any:
+    def subscribe(self, kind: str, topic: str, heard: Callable[[Any], Any], qos: QoSProfile) -> Any:
         """Call `heard` with each message of a `kind` such as "sensor_msgs/msg/Image", while `news` is held."""
         package, _, name = kind.partition("/msg/")
+        raw = {"raw": find_spec("rosbags") is not None, "callback_group": NoExecutor()}
+        found = self.node.create_subscription(getattr(import_module(f"{package}.msg"), name), topic, heard, qos, **raw)
+        with self.news:
+            self._heard[found] = (lambda data: heard(store().deserialize_cdr(data, kind))) if found.raw else heard
+            self.news.notify_all()
+        return found
 
-        def received(message: Any) -> None:
+    def unsubscribe(self, subscription: Any) -> None:
+        """Hear no more of it."""
+        with self.news:
+            self._heard.pop(subscription, None)
+        self.node.destroy_subscription(subscription)
+
+    def _hear(self) -> None:
+        """Take messages as they come.
+
+        rclpy's executors look at all that a node has, twice for each message, and its own messages are slow to make:
+        that takes five times as long. This is how `rclpy.wait_for_message` waits.
+        """
+        context = self.node.context
+        while context.ok() and not self._closed:
             with self.news:
-                heard(message)
-                self.news.notify_all()
+                self.news.wait_for(lambda: self._heard, BREATH)
+                heard = dict(self._heard)
+            try:
+                self._take(heard)
+            except RuntimeError:  # as rclpy has it if one of them, or all, have just ended
+                if context.ok() and heard == self._heard:
+                    raise
 
-        types = import_module(f"{package}.msg")
-        return self.node.create_subscription(getattr(types, name), topic, received, qos, **more)
+    def _take(self, heard: dict[Any, Callable[[Any], Any]]) -> None:
+        """Take messages of these, as long as they are all."""
+        with ExitStack() as held:  # what is held is not destroyed
+            for handle in [self.node.context.handle, *(each.handle for each in heard)]:
+                held.enter_context(handle)
+            waiting = rclpy_implementation.WaitSet(len(heard), 0, 0, 0, 0, 0, self.node.context.handle)
+            while heard and heard == self._heard and self.node.context.ok():
+                waiting.clear_entities()
+                for each in heard:
+                    waiting.add_subscription(each.handle)
+                waiting.wait(round(BREATH * NANO))
+                for each, take in heard.items():
+                    while (found := each.handle.take_message(each.msg_type, each.raw)) is not None:
+                        with self.news:
+                            try:
+                                take(found[0])
+                            except Exception as error:  # one message is no reason to hear no more
+                                text = f"{each.topic_name}: a message is left out: {error!r}"
+                                self.node.get_logger().error(text, throttle_duration_sec=10.0)
+                            self.news.notify_all()
 
     def offered(self, topic: str, kinds: Collection[str]) -> tuple[str, QoSProfile]:
         """The type of a `topic`, one of `kinds`, and how to read it. Raises `DeviceError` if nobody publishes it."""
@@ -113,7 +167,7 @@ class Ears(LoopClock):
         all_reliable = all(each.qos_profile.reliability == reliable for each in publishers)
         all_latched = all(each.qos_profile.durability == latched for each in publishers)
         return found, QoSProfile(
-            depth=10,
+            depth=10 if found in PICTURES else 100,
             reliability=reliable if all_reliable else ReliabilityPolicy.BEST_EFFORT,
             durability=latched if all_latched else DurabilityPolicy.VOLATILE,
         )
@@ -166,9 +220,14 @@ class TopicSource:
             self._closed = True
             self._ears.news.notify_all()
         while self._readers:
-            self._ears.node.destroy_subscription(self._readers.pop())
+            self._ears.unsubscribe(self._readers.pop())
         if self._own:
             self._ears.close()
+
+    def _read(self, topic: str, kinds: Collection[str], heard: Callable[[Any], Any]) -> None:
+        """Read a topic as its publishers offer it. Raises `DeviceError` as `Ears.offered`."""
+        kind, qos = self._ears.offered(topic, kinds)
+        self._readers.append(self._ears.subscribe(kind, topic, heard, qos))
 
 
 class RosCamera(TopicSource):
@@ -254,18 +313,6 @@ class RosCamera(TopicSource):
         self.dropped += self._fresh[lens] and lens in self._turn
         self._newest[lens], self._fresh[lens] = message, True
 
-    def _read(self, topic: str, kinds: Collection[str], heard: Callable[[Any], Any]) -> None:
-        """As its publishers offer it; if one comes that offers less, the camera ends, and is opened again."""
-
-        def less(_: Any) -> None:
-            with self._ears.news:
-                self._closed = True
-                self._ears.news.notify_all()
-
-        kind, qos = self._ears.offered(topic, kinds)
-        events = SubscriptionEventCallbacks(incompatible_qos=less)
-        self._readers.append(self._ears.subscribe(kind, topic, heard, qos, event_callbacks=events))
-
     def _told(self, topic: str, asked: str | None) -> LensTold | None:
         """What the CameraInfo says; None if nobody publishes it."""
         name, found = self._ears.resolved(asked or beside(topic)), list[Any]()
@@ -273,7 +320,7 @@ class RosCamera(TopicSource):
             return None
         self._read(name, (CAMERA_INFO,), found.append)
         came = self._ears.wait(lambda: found)
-        self._ears.node.destroy_subscription(self._readers.pop())
+        self._ears.unsubscribe(self._readers.pop())
         if not came:
             raise DeviceError(f"no CameraInfo came on {name} within {FIRST:g} s; drivers send one with each picture")
         return lens_told(found[0], name, topic)
@@ -308,7 +355,7 @@ class RosPoses(TopicSource):
         self._counted = self._alone = time.monotonic()
         try:
             self.topic = self._ears.resolved(topic or "odom")
-            self.kind, qos = self._ears.offered(self.topic, kinds)
+            self.kind, _ = self._ears.offered(self.topic, kinds)
             if self.kind == TRANSFORMS and not self._ears.has_transforms:
                 raise DeviceError(f"{self.topic} needs tf2_msgs, which no wheel has: source a ROS installation")
             how = {"strict": self.kind == TRANSFORMS, "rewinds": True}
@@ -318,8 +365,7 @@ class RosPoses(TopicSource):
                 self._ears.wait(lambda: self._ears.placed(self.reader.body, camera), SETTLING)
             self._ears.taker = self._moved
             if self.kind != TRANSFORMS:
-                qos.depth = 100
-                self._readers.append(self._ears.subscribe(self.kind, self.topic, self._received, qos))
+                self._read(self.topic, (self.kind,), self._received)
             if not self._ears.wait(lambda: self._poses or self._error) and not self._ears.ended():
                 told = self.problem or "are its stamps set, and does it run?"
                 raise DeviceError(f"no pose came on {self.topic} within {FIRST:g} s: {told}")
