@@ -98,8 +98,8 @@ class Loop:
     - `sinks` see all that comes in and out. `record`: a new folder for a bag of all that happens
       (`eagor.live.recording`), with the `pictures` as "jpeg", "png" or "none".
     - `acceleration`, `extrapolate`: see `LoopSettings`. `around`: follow all else that the perception sees, too
-      (`LiveCore.around`), if it knows its classes. `mask`: what the camera never sees. `clock`: what tells the time; one
-      that stands still, as a simulation's does, gives no answers meanwhile.
+      (`LiveCore.around`), if it knows its classes. `mask`: what the camera never sees. `clock`: what tells the time;
+      one that stands still, as a simulation's does, gives no answers meanwhile.
 
     Iterate over it for answers, or call `run`. Once only. In real time, neither the camera, the poses nor the
     perception can hold up an answer; what is wrong with them is said in each answer's `faults`. Raises `QueryError` if
