@@ -10,7 +10,8 @@ import math
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -239,7 +240,7 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
         mask = BodyMask(~unseen)
     try:
         loop = LiveLoop(
-            already_open(camera, opens) if camera.live else camera, spec, queries, poses=_poses(options, camera),
+            already_open(camera, opens) if camera.live else camera, spec, queries, poses=_poses(options, camera, opens),
             config=config, rate=options.rate, patience=options.patience, record=options.record,
             pictures=options.pictures, fast=options.fast, around=around, mask=mask, watchers=watchers,
         )  # fmt: skip
@@ -252,8 +253,8 @@ def loop_of(options: Live, watchers: Sequence[Watcher] = (), around: bool = Fals
     return loop
 
 
-def _poses(options: Live, camera: CameraSource) -> Any:
-    """What `LiveLoop` takes for ``--poses``."""
+def _poses(options: Live, camera: CameraSource, opens: Callable[[], CameraSource]) -> Any:
+    """What `LiveLoop` takes for ``--poses``; `opens` the camera a second time."""
     from eagor.live.threads import GivenPoses
     from eagor.media.bag_sources import BagCamera, bag_odometry
     from eagor.media.pose_axes import odometry_of_file
@@ -275,7 +276,8 @@ def _poses(options: Live, camera: CameraSource) -> Any:
         raise terminal.UsageError(
             f"--poses {text}: a live camera needs live poses; wanted auto, level, still, ros:/TOPIC or go2"
         )
-    return GivenPoses(odometry_of_file(text, options.axes))
+    with closing(opens()) as again:
+        return GivenPoses(odometry_of_file(text, options.axes, lambda: again))
 
 
 class _Told:
