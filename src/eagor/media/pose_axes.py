@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -83,7 +84,9 @@ def settled(
     """
     if axes == "body":
         return poses
-    given, pairs = axes != "auto", [] if frames is None else list(_pairs(frames(), poses))
+    given, pairs = axes != "auto", list[Pair]()
+    with suppress(EagorError):  # who looks at the frames meets it again, and says so
+        pairs += () if frames is None else _pairs(frames(), poses)
     if not given and poses.axes in AXES:
         axes = poses.axes
         if poses.form:
