@@ -218,6 +218,7 @@ export const words = {
     nats: (x: number) => `${tenths(x)} nats`,
     look: "Newest look",
     degrees: (x: number) => `${x < 10 ? x.toFixed(1) : whole(x)}°`,
+    lookedFor: (name: string) => ` (looked for ${name})`,
     seconds: (x: number) => (x < 10 ? `${x.toFixed(1)} s ago` : `${whole(x)} s ago`),
     slow: "Perception is slow: the answer is predicted from the newest look.",
     never: "none yet",

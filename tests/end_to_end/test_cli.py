@@ -489,6 +489,8 @@ def test_a_bare_colour_needs_no_detector(room, no_model, query):
 def test_with_the_detector_a_colour_only_weighs_what_it_knows(room, coco_model):
     assert {answer("locate", room, query)["perception"] for query in ("chair", "red chair", "the orange")} == {"coco"}
     assert answer("locate", room, "something orange")["perception"] == "colour"
+    assert answer("locate", room, "the footstool")["looked_for"] == "chair"
+    assert "not known (looked for dining table)" in eagor("locate", room, "desk").stdout
     for query in ("red door", "orange juice", "door"):
         line = refused("locate", room, query)
         assert f"the query {query!r} names none of this detector's" in line

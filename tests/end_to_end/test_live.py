@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from livemaking import Film, LoadedSlowly, Seeing, balls
+from moving_rooms import PatternRoom
 from PIL import Image
 from processes import alive, sessions_of, wait_for
 
@@ -91,6 +92,18 @@ def test_poses_of_a_file_are_those_of_its_clock(film, tmp_path, capsys):
     last = lines(capsys)[-1]
     assert last["status"] == "tracking"
     assert last["credible_angle_deg"] < 5
+
+
+def test_poses_of_a_file_that_contradict_the_film_are_refused(tmp_path, capsys):
+    (tmp_path / "film").mkdir()
+    room, poses = PatternRoom(4).panorama(np.eye(3), rows=128), tmp_path / "poses.csv"
+    for number in range(12):
+        Image.fromarray(np.roll(room, 6 * number, axis=1)).save(tmp_path / "film" / f"{number / 10:.2f}.png")
+    for sign, code in ((-1, 2), (1, 0)):
+        rows = [f"{k / 10},{sign * k * 6 * 360 / 256},0,0" for k in range(12)]
+        poses.write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *rows]))
+        assert main(["live", str(tmp_path / "film"), "red", "--fast", "--json", "--poses", str(poses)]) == code
+        assert ("contradicts the pictures" in capsys.readouterr().err) == (code == 2)
 
 
 def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):

@@ -103,7 +103,7 @@ def methods_as_dict(directions: Mapping[str, np.ndarray]) -> dict[str, dict[str,
 
 COLUMNS = (
     "frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "distance_spread",
-    "status",
+    "status", "looked_for",
 )  # fmt: skip
 SUFFIXES = (".csv", ".jsonl")
 

@@ -237,7 +237,8 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
     if options.eyes is not None and mask is None and (unseen := getattr(camera, "unseen", None)) is not None:
         mask = BodyMask(~unseen)
     try:
-        poses = poses_for(options.poses, camera, axes=options.axes, domain=options.domain, interface=options.interface)
+        dds = {"domain": options.domain, "interface": options.interface}
+        poses = poses_for(options.poses, camera, axes=options.axes, again=opens, **dds)
         loop = Loop(
             already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast, sinks,
             config=config, rate=options.rate, patience=options.patience, record=options.record,

@@ -145,7 +145,7 @@ class Loop:
         self.live = self._camera.live
         self.rate, self.realtime = rate, realtime or self.live
         if isinstance(poses, str):
-            poses = poses_for(poses, self._camera)
+            poses = poses_for(poses, self._camera, again=reopen)
         self._odometer = poses if isinstance(poses, VisualOdometer) else None
         self._frames, self._odometry = self._readers(reopen, poses)
         config = config or TrackerConfig()

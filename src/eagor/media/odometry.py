@@ -6,7 +6,8 @@ interface) -> PoseSource``, which gets the whole text, such as ``NAME:REST``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -65,13 +66,15 @@ def open_poses(
     axes: str = "auto",
     domain: int | None = None,
     interface: str | None = None,
+    again: Callable[[], CameraSource] | None = None,
 ) -> PoseSource | VisualOdometer | None:
     """The poses that `text` names, for the pictures of `source`; None for a camera that stands still.
 
     "auto": a bag's odometry or a video's IMU, where `source` has them, else what the pictures themselves tell (rotation
     only); "level": the same for a camera that keeps its pictures level; "still"; a file, whose `axes` are as of
     `eagor.media.pose_axes.settled`; ``ros:/odom``, a topic of ROS 2 or of a bag; ``go2``, a robot's odometry, over the
-    DDS `domain` and network `interface`; or what another package brings.
+    DDS `domain` and network `interface`; or what another package brings. `again`: opens the source once more; a file of
+    poses is then compared with its pictures.
 
     Raises `DeviceError` for live poses of a recording, and the other way round, and what the source raises.
     """
@@ -99,7 +102,10 @@ def open_poses(
     if source is not None and source.live:
         names = ", ".join(f"{each}:..." for each in sorted(known))
         raise DeviceError(f"poses {text!r}: a live camera needs live poses; wanted auto, level, still, {names}")
-    return GivenPoses(odometry_of_file(text, axes))
+    if again is None:
+        return GivenPoses(odometry_of_file(text, axes))
+    with closing(again()) as pictures:
+        return GivenPoses(odometry_of_file(text, axes, lambda: pictures))
 
 
 def poses_for(text: str, source: CameraSource, **how: Any) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -19,10 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from eagor.conventions import HABITAT_R_BODY, OPTICAL_R_BODY
 from eagor.errors import EagorError, PoseError
-from eagor.media import Pose
+from eagor.media import Frame, Pose
 from eagor.media.footage import Read
 from eagor.media.panorama import Picture
-from eagor.media.pose_files import FramePose, Poses, read_poses
+from eagor.media.pose_files import FramePose, Poses, interpolated, read_poses
 
 __all__ = ["AXES", "odometry_of_file", "settled", "with_axes"]
 
@@ -83,7 +84,9 @@ def settled(
     """
     if axes == "body":
         return poses
-    given, pairs = axes != "auto", [] if frames is None else list(_pairs(frames(), poses))
+    given, pairs = axes != "auto", list[Pair]()
+    with suppress(EagorError):  # who looks at the frames meets it again, and says so
+        pairs += () if frames is None else _pairs(frames(), poses)
     if not given and poses.axes in AXES:
         axes = poses.axes
         if poses.form:
@@ -121,11 +124,25 @@ def _found(poses: Poses, pairs: Sequence[Pair], name: str, say: Callable[[str], 
     return found or "body"
 
 
-def odometry_of_file(path: str | Path, axes: str = "auto") -> list[Pose]:
-    """The poses of a file, in our axes, as those of odometry; raises as `read_poses` and `settled`."""
-    poses = settled(
-        read_poses(path), axes, str(path), None, lambda text: warnings.warn(text, UserWarning, stacklevel=2)
-    )
+def odometry_of_file(
+    path: str | Path, axes: str = "auto", pictures: Callable[[], Iterable[Frame]] | None = None
+) -> list[Pose]:
+    """The poses of a file, in our axes, as those of odometry, for the `pictures` that were taken there.
+
+    Raises as `read_poses` and `settled`.
+    """
+    read = read_poses(path)
+    at = interpolated(read)
+
+    def posed() -> Iterator[tuple[FramePose, Read]]:
+        for frame in pictures() if pictures is not None else ():
+            picture = Picture(frame.picture, grid=frame.grid)
+            yield FramePose(frame.stamp, *at(frame.stamp), frame.name), lambda picture=picture: picture
+
+    def say(text: str) -> None:
+        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=2)
+
+    poses = settled(read, axes, str(path), None if pictures is None else posed, say)
     return [Pose(each.stamp, each.world_R_body, each.position) for each in poses]
 
 

@@ -50,6 +50,7 @@ def estimate_json(estimate: Estimate, entropy: float) -> dict[str, Any]:
             "moving": e.moving,
             "status": e.status,
             "words": in_words(e),
+            **({"looked_for": e.looked_for} if e.looked_for else {}),
         }
     )
 

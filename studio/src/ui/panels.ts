@@ -73,7 +73,8 @@ export class Panels {
     const name = lookingFor === null ? named : words.status.waiting;
     say(shell.status, name);
     const none = lookingFor === null ? words.answer.none : words.ask.waiting(lookingFor);
-    const told = direction ? this.where(direction) : none;
+    const other = state && answer?.looked_for ? words.answer.lookedFor(answer.looked_for) : "";
+    const told = (direction ? this.where(direction) : none) + other;
     say(shell.sentence, told[0].toUpperCase() + told.slice(1));
     const age = store.waiting === null ? (step?.look?.age ?? null) : null;
     const likely = state === "searching" && (answer?.presence ?? 0) > 0.5;

@@ -63,6 +63,7 @@ export interface Answer {
   moving: number | null;
   status: string;
   words: string;
+  looked_for?: string; // where that is another word than was asked
 }
 
 /** One of the things that the detector has seen without being asked for them. */
