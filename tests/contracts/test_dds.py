@@ -74,7 +74,7 @@ def test_a_callback_that_raises_is_told_once_and_counted():
         wait_for(lambda: writer.readers == 1 and reader.matched)
         for number in range(3):
             writer.write(numbered(number))
-        wait_for(lambda: reader.damaged == 3)
+        wait_for(lambda: len(got) == 3)
     assert (got, reader.problem) == ([0, 1, 2], "no")
     assert [str(warning.message) for warning in said] == [
         "a: a message cannot be used (RuntimeError: no); it is left out, and others like it"

@@ -45,7 +45,7 @@ def test_states_come_in_both_forms_and_from_the_lidar_on_our_clock(short, source
         assert abs(first.stamp - first.received) < 10
         wait_for(lambda: state.count > 20)
         newest = state.newest
-        np.testing.assert_allclose(newest.world_R_body, server.truth.pose.world_R_body, atol=1e-6)
+        np.testing.assert_allclose(newest.world_R_body, server.plant.truth.pose.world_R_body, atol=1e-6)
         assert (newest.mode, newest.error_code) == ((1, 0) if source != "lidar" else (None, 0))
         assert state.bytes == (0 if source == "lidar" else 236 if short else 516)
         poses = Go2Poses(link.domain, "lo", source, (0.0, 0.0, 0.4))
