@@ -38,14 +38,6 @@ class Peer(SimulatedGo2):
         self.mute = self.silent = False
         self.deaf, self.growing, self.late, self.roll = 0, 0.0, 0.0, 0.0
 
-    @property
-    def mode(self) -> int:
-        return self.plant.mode
-
-    @mode.setter
-    def mode(self, mode: int) -> None:
-        self.plant.mode = mode
-
     def _answer(self, service, responses, request, when):
         told = Told(time.monotonic(), request.header.identity.api_id)
         if service == "sport":
@@ -77,9 +69,8 @@ class Peer(SimulatedGo2):
     @property
     def commanded(self) -> tuple[float, float, float]:
         """The velocity that holds now, as far as requests have come."""
-        last = next(reversed(self._velocities()), None)
-        still = last is None or last.velocity is None or time.monotonic() - last.when > EXPIRY
-        return (0.0, 0.0, 0.0) if still else last.velocity
+        last = next(reversed(self._velocities()), Told(0.0, STOP))
+        return (last.velocity if time.monotonic() - last.when <= EXPIRY else None) or (0.0, 0.0, 0.0)
 
     def zero_since(self, when: float) -> float | None:
         """The first time from `when` on from which nothing is commanded any more; None: something still is."""

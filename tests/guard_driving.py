@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link
@@ -65,8 +65,7 @@ def other_commander(domain: int) -> Iterator[float]:
         yield begun
 
 
-@dataclass(frozen=True)
-class Time:
+class Time(NamedTuple):
     """Seconds from the fault to the command being zero for good, and to the body standing."""
 
     zero: float
@@ -84,19 +83,16 @@ def until(what: Callable[[], Any], seconds: float = 60.0) -> Any:
 
 def fast_enough(robot: Any, full: tuple[float, float, float], seconds: float = 60.0) -> None:
     """Wait until the robot is told this velocity, and has come near it."""
-
-    def is_fast() -> bool:
-        return robot.commanded == full and math.hypot(*robot.speeds[-1][1][:2]) > 0.72 * full[0]
-
-    until(is_fast, seconds)
+    until(lambda: robot.commanded == full and math.hypot(*robot.speeds[-1][1][:2]) > 0.72 * full[0], seconds)
 
 
 def measured(robot: Any, begun: float) -> Time:
     """How long it took from `begun` until nothing was commanded and the body stood."""
-    while True:
-        until(lambda: robot.zero_since(begun) is not None and robot.still_since(begun) is not None)
-        time.sleep(0.15)  # and nothing comes after
+
+    def both() -> Time | None:
         zero, still = robot.zero_since(begun), robot.still_since(begun)
-        assert zero is not None
-        if still is not None:  # else it stood only because it had not felt the last command yet: wait again
-            return Time(zero - begun, still - begun)
+        return None if zero is None or still is None else Time(zero - begun, still - begun)
+
+    until(both)
+    time.sleep(0.15)  # and nothing comes after; or it stood only because it had not felt the last command yet
+    return until(both)

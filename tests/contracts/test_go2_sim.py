@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -75,16 +76,14 @@ def test_the_ball_rolls_over_the_floor_and_a_start_has_a_straight_way():
     assert house.ground.is_free(start)
 
 
-@pytest.mark.parametrize(
-    ("settings", "error", "said"),
-    [
-        ({"target": "elephant"}, QueryError, "'elephant' names nothing known here"),
-        ({"target": "pink sofa"}, QueryError, "there is no pink sofa in apartment 2 seed 7; it has .*green sofa"),
-        ({"target": "pink ball"}, QueryError, "there is no pink ball; balls are blue, green, red, yellow"),
-        ({"world": "moon"}, WorldError, "there is no world 'moon'"),
-        ({"world": None, "target": "sofa"}, DeviceError, "an empty floor has no target"),
-    ],
-)
+@pytest.mark.parametrize(("settings", "error", "said"), [
+    ({"target": "elephant"}, QueryError, "'elephant' names nothing known here"),
+    ({"target": "pink sofa"}, QueryError, "there is no pink sofa in apartment 2 seed 7; it has .*green sofa"),
+    ({"target": "pink ball"}, QueryError, "there is no pink ball; balls are blue, green, red, yellow"),
+    ({"world": "moon"}, WorldError, "there is no world 'moon'"), ({"seed": -1}, DeviceError, "seed = -1; wanted 0 or"),
+    ({"world": None, "target": "sofa"}, DeviceError, "an empty floor has no target"),
+    ({"start": (math.nan, 0, 0)}, DeviceError, "wanted x, y .metres. and heading .radians., finite"),
+])  # fmt: skip
 def test_settings_that_cannot_be_say_so(settings, error, said):
     with pytest.raises(error, match=said):
         SimulatedGo2(SimSettings(**settings))
@@ -124,7 +123,6 @@ if __name__ == "__main__":
     script = tmp_path / "robot.py"
     script.write_text(code, encoding="utf-8")
     with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, start_new_session=True) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
         sessions = sessions_of(process.pid)
         assert len(alive(sessions)) >= 2

@@ -52,11 +52,8 @@ def steered(faults=(), **ages):
 
 
 def test_ages_grow_by_what_the_answer_took_and_faults_of_devices_are_handed_on():
-    faults = (
-        Fault("camera", "the camera is unplugged", 1.0), Fault("poses", "a pose is left out", 1.0),
-        Fault("recording", "the disk is full", 1.0),
-    )  # fmt: skip
-    guard, step = steered(faults)
+    words = {"camera": "the camera is unplugged", "poses": "a pose is left out", "recording": "the disk is full"}
+    guard, step = steered(tuple(Fault(part, text, 1.0) for part, text in words.items()))
     assert guard == {
         "pose_age": pytest.approx(0.03), "look_age": pytest.approx(1.02), "image_age": pytest.approx(0.22),
         "presence": step.answer.estimate.presence, "faults": ("the camera is unplugged",),

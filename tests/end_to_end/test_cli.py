@@ -255,8 +255,8 @@ def test_what_the_detector_lacks_is_said_wherever_it_is_called_there(monkeypatch
 def test_locate_as_json(room):
     found = answer("locate", room, "red")
     assert set(found) == {
-        "query", "perception", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "within_15_deg",
-        "status", "modes", "frame", "stamp", "distance_m", "distance_spread",
+        "query", "perception", "azimuth_deg", "elevation_deg", "direction", "credible_angle_deg", "presence",
+        "within_15_deg", "status", "modes", "frame", "stamp", "distance_m", "distance_spread",
     }  # fmt: skip
     assert error_deg(found, RED_BALL) < 3
     assert found["azimuth_deg"] < -10  # it is to the right

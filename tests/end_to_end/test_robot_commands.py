@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shlex
 import signal
 import subprocess
 import sys
 import threading
-import time
-from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise, takewhile
 from pathlib import Path
@@ -24,10 +21,10 @@ pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 
 from eagor.robots.dds import Link, free_domain, raw
-from eagor.robots.go2 import plant
+from eagor.robots.go2 import plant, sim
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
-from eagor.robots.go2.state import SportModeState, sport_state
+from eagor.robots.go2.state import SportModeState
 
 pytestmark = pytest.mark.xdist_group("real time")
 
@@ -38,48 +35,39 @@ def check(domain, *words):
     return eagor("robot", "check", "--domain", domain, "--interface", "lo", *words)
 
 
-@contextmanager
-def simulated(domain, *words):
-    """A robot that is ready, with what it says of itself."""
-    command = [sys.executable, "-m", "eagor", "robot", "sim", "--domain", str(domain), "--rows", "16", *map(str, words)]
-    with subprocess.Popen(
-        [*command, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    ) as process:
-        try:
-            assert process.stdout is not None
-            yield process, json.loads(process.stdout.readline() or process.stderr.read())
-        finally:
-            process.terminate()
-            process.communicate(timeout=300)
-
-
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
 )
 def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, code):
     domain = free_domain()
-    with simulated(domain, "--target", "green sofa", "--seed", 7) as (process, said):
-        assert said["domain"] == domain
-        assert said["targets"][0]["name"] == "green sofa"
-        assert said["things"]["green sofa"] == 1
-        assert "rt/x3/image/compressed" in said["topics"]
-        done = check(domain, "--json", "--seconds", 2)
-        report = json.loads(done.stdout)
-        assert set(said["topics"]) - {"rt/api/sport/request", "rt/api/obstacles_avoid/request"} <= {*report["topics"]}
-        assert (report["firmware"], report["mode"]) == ("states of 516 bytes, with a planned path", "standing")
-        assert (report["sport_version"], report["error_code"]) == ("1.0.0.1", 0)
-        assert 50 < report["battery"] <= 87  # it empties while a busy machine takes its time
-        assert report["cameras"] == ["rt/x3/image/compressed"]
-        assert report["rates"]["rt/sportmodestate"] > 0
-        slow = [problem for problem in report["problems"] if "processor" not in problem]  # this machine may be busy
-        assert slow == []
-        assert done.returncode == (1 if report["problems"] else 0)
-        sessions = sessions_of(process.pid)
-        process.send_signal(number)
-        _, log = process.communicate(timeout=300)
-        assert process.returncode == code
-        assert "interrupted" in log or "terminated" in log
-        wait_for(lambda: not alive(sessions))
+    words = f"-m eagor robot sim --domain {domain} --rows 16 --seed 7 --json --target".split()
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+    with subprocess.Popen([sys.executable, *words, "green sofa"], **pipes) as process:
+        try:
+            said = json.loads(process.stdout.readline())
+            assert said["domain"] == domain
+            assert said["targets"][0]["name"] == "green sofa"
+            assert said["things"]["green sofa"] == 1
+            assert "rt/x3/image/compressed" in said["topics"]
+            done = check(domain, "--json", "--seconds", 2)
+            report = json.loads(done.stdout)
+            assert set(said["topics"]) - {"rt/api/sport/request", "rt/api/obstacles_avoid/request"} <= {
+                *report["topics"]
+            }
+            assert (report["firmware"], report["mode"]) == ("states of 516 bytes, with a planned path", "standing")
+            assert (report["sport_version"], report["error_code"]) == ("1.0.0.1", 0)
+            assert 50 < report["battery"] <= 87  # it empties while a busy machine takes its time
+            assert report["cameras"] == ["rt/x3/image/compressed"]
+            assert report["rates"]["rt/sportmodestate"] > 0
+            slow = [problem for problem in report["problems"] if "processor" not in problem]  # this machine may be busy
+            assert slow == []
+            assert done.returncode == (1 if report["problems"] else 0)
+            sessions = sessions_of(process.pid)
+        finally:
+            process.send_signal(number)
+            _, log = process.communicate(timeout=300)
+    assert (process.returncode, "interrupted" in log or "terminated" in log) == (code, True), log
+    wait_for(lambda: not alive(sessions))
 
 
 def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
@@ -100,23 +88,10 @@ def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
         assert [*robot.requests] == []  # nothing was moved
 
 
-def test_a_robot_that_has_not_told_its_orientation_is_said_so():
-    domain, ended = free_domain(), threading.Event()
-    with Link(domain, "lo") as link:
-        kind = raw(SportModeState)
-        writer = link.publish("rt/sportmodestate", kind)
-
-        def tell():
-            while not ended.wait(0.01):
-                writer.write(kind(sport_state(time.time(), (0.0, 0.0, 0.0, 0.0))))
-
-        thread = threading.Thread(target=tell)
-        thread.start()
-        try:
-            done = check(domain, "--seconds", 1)
-        finally:
-            ended.set()
-            thread.join()
+def test_a_robot_that_has_not_told_its_orientation_is_said_so(monkeypatch):
+    monkeypatch.setattr(sim, "_xyzw", lambda *_: (0.0, 0.0, 0.0, 0.0))
+    with SimulatedGo2(SimSettings(None), free_domain()) as robot:
+        done = check(robot.link.domain, "--seconds", 1)
     assert done.returncode == 1
     assert "but the robot has not told its orientation yet (its quaternion is [0, 0, 0, 0], which is" in done.stdout
     assert "firmware is newer" not in done.stdout
@@ -124,32 +99,26 @@ def test_a_robot_that_has_not_told_its_orientation_is_said_so():
 
 @pytest.mark.slow
 def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told(monkeypatch):
-    domain = free_domain()
-    with SimulatedGo2(SimSettings(None), domain) as server:
-        walks = {"which": 0.0}
-        ended = threading.Event()
+    with SimulatedGo2(SimSettings(None), free_domain()) as server:
+        domain, ended = server.link.domain, threading.Event()
 
         def walk():
             with Link(domain, "lo") as other:
                 client = SportClient(other)
                 while not ended.wait(0.1):
-                    if walks["which"]:
-                        client.move(walks["which"], 0.0, 0.0)
+                    client.move(0.3, 0.0, 0.0)
 
+        assert json.loads(check(domain, "--json", "--seconds", 1).stdout)["commands"] == 0
         thread = threading.Thread(target=walk)
         thread.start()
         try:
-            assert json.loads(check(domain, "--json", "--seconds", 1).stdout)["commands"] == 0
-            walks["which"] = 0.3
             done = check(domain, "--seconds", 1)
-            assert done.returncode == 1
-            assert "problem: somebody else commands this robot (" in done.stdout
-            assert "the last Move on rt/api/sport/request): end that program or app" in done.stdout
-            walks["which"] = 0.0
-            ended.set()
         finally:
             ended.set()
             thread.join()
+        assert done.returncode == 1
+        assert "problem: somebody else commands this robot (" in done.stdout
+        assert "the last Move on rt/api/sport/request): end that program or app" in done.stdout
         # As its remote control leads it: nothing comes over these topics.
         monkeypatch.setattr(plant, "EXPIRY", 60.0)
         server.plant.move(0.4, 0.0, 0.0)
@@ -158,22 +127,17 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told(monkeypatc
         assert done.returncode == 1
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("check", "--interface", "wlan77"), "there is no network interface 'wlan77'; this machine has"),
-        (("check", "--interface", "lo", "--domain", "233"), "wanted a whole number from 0 to 232"),
-        (("check", "--interface", "lo", "--seconds", "0"), "--seconds 0: wanted 0.5 to 600"),
-        (("sim", "--interface", "wlan77", "--camera", "none"), "there is no network interface 'wlan77'"),
-        (("sim", "--world", "moon"), "there is no world 'moon'"),
-        (("sim", "--target", "elephant"), "names nothing known here"),
-        (("sim", "--rows", "33"), "rows = 33; wanted an even number"),
-        (("sim", "--speed", "9"), "--speed 9: wanted 0 to 3"),
-        (("walk",), "unknown command 'walk'; wanted"),
-    ],
-)
+@pytest.mark.parametrize(("words", "said"), [
+    ("check --interface wlan77", "there is no network interface 'wlan77'; this machine has"),
+    ("check --interface lo --domain 233", "wanted a whole number from 0 to 232"),
+    ("check --interface lo --seconds 0", "--seconds 0: wanted 0.5 to 600"),
+    ("sim --interface wlan77 --camera none", "there is no network interface 'wlan77'"),
+    ("sim --world moon", "there is no world 'moon'"), ("sim --target elephant", "names nothing known here"),
+    ("sim --rows 33", "rows = 33; wanted an even number"), ("sim --speed 9", "--speed 9: wanted 0 to 3"),
+    ("walk", "unknown command 'walk'; wanted"),
+])  # fmt: skip
 def test_wrong_usage_is_one_line(words, said):
-    done = eagor("robot", *words)
+    done = eagor("robot", *words.split())
     assert (done.returncode, done.stdout) == (2, "")
     errors = [line for line in done.stderr.splitlines() if line.startswith("eagor: error:")]
     assert len(errors) == 1
@@ -192,18 +156,15 @@ def test_the_page_about_the_go2_begins_with_safety():
 
 
 @pytest.mark.slow
-def test_the_page_about_the_go2_runs_as_written(tmp_path):
+def test_the_page_about_the_go2_runs_as_written(tmp_path, monkeypatch):
     start, look = (shlex.split(line) for line in blocks_of_the_page("sh", "\n\n")[:2])
-    alone = os.environ | {"ROS_DOMAIN_ID": str(free_domain())}
-    command = [sys.executable, "-m", *start]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=alone, start_new_session=True
-    ) as robot:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+    run = partial(subprocess.run, capture_output=True, text=True, timeout=300, cwd=tmp_path)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+    with subprocess.Popen([sys.executable, "-m", *start], **pipes) as robot:
         try:
-            assert robot.stdout is not None
             said = list(takewhile(lambda line: line != "end it with Ctrl-C\n", robot.stdout))
             assert any("green sofa" in line for line in said)
-            run = partial(subprocess.run, capture_output=True, text=True, timeout=300, env=alone, cwd=tmp_path)
             done = run([sys.executable, "-m", *look])
             busy = "processor" in done.stdout  # this machine, not the robot
             assert done.returncode == (1 if busy else 0), (done.stdout, done.stderr)
@@ -216,19 +177,14 @@ def test_the_page_about_the_go2_runs_as_written(tmp_path):
         finally:
             robot.send_signal(signal.SIGINT)
             _, log = robot.communicate(timeout=300)
-    assert robot.returncode == 130
-    assert "walked 0.00 m" in log
+    assert (robot.returncode, "walked 0.00 m" in log) == (130, True)
 
 
-def test_nobody_there_is_said():
+def test_nobody_there_and_a_taken_domain_are_said():
     domain = free_domain()
     done = check(domain, "--seconds", 1)
     assert (done.returncode, done.stdout) == (2, "")
     assert f"no Go2 is heard within 3 s (domain {domain}, lo). Is it on?" in done.stderr
-
-
-def test_a_taken_domain_is_refused():
-    domain = free_domain()
     with SimulatedGo2(SimSettings(None), domain):
         done = eagor("robot", "sim", "--domain", domain, "--camera", "none", "--seconds", 1)
     assert done.returncode == 2

@@ -47,9 +47,8 @@ def test_a_simulated_robot_walks_to_the_sofa_though_the_disk_is_full(tmp_path):
 
 @pytest.mark.slow
 def test_a_dry_run_moves_nothing():
-    done = subprocess.run(
-        command("white sofa", "--sim", "--seconds", "6", "--json"), capture_output=True, text=True, timeout=300
-    )
+    words = command("white sofa", "--sim", "--seconds", "6", "--json")
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "dry run: nothing is commanded" in done.stderr
     told = json.loads(done.stdout)
@@ -108,10 +107,7 @@ def test_a_perception_that_hangs_stops_the_robot_and_a_killed_walk_leaves_no_pro
 def test_a_walk_that_is_ended_says_so_and_leaves_no_process(how, everyone):
     with walking() as child:
         sessions = sessions_of(child.pid)
-        if everyone:  # as a terminal does at Ctrl-C
-            os.killpg(child.pid, how)
-        else:
-            os.kill(child.pid, how)
+        (os.killpg if everyone else os.kill)(child.pid, how)  # as a terminal does at Ctrl-C, or one alone
         child.stderr.read()
         assert child.wait(300) == {signal.SIGINT: 130, signal.SIGTERM: 143}[how]
         assert child.stdout.read().startswith("interrupted: ")
@@ -165,8 +161,8 @@ def test_why_it_stands_is_said_where_the_gate_has_no_objection(monkeypatch, caps
         step("standing", "holding", "several places are likely: it stands"),
         step("standing", "holding", "", "the newest picture is 1.20 s old"),
     ]  # fmt: skip
-    options = SimpleNamespace(seconds=None, sim=False, stay=True)
-    robot_run._walk(options, iter(steps), robot_run.Summary(), robot_run.Place(0, "lo", None))
+    options, place = SimpleNamespace(seconds=None, sim=False, stay=True), robot_run.Place(0, "lo", None)
+    robot_run._walk(options, iter(steps), robot_run.Summary(), place)
     assert [line.partition(" s  ")[2] for line in capsys.readouterr().err.splitlines()] == [
         "armed, walking: it walks: 2.0 m",
         "standing, holding: several places are likely: it stands",

@@ -70,17 +70,17 @@ def test_after_stand_up_it_is_deaf_for_4_to_10_seconds_and_needs_balance_stand(s
     assert body.walked > 0.0
     assert body.truth.mode == WALKING
     body.stand_up()
-    body.stand_down()
+    body.rest(LYING)
     body.stand_up()
     run(body, 10.5, (0.5, 0, 0))
     assert (body.truth.mode, np.abs(body.truth.velocity).max()) == (LOCKED, pytest.approx(0, abs=1e-9))
     body.balance_stand()
     run(body, 1.0, (0.5, 0, 0))
     assert body.truth.mode == WALKING
-    body.stand_down()
+    body.rest(LYING)
     run(body, 1.0, (0.5, 0, 0))
     assert body.truth.mode == LYING
-    body.damp()
+    body.rest(LIMP)
     body.balance_stand()
     assert body.truth.mode == LIMP
 

@@ -285,7 +285,8 @@ class _Told:
             terminal.emit(answer.as_dict(self._modes) | more)
         elif answer.query == self._queries[-1]:
             now, apart = (time.monotonic(), SHOWN) if self._line else (answer.stamp, PRINTED)
-            if now - self._shown >= apart and (self._line or self._begun < math.inf):
+            looked = any(math.isfinite(each.look_age) for each in self._newest.values())
+            if now - self._shown >= apart and (self._line or looked):
                 self._shown = now
                 text = " | ".join([*map(_in_line, self._newest.values()), *self._hints()])
                 if self._line:

@@ -182,7 +182,7 @@ def settings_of(options: RobotSim) -> SimSettings:
 def _facts(live: SimulatedGo2, options: RobotSim) -> dict[str, Any]:
     from eagor.sphere import heading
 
-    house, pose = live.house, live.truth.pose
+    house, pose = live.house, live.plant.truth.pose
     assert house is not None
     assert pose.position is not None
     yaw = math.degrees(heading(pose.world_R_body))
@@ -192,7 +192,7 @@ def _facts(live: SimulatedGo2, options: RobotSim) -> dict[str, Any]:
         "world": house.scene.source,
         "start": {"position": pose.position.round(3).tolist(), "yaw_deg": round(yaw, 1)},
         "target": options.target,
-        "targets": [{"name": each.name, "position": each.centre.round(3).tolist()} for each in live.targets],
+        "targets": [{"name": each.name, "position": each.centre.round(3).tolist()} for each in house.targets],
         "things": dict(sorted(Counter(thing.name for thing in house.things).items())),
         "topics": live.topics,
     }

@@ -13,6 +13,7 @@ import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Self
 
@@ -69,11 +70,11 @@ def free_domain() -> int:
     raise DeviceError("every DDS domain of this machine is in use: end some programs that use DDS")
 
 
+@dataclass(eq=False)
 class Raw:
     """A message as the bytes that are sent; stands in for cyclonedds' own encoding, which takes 50 times as long."""
 
-    def __init__(self, data: bytes) -> None:
-        self.data = data
+    data: bytes
 
     def serialize(self, **_: Any) -> bytes:
         return self.data
@@ -135,14 +136,13 @@ class Link:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
+    def close(self, *_: object) -> None:
         """End all readers and writers. May be called twice."""
         while self._parts:
             self._parts.pop().close()
         self._participant = None  # cyclonedds lets go of it when nothing refers to it
+
+    __exit__ = close
 
     def publish(self, topic: str, kind: type, *, reliable: bool = True) -> Writer:
         """A writer of `topic`; `kind`: a class of cyclonedds' IDL, or `raw` of one.
@@ -196,7 +196,6 @@ class Writer:
 
     @property
     def readers(self) -> int:
-        """How many it has now."""
         writer = self._writer
         return 0 if writer is None else len(writer.get_matched_subscriptions())
 
@@ -218,15 +217,14 @@ class Writer:
 class Reader:
     """Reads one topic in a thread (`Link.subscribe`).
 
-    An exception of who receives, or a message that cannot be decoded, is told once as a `UserWarning`. `damaged`: how
-    many there were; `problem`: the last, in words.
+    An exception of who receives, or a message that cannot be decoded, is told once as a `UserWarning`; `problem`: the
+    last, in words.
     """
 
     def __init__(self, topic: str, reader: Any, received: Callable[[Any, float], None]) -> None:
         from cyclonedds.core import GuardCondition
 
-        self.topic, self.damaged, self.problem = topic, 0, ""
-        self._received = received
+        self.topic, self.problem, self._received = topic, "", received
         self._reader: Any = reader
         self._wake: Any = GuardCondition(reader.participant)
         self._thread = threading.Thread(target=self._read, name=f"DDS reader of {topic}", daemon=True)
@@ -239,11 +237,10 @@ class Reader:
         return frozenset() if reader is None else frozenset(reader.get_matched_publications())
 
     def close(self) -> None:
-        """Stop reading; waits for the thread unless it is the caller's. May be called twice."""
+        """Stop reading, and wait for the thread. May be called twice."""
         if (wake := self._wake) is not None:
             wake.set(True)
-        if threading.current_thread() is not self._thread:
-            self._thread.join()
+        self._thread.join()
 
     def _read(self) -> None:
         from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
@@ -262,10 +259,10 @@ class Reader:
                     if samples[0].sample_info.valid_data:  # else a writer has gone
                         self._received(samples[0], time.time())
             except Exception as error:
-                self.damaged, self.problem = self.damaged + 1, str(error)
-                if self.damaged == 1:
+                if not self.problem:
                     text = f"a message cannot be used ({type(error).__name__}: {error})"
                     warnings.warn(f"{self.topic}: {text}; it is left out, and others like it", stacklevel=2)
+                self.problem = str(error) or type(error).__name__
         self._reader = self._wake = None
 
 

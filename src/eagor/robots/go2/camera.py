@@ -19,7 +19,7 @@ from eagor.robots.go2.state import CompressedImage
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
-__all__ = ["PICTURE", "DdsCamera", "DdsStream", "picture_message"]
+__all__ = ["PICTURE", "DdsCamera", "picture_message"]
 
 PICTURE = raw(CompressedImage)  # as bytes: cyclonedds takes 40 ms per megabyte
 
@@ -29,19 +29,20 @@ def picture_message(panorama: np.ndarray, stamp: float, frame: str) -> Raw:
     return PICTURE(bytes(store().serialize_cdr(compressed_message(panorama, stamp, frame), COMPRESSED)))
 
 
-class DdsStream:
-    """The pictures of a topic of sensor_msgs/CompressedImage on DDS domain `domain`, as `LiveCamera` reads streams.
+class DdsCamera(LiveCamera):
+    """A `LiveCamera` of panoramas, of at most so many `rows`: a topic of sensor_msgs/CompressedImage on DDS.
 
     Stamps are those of the headers, which are times of capture; where a header has none, the time of arrival.
     """
 
-    stamped, again = True, False
+    stamped, again = True, False  # it is its own stream
 
-    def __init__(self, topic: str, domain: int, interface: str | None) -> None:
+    def __init__(self, topic: str, domain: int, interface: str | None, rows: int | None = None) -> None:
         need("reading pictures", "robot", "av")
         self.name, self._came = topic, queue.SimpleQueue[tuple[Any, float] | None]()
         self._link = Link(domain, interface)
         self._link.subscribe(topic, PICTURE, self._received)
+        super().__init__([self], rows=rows)  # type: ignore[list-item]
 
     def _received(self, message: Raw, when: float) -> None:
         self._came.put((store().deserialize_cdr(message.data, COMPRESSED), when))
@@ -67,17 +68,6 @@ class DdsStream:
             yield stamp, picture
 
     def close(self) -> None:
+        super().close()
         self._link.close()
         self._came.put(None)
-
-
-class DdsCamera(LiveCamera):
-    """A `CameraSource`: the panoramas of a `DdsStream`, of at most so many `rows`; otherwise as `LiveCamera`."""
-
-    def __init__(self, topic: str, domain: int, interface: str | None, rows: int | None = None) -> None:
-        self._stream = DdsStream(topic, domain, interface)
-        super().__init__([self._stream], rows=rows)  # type: ignore[list-item]  # it is read as those are
-
-    def close(self) -> None:
-        super().close()
-        self._stream.close()

@@ -134,8 +134,7 @@ class SimWorld:
                 names = sorted({thing.name for thing in self.things})
                 raise QueryError(f"there is no {asked} in {scene.source}; it has {', '.join(names)}")
 
-    def move_and_slide(self, start: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Where a step ends: along walls, not through them."""
+    def slide(self, start: np.ndarray, step: np.ndarray) -> np.ndarray:
         return self.ground.move(start, step)[0]
 
     def ball_at(self, seconds: float) -> Ball | None:
@@ -155,14 +154,11 @@ class SimWorld:
         The policy goes straight, and around nothing. Any place where there is none, and without a target.
         """
         room = min(ROOM, float(self.ground.clearance[self.ground.free].max()))
-        targets = [thing.centre[:2] for thing in self.targets]
-        for _ in range(TRIES if targets else 0):
-            spot = self.ground.sample(rng, room)
-            if any(self._leads(spot, target) for target in targets):
-                break
-        else:
-            spot = self.ground.sample(rng, room)
-        return float(spot[0]), float(spot[1]), float(rng.uniform(-math.pi, math.pi))
+        spots = (self.ground.sample(rng, room) for _ in range(TRIES if self.targets else 0))
+        clear = (spot for spot in spots if any(self._leads(spot, thing.centre[:2]) for thing in self.targets))
+        spot = next(clear, None)
+        x, y = self.ground.sample(rng, room) if spot is None else spot
+        return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
 
     def _leads(self, spot: np.ndarray, target: np.ndarray) -> bool:
         """Whether a target is some metres away, and the straight way there is free."""

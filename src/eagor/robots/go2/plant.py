@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from eagor.media import Pose
 
-__all__ = ["GRAVITY", "HEIGHT", "STANDING", "STEP", "WALKING", "Motion", "Plant", "Slide"]
+__all__ = ["GRAVITY", "HEIGHT", "LIMP", "LYING", "STANDING", "STEP", "WALKING", "Motion", "Plant", "Slide"]
 
 Slide = Callable[[np.ndarray, np.ndarray], np.ndarray]  # start (2,), step (2,) -> end (2,), metres
 STANDING, WALKING, LYING, LOCKED, LIMP = 1, 3, 5, 6, 7  # numbers of `eagor.robots.go2.state.MODES`
@@ -36,8 +36,7 @@ GRAVITY = 9.81  # m/s^2
 SCALE_DRIFT, TURN_DRIFT, YAW_DRIFT = 0.02, 0.01, math.radians(0.5)
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(NamedTuple):
     """The body at one step: `pose`, and the same as roll, pitch and yaw; m/s (world), rad/s (body); `mode`."""
 
     pose: Pose
@@ -90,27 +89,21 @@ class Plant:
 
     def stand_up(self) -> None:
         """Stand with locked joints, deaf to Moves for a while."""
-        self._rest(LOCKED)
+        self.rest(LOCKED)
         self._deaf_until = self.steps + round(float(self._rng.uniform(*DEAF)) / STEP)
 
     def balance_stand(self) -> None:
         """Unlock the joints: ready to walk (once it is no longer deaf)."""
         if self.mode not in LOW:
-            self._rest(STANDING)
+            self.rest(STANDING)
 
     def recovery_stand(self) -> None:
         """From anything to standing, ready to walk once it is no longer deaf."""
         self.stand_up()
         self.balance_stand()
 
-    def damp(self) -> None:
-        """Let all joints go: the body sinks to the floor."""
-        self._rest(LIMP)
-
-    def stand_down(self) -> None:
-        self._rest(LYING)
-
-    def _rest(self, mode: int) -> None:
+    def rest(self, mode: int) -> None:
+        """Damp (`LIMP`: all joints go, and the body sinks to the floor) or StandDown (`LYING`)."""
         self.stop_move()
         self.mode = mode
 

@@ -24,7 +24,7 @@ from eagor.errors import DeviceError
 from eagor.robots.dds import Link, Writer, free_domain, raw
 from eagor.robots.go2 import state as idl
 from eagor.robots.go2.house import CAMERA_TOPIC, TRUTH, SimSettings, SimWorld, camera_pose, film
-from eagor.robots.go2.plant import GRAVITY, STEP, Motion, Plant
+from eagor.robots.go2.plant import GRAVITY, LIMP, LYING, STEP, Motion, Plant
 from eagor.robots.go2.sport import API_VERSION, AVOID, OK, SPORT, checked_velocity
 from eagor.robots.go2.state import SOURCES, low_state, sport_state
 
@@ -36,8 +36,8 @@ LATEST = 0.1  # seconds by which the simulation may lag behind before it skips
 VERSIONS = {"sport": "1.0.0.1", "obstacles_avoid": "1.0.0.2"}
 NOT_KNOWN, NOT_UNDERSTOOD = 3203, 3204
 POSTURES = {
-    SPORT["Damp"]: Plant.damp, SPORT["BalanceStand"]: Plant.balance_stand, SPORT["StopMove"]: Plant.stop_move,
-    SPORT["StandUp"]: Plant.stand_up, SPORT["StandDown"]: Plant.stand_down,
+    SPORT["Damp"]: partial(Plant.rest, mode=LIMP), SPORT["StandDown"]: partial(Plant.rest, mode=LYING),
+    SPORT["StopMove"]: Plant.stop_move, SPORT["BalanceStand"]: Plant.balance_stand, SPORT["StandUp"]: Plant.stand_up,
     SPORT["RecoveryStand"]: Plant.recovery_stand,
 }  # fmt: skip
 SWITCHES = {AVOID["SwitchSet"]: "enable", AVOID["UseRemoteCommandFromApi"]: "is_remote_commands_from_api"}
@@ -68,7 +68,7 @@ def _xyzw(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, f
 class SimulatedGo2:
     """A Go2 in a house, on DDS domain `domain` in real time while it is entered: its states, commands and camera.
 
-    `plant`: its body; `house`, and the `targets` in it. Everything random comes from the seed. `begun`: its start,
+    `plant`: its body; `house`: where it stands. Everything random comes from the seed. `begun`: its start,
     seconds of this machine's clock. `pressed`: the buttons of its remote control, which may be replaced at any time;
     `error_code` likewise. `requests`: the last of those that were `asked`, by service, number and parameter; `skipped`:
     steps that no state tells of, as this machine was too slow. Raises `WorldError`, `QueryError`, `DeviceError` for
@@ -83,10 +83,9 @@ class SimulatedGo2:
             x, y, heading = settings.start or self.house.clear_start(np.random.default_rng(settings.seed))
             if (spot := self.house.ground.snap(np.array([x, y]))) is None:
                 raise DeviceError(f"start = {settings.start}; wanted x, y (metres) and heading (radians), finite")
-            start, slide = (*spot.tolist(), heading), self.house.move_and_slide
+            start, slide = (*spot.tolist(), heading), self.house.slide
         elif settings.target is not None:
             raise DeviceError("a robot on an empty floor has no target; give a world, or no target")
-        self.targets = [] if self.house is None else self.house.targets
         chance = np.random.SeedSequence(settings.seed).spawn(3)[2]  # the ball has the first
         self.plant = Plant(np.random.default_rng(chance), start, slide, settings.upright)
         self.pressed: frozenset[str] = frozenset()
@@ -136,14 +135,7 @@ class SimulatedGo2:
 
     @property
     def alive(self) -> bool:
-        """Whether all its processes run."""
         return self._camera is None or self._camera.alive
-
-    @property
-    def truth(self) -> Motion:
-        """The body as it is now."""
-        with self._turn:
-            return self.plant.truth
 
     # --- states ---
 
@@ -255,5 +247,5 @@ def _rehearse(line: Connection, settings: SimSettings, domain: int) -> None:
     """The life of the process."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent, which is told as well
     with SimulatedGo2(settings, domain) as robot:
-        line.send([each.centre for each in robot.targets])
+        line.send([each.centre for each in robot.house.targets] if robot.house else [])
         line.recv()  # until the parent closes it

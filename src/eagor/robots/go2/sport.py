@@ -135,7 +135,6 @@ class SportClient(Service):
         return self.request(SPORT["StopMove"])[0]
 
     def balance_stand(self) -> int:
-        """Stand, ready to walk."""
         return self.request(SPORT["BalanceStand"])[0]
 
     def stand_up(self) -> int:
@@ -143,7 +142,6 @@ class SportClient(Service):
         return self.request(SPORT["StandUp"])[0]
 
     def stand_down(self) -> int:
-        """Lie down."""
         return self.request(SPORT["StandDown"])[0]
 
 

@@ -16,7 +16,6 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,8 +126,7 @@ SHORT, LONG = 236, 516  # bytes without and with the planned path, of which 4 sa
 _LITTLE = (b"\x00\x01", b"\x00\x07")  # CDR and plain CDR 2, little-endian: alike for such members
 
 
-@dataclass(frozen=True, eq=False)
-class BodyState:
+class BodyState(NamedTuple):
     """What the robot says at one time.
 
     `stamp`: of the measurement, on this machine's clock (``time.time()``). `world_R_body` ``(3, 3)`` and `position`

@@ -368,6 +368,7 @@ class EagorNode(LifecycleNode):
         found = [DiagnosticStatus(name="eagor", message=words, level=grade, hardware_id="eagor", values=counts)]
         for each in told:
             where = "" if each["direction"] is None else f", {each['azimuth_deg']:.0f} degrees to the left"
+            where += f" (looked for {each['looked_for']})" if "looked_for" in each else ""
             found.append(DiagnosticStatus(name=f"eagor: {each['query']}", message=f"{each['status']}{where}"))
         self.publish("/diagnostics", DiagnosticArray, header=Header(stamp=now.to_msg()), status=found)
 

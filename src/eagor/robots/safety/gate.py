@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 from eagor.robots.safety.limits import STILL, Inputs, Limits, Velocity, faults_of
 
@@ -33,8 +34,7 @@ class Mode(StrEnum):
     LATCHED = "latched"  # the emergency stop was pressed: only a reset leads out
 
 
-@dataclass(frozen=True)
-class Stop:
+class Stop(NamedTuple):
     """Send StopMove. `number` counts them, so that an acknowledgement can be told from an older one."""
 
     number: int

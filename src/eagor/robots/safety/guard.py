@@ -1,9 +1,8 @@
 """The guard: what a program uses to move a robot safely. The gate runs in a process of its own behind it.
 
-That process (`main`) alone sends velocities. It steps the gate on the monotonic clock, reads the robot's state itself,
-and ends by StopMove when it is interrupted, when its parent ends however that happens, and on errors of its own. Over a
-pipe the program says all that it knows, and the process answers each word with what the gate did: so none waits for one
-that is frozen, and each notices when the other is.
+That process (`main`) alone sends velocities. It reads the robot's state itself, and ends by StopMove when it is
+interrupted, when its parent ends however that happens, and on errors of its own. Over a pipe the program says all that
+it knows, and the process answers each word: so none waits for one that is frozen, and each notices when the other is.
 """
 
 from __future__ import annotations
@@ -235,8 +234,7 @@ class Voice:
 class GateProcess:
     """One step after another: what the parent says and the robot's state go into the gate, its output to the robot.
 
-    One that is not armed never has a writer, so it cannot command anything. `settings`: the fields of `Guard`. Raises
-    `DeviceError`, `MissingExtraError`.
+    One that is not armed never has a writer, so it cannot command anything. `settings`: the fields of `Guard`.
     """
 
     def __init__(self, line: Connection, settings: dict[str, Any]) -> None:

@@ -26,7 +26,6 @@ class Velocity(NamedTuple):
 
     @property
     def walks(self) -> bool:
-        """Whether the body leaves its place."""
         return bool(self.forward or self.left)
 
 

@@ -3,9 +3,6 @@
 `walk` is pure. The robot turns in place until the answer is ahead, and walks only while it stays there. It slows down
 as the distance shrinks, and stops at the wanted one. Where the distance is not known, it walks slowly, and only so
 far. While nothing is known it turns to search; while the answer is ambiguous or old it stands.
-
-`steer` takes the answers of the live loop through it to the guard, in the thread that iterates: a loop that hangs is a
-program that hangs.
 """
 
 from __future__ import annotations
@@ -13,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from eagor._checks import above, require, within
 from eagor.live.events import Answer, Event, PoseCame
@@ -99,8 +96,7 @@ class ControllerState:
     blocked: bool = False
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """The wanted velocity, what the robot is doing, and why, in words."""
 
     velocity: Velocity
@@ -197,7 +193,6 @@ class Odometer:
         self._guard, self._now = guard, now
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
-        """An event of the loop."""
         if isinstance(event, PoseCame):
             place = event.pose.position
             self.xy = None if place is None else (float(place[0]), float(place[1]))
@@ -207,8 +202,7 @@ class Odometer:
         """Nothing is held."""
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
+class Step(NamedTuple):
     """One answer, what the policy knew and wants, and what the gate did at its newest step."""
 
     answer: Answer
@@ -218,7 +212,7 @@ class Step:
 
 
 def steer(loop: Any, guard: Guard, odometer: Odometer, settings: WalkSettings) -> Iterator[Step]:
-    """Walk by the answers of `loop` (`eagor.live.loop.Loop`, with one query) until it ends.
+    """Walk by the answers of `loop` (`eagor.live.loop.Loop`, with one query) until it ends, in this thread.
 
     `odometer` has to be one of its sinks. Raises what the loop and the guard raise.
     """
@@ -236,11 +230,9 @@ def steer(loop: Any, guard: Guard, odometer: Odometer, settings: WalkSettings) -
         state, command = walk(settings, state, view, held=guard.state.mode is not Mode.ARMED)
         late = max(0.0, loop.clock.now() - answer.stamp)
         guard.report(
-            image_age=answer.image_age + late,
+            image_age=answer.image_age + late, look_age=answer.look_age + late, presence=estimate.presence,
             pose_age=None if answer.pose_age is None else answer.pose_age + late,
-            look_age=answer.look_age + late,
-            presence=estimate.presence,
             faults=tuple(fault.text for fault in answer.faults if fault.part in PARTS),
-        )
+        )  # fmt: skip
         guard.set_velocity(*command.velocity)
         yield Step(answer, view, command, guard.state)
