@@ -260,7 +260,7 @@ class _Told:
         from eagor.live.events import FaultLog
 
         self._json, self._modes, self._queries = options.json, options.modes, queries
-        self._line = not options.json and sys.stdout.isatty()
+        self._line, self._fast = not options.json and sys.stdout.isatty(), options.fast
         self._newest: dict[str, Answer] = {}
         self._begun, self._now, self._shown, self._rows = math.inf, -math.inf, -math.inf, 1
         self._news, self._looks = FaultLog(), looks
@@ -285,8 +285,9 @@ class _Told:
             terminal.emit(answer.as_dict(self._modes) | more)
         elif answer.query == self._queries[-1]:
             now, apart = (time.monotonic(), SHOWN) if self._line else (answer.stamp, PRINTED)
-            looked = any(math.isfinite(each.look_age) for each in self._newest.values())
-            if now - self._shown >= apart and (self._line or looked):
+            # Before the first look there is nothing to say: it may be that the detector does not know the words.
+            looked = self._fast or any(math.isfinite(each.look_age) for each in self._newest.values())
+            if now - self._shown >= apart and (self._line or (looked and self._begun < math.inf)):
                 self._shown = now
                 text = " | ".join([*map(_in_line, self._newest.values()), *self._hints()])
                 if self._line:
