@@ -127,8 +127,8 @@ class SportClient(Service):
 
     def move(self, vx: float, vy: float, wz: float) -> int:
         """Walk forward and left (metres per second), turn left (radians per second). Raises `DeviceError` for NaN."""
-        x, y, z = checked_velocity(vx, vy, wz)
-        return self.request(SPORT["Move"], {"x": x, "y": y, "z": z}, reply=False)[0]
+        velocity = dict(zip("xyz", checked_velocity(vx, vy, wz), strict=True))
+        return self.request(SPORT["Move"], velocity, reply=False)[0]
 
     def stop(self) -> int:
         """Stand still; 0 once the robot says so."""

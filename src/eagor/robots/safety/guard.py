@@ -125,8 +125,8 @@ class Guard:
             self._process.wait(ENDING)
         self._process.kill()
         self._process.wait()
-        if self._stood_in:  # whoever turned the avoidance of obstacles on may be gone
-            self._voice.end()
+        if self._stood_in and self._voice.avoid:  # whoever turned that on may be gone
+            self._voice.avoid.end()
 
     @property
     def state(self) -> GateStatus:
@@ -222,11 +222,6 @@ class Voice:
             if (done := self.sport.stop() == OK) or time.monotonic() >= end:
                 return done
 
-    def end(self) -> None:
-        """Give velocities back to the remote control."""
-        if self.avoid is not None:
-            self.avoid.end()
-
 
 # --- in the process ---------------------------------------------------------------------------------------------------
 
@@ -281,8 +276,8 @@ class GateProcess:
             raise
         finally:
             self._stoppers.shutdown(cancel_futures=True)
-            if self._voice is not None:
-                self._voice.end()
+            if self._voice is not None and self._voice.avoid is not None:
+                self._voice.avoid.end()
             self._link.close()
 
     def _start(self) -> None:
