@@ -326,14 +326,12 @@ def pose_of(received: Any) -> Pose:
 
 def rotation_of(q: Any) -> np.ndarray:
     """The rotation ``(3, 3)`` of a geometry_msgs/Quaternion. Raises `PoseError` unless its length is 1."""
-    values = np.array([q.x, q.y, q.z, q.w], dtype=np.float64)
-    length = float(np.linalg.norm(values))
+    values = [float(each) for each in (q.x, q.y, q.z, q.w)]
+    length = math.hypot(*values)
     if not abs(length - 1) <= _NORM:
-        raise PoseError(
-            f"a quaternion x, y, z, w = {values.tolist()} has the length {length:.3g}, wanted 1: is it unset?"
-        )
+        raise PoseError(f"a quaternion x, y, z, w = {values} has the length {length:.3g}, wanted 1: is it unset?")
     try:
-        return rotation_from_xyzw(values)
+        return rotation_from_xyzw(np.array(values))
     except EagorError as error:
         raise PoseError(str(error)) from error
 
