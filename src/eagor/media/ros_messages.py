@@ -154,7 +154,7 @@ def _raw(received: Any) -> np.ndarray:
         values = (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
     else:
         values = _rows(received, count)
-    picture = np.ascontiguousarray(values[..., places])
+    picture = np.array(values[..., places], order="C")  # of its own: who looks at it may draw on it
     return _demosaiced(picture[..., 0], BAYER[encoding]) if encoding in BAYER else picture
 
 
