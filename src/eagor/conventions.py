@@ -66,19 +66,21 @@ def _from_quaternion(quaternion: np.ndarray, scalar_first: bool) -> np.ndarray:
     order = "w, x, y, z" if scalar_first else "x, y, z, w"
     if quaternion.shape[-1:] != (4,) or not np.isfinite(quaternion).all():
         raise RotationError(f"quaternion = {quaternion.tolist()}; wanted four finite numbers {order}")
-    # One alone in plain floats, which takes a tenth of the time.
+    # One alone in plain floats, which takes a third of the time.
     parts = quaternion.tolist() if quaternion.ndim == 1 else np.moveaxis(quaternion, -1, 0)
     w, x, y, z = parts if scalar_first else (parts[3], *parts[:3])
     squared = w * w + x * x + y * y + z * z
     if np.any(squared < 1e-12):
         raise RotationError(f"a quaternion of length zero is not a rotation; is the message unset? wanted {order}")
     s = 2 / squared
-    found = [
-        [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
-        [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
-        [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(found), (0, 1), (-2, -1))
+    found = np.array(
+        [
+            [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+            [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+            [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+        ]
+    )
+    return found if quaternion.ndim == 1 else np.moveaxis(found, (0, 1), (-2, -1))
 
 
 # --- H*Bench: yaw 0 at the image centre, positive to the RIGHT, 0 to 360; pitch positive up; degrees ---

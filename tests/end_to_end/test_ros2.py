@@ -326,16 +326,42 @@ def test_no_two_queries_share_a_topic(queries, found):
     assert spaces(queries) == found
 
 
-@pytest.mark.parametrize("kind", ["odom", "pose", "pose_with_covariance", "imu"])
-def test_poses_of_each_kind(start, kind):
-    from eagor.robots.ros import RosPoses
+@pytest.mark.parametrize(
+    ("kind", "rosbags"),
+    [("odom", True), ("odom", False), ("pose", True), ("pose_with_covariance", True), ("imu", True)],
+)
+def test_poses_of_each_kind(start, kind, rosbags, monkeypatch):
+    """Also where rclpy alone is there to make the messages."""
+    from eagor.robots.ros import RosPoses, topics
 
+    if not rosbags:
+        monkeypatch.setattr(topics, "find_spec", lambda name: None)
     start(poses=kind, rows=16)
     with closing(RosPoses("/wheels", camera="base_link")) as poses:
         found = [next(iter(poses)) for _ in range(30)]
     turns = [math.atan2(each.world_R_body[1, 0], each.world_R_body[0, 0]) for each in found]
     rates = np.diff(turns) / np.diff([each.stamp for each in found])
     assert rates == pytest.approx(0.5, abs=0.05)
+
+
+def test_one_message_that_cannot_be_taken_in_does_not_end_the_hearing(start):
+    from rclpy.qos import QoSProfile
+
+    from eagor.media.ros_messages import ODOMETRY
+    from eagor.robots.ros.topics import Ears
+
+    start(rows=16)
+    ears, heard = Ears(), []
+
+    def take(message):
+        heard.append(message.header.frame_id)
+        assert len(heard) > 1
+
+    ears.subscribe(ODOMETRY, "/wheels", take, QoSProfile(depth=10))
+    assert ears.wait(lambda: len(heard) > 3)
+    assert set(heard) == {"odom"}
+    ears.close()
+    assert ears.node.context.ok() is False
 
 
 def test_raw_pictures_of_a_reliable_publisher_come(start):

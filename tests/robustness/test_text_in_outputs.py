@@ -46,7 +46,8 @@ def room(tmp_path):
 
 @pytest.mark.parametrize("query", ["red $\\frac{$", "red $x^{", "red $$", "red $\\notacommand$"])
 def test_a_query_with_dollars_is_drawn_as_it_is(room, query):
-    assert main(["locate", str(room / "=a.png"), query, "--picture", str(room / "where.png")]) == 0
+    words = ["--perception", "colour", "--picture", str(room / "where.png")]
+    assert main(["locate", str(room / "=a.png"), query, *words]) == 0
     assert np.asarray(Image.open(room / "where.png")).ndim == 3
 
 

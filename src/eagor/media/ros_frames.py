@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import deque
+from functools import lru_cache
 from statistics import fmean, median
 from typing import Any
 
@@ -51,9 +52,10 @@ def inverse(a: Transform) -> Transform:
     return a[0].T, -a[0].T @ a[1]
 
 
+@lru_cache(maxsize=64)
 def optical(frame: str) -> np.ndarray:
     """The rotation ``frame_R_camera`` ``(3, 3)`` of a camera's own axes (x forward) in the frame that names it."""
-    return OPTICAL_R_BODY if is_optical(frame) else np.eye(3)
+    return OPTICAL_R_BODY if is_optical(frame) else IDENTITY[0]
 
 
 def contradiction(frame: str, body_R_frame: np.ndarray) -> str | None:

@@ -154,7 +154,7 @@ def _raw(received: Any) -> np.ndarray:
         values = (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
     else:
         values = _rows(received, count)
-    picture = np.ascontiguousarray(values[..., places])
+    picture = np.array(values[..., places], order="C")  # of its own: who looks at it may draw on it
     return _demosaiced(picture[..., 0], BAYER[encoding]) if encoding in BAYER else picture
 
 
@@ -326,14 +326,12 @@ def pose_of(received: Any) -> Pose:
 
 def rotation_of(q: Any) -> np.ndarray:
     """The rotation ``(3, 3)`` of a geometry_msgs/Quaternion. Raises `PoseError` unless its length is 1."""
-    values = np.array([q.x, q.y, q.z, q.w], dtype=np.float64)
+    values = [float(each) for each in (q.x, q.y, q.z, q.w)]
     length = math.hypot(*values)
     if not abs(length - 1) <= _NORM:
-        raise PoseError(
-            f"a quaternion x, y, z, w = {values.tolist()} has the length {length:.3g}, wanted 1: is it unset?"
-        )
+        raise PoseError(f"a quaternion x, y, z, w = {values} has the length {length:.3g}, wanted 1: is it unset?")
     try:
-        return rotation_from_xyzw(values)
+        return rotation_from_xyzw(np.array(values))
     except EagorError as error:
         raise PoseError(str(error)) from error
 

@@ -124,7 +124,7 @@ class EagorNode(LifecycleNode):
         except EagorError as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
-        self.base, self.ears = values["base_frame"].lstrip("/"), Ears(self, ended=self.stopping.is_set)
+        self.base = values["base_frame"].lstrip("/")
         self.create_subscription(String, "~/query", self.asked, 10)
         self.add_on_set_parameters_callback(self.on_set)
         back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False)
@@ -134,6 +134,7 @@ class EagorNode(LifecycleNode):
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         self.stopping.clear()
+        self.ears = Ears(self, ended=self.stopping.is_set)
         self.thread = threading.Thread(target=self.serve, name="eagor", daemon=True)
         self.thread.start()
         return super().on_activate(state)
@@ -157,6 +158,7 @@ class EagorNode(LifecycleNode):
         self.begin_anew()
         if self.thread is not None:
             self.thread.join()
+            self.ears.close()
 
     def begin_anew(self) -> None:
         """End this run of the loop; the next one knows nothing of it."""
@@ -278,7 +280,7 @@ class EagorNode(LifecycleNode):
             told = TransformStamped(header=Header(frame_id=self.base), child_frame_id=self.frame)
             told.transform.translation = numbers(Vector3, values["mount_xyz"])
             told.transform.rotation = quaternion(world_R_body(yaw, pitch, roll) @ optical(self.frame).T)
-            with self.ears.news:
+            with self.ears.lock:
                 self.ears.tree.add(SimpleNamespace(transforms=[told]), True)
         return named
 

@@ -20,7 +20,7 @@ from uuid import uuid4
 
 import numpy as np
 import rclpy
-from rclpy.callback_groups import CallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.exceptions import NameValidationException
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -46,24 +46,12 @@ LEASE = 30.0  # seconds that one who has died without a word may still be counte
 KEPT = 20_000  # poses that wait to be taken, and stamps that are known to the nanosecond
 
 
-class NoExecutor(CallbackGroup):
-    """Of subscriptions that executors leave alone."""
-
-    def can_execute(self, entity: Any) -> bool:
-        return False
-
-    beginning_execution = can_execute
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing has begun."""
-
-
 class Ears(LoopClock):
     """What an rclpy `node` hears in a thread of its own; with the transforms of /tf where tf2_msgs is installed.
 
     Without a node it makes one, where the environment says (ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE). `ended`:
-    whether nobody waits any more. `stamps`: those of messages in whole nanoseconds, by seconds. `news` is notified of
-    all that comes.
+    whether nobody waits any more. `stamps`: those of messages in whole nanoseconds, by seconds. `lock` is held while a
+    message is taken in.
     """
 
     def __init__(self, node: Node | None = None, ended: Callable[[], bool] = lambda: False) -> None:
@@ -73,22 +61,27 @@ class Ears(LoopClock):
             rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
             node = Node(f"eagor_{uuid4().hex}", context=context, start_parameter_services=False)
         self.node: Node = node
-        self.ended = ended
-        self._closed, self._heard = False, dict[Any, Callable[[Any], Any]]()
-        self.stamps, self.tree, self.news = dict[float, int](), TransformTree(), threading.Condition()
+        self.ended, self._closed = ended, False
+        self._heard = dict[Any, Callable[[Any], Any]]()  # what to call with the messages of each subscription
+        self._group = MutuallyExclusiveCallbackGroup()
+        self._group.add_entity(self)
+        self._group.beginning_execution(self)  # for ever, so that executors leave the subscriptions of the group alone
+        self.stamps, self.tree, self.lock = dict[float, int](), TransformTree(), threading.RLock()
         self.taker: Callable[[Any, bool], Any] = self.tree.add  # of transforms: poses are, while they are read
         self.has_transforms = find_spec("tf2_msgs") is not None  # no wheel has it
         for topic, fixed in ((TF_STATIC, True), (TF, False)) if self.has_transforms else ():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if fixed else DurabilityPolicy.VOLATILE
             qos = QoSProfile(depth=100, durability=durability)
             self.subscribe(TRANSFORMS, topic, lambda told, fixed=fixed: self.taker(told, fixed), qos)
-        threading.Thread(target=self._hear, name="eagor ears", daemon=True).start()
+        self._thread = threading.Thread(target=self._hear, name="eagor ears", daemon=True)
+        self._thread.start()
 
     def close(self) -> None:
         """Hear nothing more; leave the graph, if the node is its own."""
         self._closed = True
         for each in [*self._heard]:
             self.unsubscribe(each)
+        self._thread.join()
         if self._own:
             self.node.destroy_node()
             self.node.context.try_shutdown()
@@ -101,58 +94,55 @@ class Ears(LoopClock):
             raise DeviceError(f"{topic!r} is no name of a topic: {error}") from error
 
     def subscribe(self, kind: str, topic: str, heard: Callable[[Any], Any], qos: QoSProfile) -> Any:
-        """Call `heard` with each message of a `kind` such as "sensor_msgs/msg/Image", while `news` is held."""
+        """Call `heard` with each message of a `kind` such as "sensor_msgs/msg/Image", while `lock` is held."""
         package, _, name = kind.partition("/msg/")
-        raw = {"raw": find_spec("rosbags") is not None, "callback_group": NoExecutor()}
-        found = self.node.create_subscription(getattr(import_module(f"{package}.msg"), name), topic, heard, qos, **raw)
-        with self.news:
+        how = {"callback_group": self._group, "raw": find_spec("rosbags") is not None}
+        found = self.node.create_subscription(getattr(import_module(f"{package}.msg"), name), topic, heard, qos, **how)
+        with self.lock:
             self._heard[found] = (lambda data: heard(store().deserialize_cdr(data, kind))) if found.raw else heard
-            self.news.notify_all()
         return found
 
     def unsubscribe(self, subscription: Any) -> None:
         """Hear no more of it."""
-        with self.news:
+        with self.lock:
             self._heard.pop(subscription, None)
         self.node.destroy_subscription(subscription)
 
     def _hear(self) -> None:
-        """Take messages as they come.
+        """Take messages as they come, in the way of `rclpy.wait_for_message`.
 
-        rclpy's executors look at all that a node has, twice for each message, and its own messages are slow to make:
-        that takes five times as long. This is how `rclpy.wait_for_message` waits.
+        rclpy's executors look at all that a node has, twice for each message, and its messages are slow to make: that
+        takes four times as long.
         """
         context = self.node.context
-        while context.ok() and not self._closed:
-            with self.news:
-                self.news.wait_for(lambda: self._heard, BREATH)
-                heard = dict(self._heard)
+        while not self._closed:
+            heard = self._heard.copy()
             try:
-                self._take(heard)
-            except RuntimeError:  # as rclpy has it if one of them, or all, have just ended
+                with ExitStack() as held:  # what is held is not destroyed
+                    for handle in [context.handle, *(each.handle for each in heard)]:
+                        held.enter_context(handle)
+                    waiting = rclpy_implementation.WaitSet(len(heard), 0, 0, 0, 0, 0, context.handle)
+                    while heard and heard == self._heard:
+                        waiting.clear_entities()
+                        for each in heard:
+                            waiting.add_subscription(each.handle)
+                        waiting.wait(round(BREATH * NANO))
+                        self._take(heard)
+            except RuntimeError:  # as rclpy has it if one of them, or the context, has just ended
                 if context.ok() and heard == self._heard:
                     raise
+            time.sleep(BREATH)
 
     def _take(self, heard: dict[Any, Callable[[Any], Any]]) -> None:
-        """Take messages of these, as long as they are all."""
-        with ExitStack() as held:  # what is held is not destroyed
-            for handle in [self.node.context.handle, *(each.handle for each in heard)]:
-                held.enter_context(handle)
-            waiting = rclpy_implementation.WaitSet(len(heard), 0, 0, 0, 0, 0, self.node.context.handle)
-            while heard and heard == self._heard and self.node.context.ok():
-                waiting.clear_entities()
-                for each in heard:
-                    waiting.add_subscription(each.handle)
-                waiting.wait(round(BREATH * NANO))
-                for each, take in heard.items():
-                    while (found := each.handle.take_message(each.msg_type, each.raw)) is not None:
-                        with self.news:
-                            try:
-                                take(found[0])
-                            except Exception as error:  # one message is no reason to hear no more
-                                text = f"{each.topic_name}: a message is left out: {error!r}"
-                                self.node.get_logger().error(text, throttle_duration_sec=10.0)
-                            self.news.notify_all()
+        """Take what has come."""
+        for each, take in heard.items():
+            while (found := each.handle.take_message(each.msg_type, each.raw)) is not None:
+                try:
+                    with self.lock:
+                        take(found[0])
+                except Exception as error:  # one message is no reason to hear no more
+                    text = f"{each.topic_name}: a message is left out: {error!r}"
+                    self.node.get_logger().error(text, throttle_duration_sec=10.0)
 
     def offered(self, topic: str, kinds: Collection[str]) -> tuple[str, QoSProfile]:
         """The type of a `topic`, one of `kinds`, and how to read it. Raises `DeviceError` if nobody publishes it."""
@@ -196,12 +186,12 @@ class Ears(LoopClock):
 
     def placed(self, body: str, camera: str) -> bool:
         """Whether anything tells where the camera is on the body."""
-        with self.news:
+        with self.lock:
             return camera == body or self.tree.between(body, camera) is not None
 
     def mount(self, body: str, camera: str, stamp: float) -> Transform:
         """Where the camera's axes (x ahead) are on the body; those of the body if nothing tells."""
-        with self.news:
+        with self.lock:
             found = None if camera == body else self.tree.at(body, camera, stamp)
         return IDENTITY if found is None else (found[0] @ optical(camera), found[1])
 
@@ -213,12 +203,13 @@ class TopicSource:
 
     def __init__(self, ears: Ears | None) -> None:
         self._ears, self._own = Ears() if ears is None else ears, ears is None
+        self._news = threading.Condition(self._ears.lock)
         self._closed, self._readers = False, list[Any]()
 
     def close(self) -> None:
-        with self._ears.news:
+        with self._news:
             self._closed = True
-            self._ears.news.notify_all()
+            self._news.notify()
         while self._readers:
             self._ears.unsubscribe(self._readers.pop())
         if self._own:
@@ -275,8 +266,8 @@ class RosCamera(TopicSource):
 
     def __iter__(self) -> Iterator[Frame]:
         while True:
-            with self._ears.news:
-                self._ears.news.wait_for(lambda: self._closed or any(self._fresh[each] for each in self._turn))
+            with self._news:
+                self._news.wait_for(lambda: self._closed or any(self._fresh[each] for each in self._turn))
                 if self._closed:
                     return
                 lens = next(each for each in self._turn if self._fresh[each])
@@ -312,6 +303,7 @@ class RosCamera(TopicSource):
     def _received(self, lens: int, message: Any) -> None:
         self.dropped += self._fresh[lens] and lens in self._turn
         self._newest[lens], self._fresh[lens] = message, True
+        self._news.notify()
 
     def _told(self, topic: str, asked: str | None) -> LensTold | None:
         """What the CameraInfo says; None if nobody publishes it."""
@@ -327,8 +319,8 @@ class RosCamera(TopicSource):
 
     def _placed(self, frames: Sequence[str]) -> list[np.ndarray]:
         """Where cameras are in the axes of the first."""
-        with self._ears.news:
-            self._ears.news.wait_for(lambda: {*frames} <= self._ears.tree.frames, SETTLING)
+        self._ears.wait(lambda: all(self._ears.placed(frames[0], each) for each in frames), SETTLING)
+        with self._ears.lock:
             return placed(self._ears.tree, frames)
 
 
@@ -380,8 +372,8 @@ class RosPoses(TopicSource):
 
     def __iter__(self) -> Iterator[Pose]:
         while True:
-            with self._ears.news:
-                self._ears.news.wait_for(lambda: self._poses or self._closed or self._error)
+            with self._news:
+                self._news.wait_for(lambda: self._poses or self._closed or self._error)
                 if self._closed:
                     return
                 if self._error is not None:
@@ -397,6 +389,7 @@ class RosPoses(TopicSource):
         for each in message.transforms:  # the pose will have the stamp of one of them, or of one before
             self._ears.remember(seconds(each.header.stamp), each.header.stamp)
         self._poses.extend(self.reader.transforms(message, fixed))
+        self._news.notify()
 
     def _received(self, message: Any) -> None:
         now = time.monotonic()
@@ -412,3 +405,4 @@ class RosPoses(TopicSource):
             self._error = error
         except EagorError as error:
             self._ears.node.get_logger().warning(f"{self.topic}: a pose is left out: {error}", once=True)
+        self._news.notify()
