@@ -106,9 +106,10 @@ class Loop:
     the perception understands no query, other `EagorError` if it cannot be loaded, or the sources cannot be opened at
     first.
 
-        >>> loop = eagor.Loop("walk.mp4", "auto", "coco", ["chair", "tv"])
-        >>> for answer in loop:
-        ...     print(answer.as_dict())
+    ```python
+    for answer in eagor.Loop("walk.mp4", "auto", "coco", ["chair", "tv"]):
+        print(answer.as_dict())
+    ```
     """
 
     def __init__(

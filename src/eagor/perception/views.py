@@ -35,6 +35,8 @@ from eagor.perception.words import colour_of, fitting, meant, named, same_name
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 from eagor.tracking import Around
 
+__all__ = ["Detector", "boxes_of", "is_ultralytics"]
+
 MOST_LABELS = 8  # in a warning
 # Of a box's pixels, so many have the thing's colour at least: it fills about half of its box, and has others, too.
 COLOURED = 0.25
@@ -66,7 +68,7 @@ class Detector:
 
         >>> detector = eagor.Detector(lambda picture: ([[10, 10, 60, 80]], [0.9], ["chair"]))
         >>> detector(np.zeros((256, 512, 3), np.uint8), "chair", stamp=0.0)
-        Evidence(6 detections in a whole look, t=0 s)
+        Evidence(t=0 s, 6 detections on PatchGrid, read by DetectorModel())
     """
 
     takes_pose = True
