@@ -50,6 +50,12 @@ def test_a_loop_of_texts_and_a_lambda(film, poses):
     assert {"direction", "credible_angle_deg", "presence", "modes", "faults"} <= found.keys()
 
 
+def test_the_answer_at_a_picture_knows_what_was_seen_in_it(film):
+    answers = [*eagor.Loop(str(film), f"{film}/poses.csv", red, "ball", rate=1.0)]
+    assert [answer.stamp for answer in answers] == [0, 1, 2, 3]
+    assert all(answer.look_age == 0 and answer.direction is not None for answer in answers)
+
+
 def test_a_function_in_a_file_is_a_perception_and_several_queries_are_followed(film, tmp_path):
     (tmp_path / "shades.py").write_text("LEAST = 150\n")
     file = tmp_path / "my_detector.py"

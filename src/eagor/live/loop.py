@@ -350,6 +350,7 @@ class Loop:
             queries = [query for query in self.core.queries if query not in self._refused]
             for said in self._inference.look(frame.picture, queries, now, self.core.orientation(now), frame.grid):
                 self._found(picture, said, now)
+            self._drain()  # the answer at this picture knows what was seen in it
         if begun is not None:
             yield from self._taken(Asked(now))
 
