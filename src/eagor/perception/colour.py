@@ -241,7 +241,7 @@ def _likeness(linear: np.ndarray, colour: Colour, around: bool = True) -> np.nda
     """
     strips = np.split(linear, range(STRIP, len(linear), STRIP))
     likeness = np.concatenate([_pixel_likeness(strip, colour) for strip in strips])
-    rows = likeness.any(axis=1).nonzero()[0]
+    rows = np.flatnonzero(likeness.any(axis=1))
     if len(rows):
         part = slice(max(rows[0] - 1, 0), rows[-1] + 2)  # beyond, there is nothing to suppress
         likeness[part] *= _ramp(blurred(likeness[part], around), 0.25, 0.5)
