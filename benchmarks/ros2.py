@@ -27,6 +27,7 @@ SETTINGS = {
     "raw, 0.4 MB, 10 a second": {"rows": 256},
     "raw, 4.8 MB, 5 a second": {"rows": 895, "rate": 5.0},
     "jpeg, 10 a second, two robots": {"transport": "compressed", "rows": 256, "robots": 2},
+    "raw, 0.4 MB, 10 a second, two robots": {"rows": 256, "robots": 2},
     "small jpeg, 5 a second, two robots": {"transport": "compressed", "rate": 5.0, "robots": 2},
 }
 TICKS = os.sysconf("SC_CLK_TCK")

@@ -9,6 +9,7 @@ import sys
 import time
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -324,6 +325,29 @@ def test_no_two_queries_share_a_topic(queries, found):
     from eagor.robots.ros.node import spaces
 
     assert spaces(queries) == found
+
+
+def test_the_markers_stand_about_the_direction():
+    from geometry_msgs.msg import Point
+    from std_msgs.msg import Header
+
+    from eagor.conventions import rotation_from_xyzw
+    from eagor.robots.ros.node import markers
+    from eagor.sphere import angular_distance, direction
+
+    toward, place = direction(2.0, -0.4), np.array([0.1, 0.0, 0.5])
+    estimate = SimpleNamespace(direction=toward, credible_angle=0.2, status="tracking")
+    arrow, cone, words = markers(Header(frame_id="base_link"), "red ball", estimate, place)
+    for each in (arrow, cone):
+        at, q = each.pose.position, each.pose.orientation
+        assert [at.x, at.y, at.z] == pytest.approx(place.tolist())
+        assert rotation_from_xyzw(np.array([q.x, q.y, q.z, q.w]))[:, 0] == pytest.approx(toward)
+    turn = rotation_from_xyzw(np.array([q.x, q.y, q.z, q.w]))
+    rim = np.array([[each.x, each.y, each.z] for each in cone.points if each != Point()]) @ turn.T
+    assert len(cone.points) == 3 * 24
+    assert angular_distance(rim, toward) == pytest.approx(0.2)
+    assert words.text == "red ball: tracking"
+    assert {each.ns for each in (arrow, cone, words)} == {"red ball"}
 
 
 @pytest.mark.parametrize(

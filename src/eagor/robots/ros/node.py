@@ -377,21 +377,23 @@ class EagorNode(LifecycleNode):
 
 def markers(header: Header, query: str, estimate: Any, place: np.ndarray) -> list[Marker]:
     """An arrow, the cone that holds 90 % of the belief, and words, from the camera's `place`."""
-    d, angle = estimate.direction, estimate.credible_angle
+    d, toward = estimate.direction, posed(place, estimate.direction)
 
-    def marker(number: int, kind: int, alpha: float, at: np.ndarray, **more: Any) -> Marker:
-        colour = ColorRGBA(r=0.9, g=0.1, b=0.1, a=alpha)
-        made = Marker(header=header, ns=query, id=number, type=kind, lifetime=LASTING.to_msg(), color=colour, **more)
-        made.pose = posed(at, d)
-        return made
+    def marker(number: int, kind: int, alpha: float, pose: Pose, **more: Any) -> Marker:
+        colour, lifetime = ColorRGBA(r=0.9, g=0.1, b=0.1, a=alpha), LASTING.to_msg()
+        return Marker(header=header, ns=query, id=number, type=kind, lifetime=lifetime, color=colour, pose=pose, **more)
 
-    arrow = marker(0, Marker.ARROW, 1.0, place, scale=Vector3(x=1.0, y=0.03, z=0.06))
-    ahead, beside = math.cos(angle), math.sin(angle)
+    ahead, beside = math.cos(estimate.credible_angle), math.sin(estimate.credible_angle)
     rim = [Point(x=ahead, y=beside * math.cos(turn), z=beside * math.sin(turn)) for turn in TURNS]
-    sides = [each for a, b in pairwise(rim) for each in (Point(), a, b)]
-    cone = marker(1, Marker.TRIANGLE_LIST, 0.25, place, scale=Vector3(x=1.0, y=1.0, z=1.0), points=sides)
-    said = f"{query}: {estimate.status}"
-    return [arrow, cone, marker(2, Marker.TEXT_VIEW_FACING, 1.0, place + 1.1 * d, scale=Vector3(z=0.1), text=said)]
+    tip, words, beyond = Point(), f"{query}: {estimate.status}", Pose(position=numbers(Point, place + 1.1 * d))
+    return [
+        marker(0, Marker.ARROW, 1.0, toward, scale=Vector3(x=1.0, y=0.03, z=0.06)),
+        marker(
+            1, Marker.TRIANGLE_LIST, 0.25, toward, scale=Vector3(x=1.0, y=1.0, z=1.0),
+            points=[each for a, b in pairwise(rim) for each in (tip, a, b)],
+        ),
+        marker(2, Marker.TEXT_VIEW_FACING, 1.0, beyond, scale=Vector3(z=0.1), text=words),
+    ]  # fmt: skip
 
 
 def numbers(kind: Any, values: Any) -> Any:
