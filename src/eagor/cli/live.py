@@ -218,7 +218,6 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
     from eagor.media.camera_sources import open_source
     from eagor.media.odometry import poses_for
     from eagor.media.rig_videos import are_ordinary
-    from eagor.robots import ROS
 
     source, queries = asked(options)
     spec = perception_for_all(queries, options.perception)
@@ -231,7 +230,7 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
     stitched = several and wants_panoramas(spec)
     how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
     opens = partial(open_source, source, stitched=stitched, **how)
-    if source.startswith(ROS):  # its publishers may not be there yet
+    if source.startswith("ros:"):  # its publishers may not be there yet
         terminal.log(f"waiting for pictures on {source}")
     camera = opens()
     if options.eyes is not None and mask is None and (unseen := getattr(camera, "unseen", None)) is not None:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["GivenPoses", "MotionPoses", "open_poses", "poses_for"]
 
 GROUP = "eagor.poses"
-BUILT_IN = {"go2": "eagor.robots:open_poses", "ros": "eagor.robots:open_poses"}
+BUILT_IN = {"go2": "eagor.robots:go2_poses", "ros": "eagor.robots.ros:ros_poses"}
 BY_SIGHT = ("auto", "level")
 MOTION_RATE = 100.0  # poses per second that are taken from a motion track
 

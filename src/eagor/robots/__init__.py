@@ -1,6 +1,6 @@
 """ROS 2, the Go2 over DDS, the simulated Go2, and what keeps a robot safe while it follows an answer.
 
-Here: live sources of poses by their names.
+Here: the poses of a Go2.
 """
 
 from __future__ import annotations
@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 from eagor.errors import DeviceError
 
 if TYPE_CHECKING:  # the guard's process imports this file as well, and is to hold little
-    from eagor.media import Pose, PoseSource
+    from eagor.media import Pose
     from eagor.robots.go2.state import BodyState
 
-__all__ = ["GO2", "ROS", "Go2Poses", "open_poses"]
+__all__ = ["Go2Poses", "go2_poses"]
 
-ROS, GO2 = "ros:", "go2"
 KEPT = 2000  # states of a Go2 that wait for whoever iterates: 10 s at 200 Hz
 LOOK = 1.0  # seconds between looks at what is wrong while nothing comes
 
@@ -62,22 +61,8 @@ class Go2Poses:
         self._came.put(None)
 
 
-def open_poses(
-    text: str, *, domain: int | None = None, interface: str | None = None, camera: str | None = None
-) -> PoseSource:
-    """The live source of poses that `text` names: "ros:/odom", "go2", or "go2:lidar" (`eagor.robots.go2.state`).
+def go2_poses(text: str, *, domain: int | None, interface: str | None, **_: object) -> Go2Poses:
+    """The poses that "go2" or "go2:lidar" names, for `eagor.open_poses`. Raises as `Go2Poses`."""
+    from eagor.robots.dds import default_domain
 
-    `domain`, `interface`: of DDS, for the Go2; ROS has those of its environment. `camera`: the frame of a ROS camera,
-    whose poses are wanted. Raises `DeviceError` for another text, or if the network cannot be used;
-    `MissingExtraError`.
-    """
-    if text.startswith(ROS):
-        from eagor.robots.ros import RosPoses  # type: ignore[attr-defined]
-
-        return RosPoses(text.removeprefix(ROS) or None, camera=camera)
-    name, _, source = text.partition(":")
-    if name == GO2:
-        from eagor.robots.dds import default_domain
-
-        return Go2Poses(default_domain() if domain is None else domain, interface, source or "sport")
-    raise DeviceError(f"no poses are called {text!r}; wanted ros:/TOPIC or go2")
+    return Go2Poses(default_domain() if domain is None else domain, interface, text.partition(":")[2] or "sport")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from eagor.robots.ros.topics import RosCamera, RosPoses
     from eagor.tracking import TrackerConfig
 
-__all__ = ["PARAMETERS", "SOURCES", "RosCamera", "RosPoses", "Setup", "need_rclpy"]
+__all__ = ["PARAMETERS", "SOURCES", "RosCamera", "RosPoses", "Setup", "need_rclpy", "ros_poses"]
 
 # How the camera's motion is known: the topic and its type, or what `Loop` takes as poses.
 SOURCES: Mapping[str, Any] = {
@@ -68,6 +68,14 @@ def need_rclpy() -> None:
             "ROS 2 needs rclpy: source a ROS installation in this shell (source /opt/ros/jazzy/setup.bash), with "
             f"its Python; or, on x86-64 Linux: {how_to_install('ros')}"
         )
+
+
+def ros_poses(text: str, *, camera: str | None, **_: object) -> RosPoses:
+    """The poses on the topic that "ros:/odom" names, of the `camera` with this frame, for `eagor.open_poses`."""
+    need_rclpy()
+    from eagor.robots.ros import topics
+
+    return topics.RosPoses(text.partition(":")[2] or None, camera=camera)
 
 
 def __getattr__(name: str) -> Any:
