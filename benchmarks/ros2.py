@@ -77,11 +77,11 @@ def run(robots: int = 1, seconds: float = 40.0, **settings: object) -> list[str]
             rclpy.spin_once(node, timeout_sec=0.1)
         used = (sum(cpu(each.pid) for each in nodes) - used) / seconds / robots
     finally:
+        node.destroy_node()  # first: it crashes now and then once those that it hears were killed
+        rclpy.shutdown()
         for each in [*nodes, *started]:
             each.kill()
             each.wait()
-        node.destroy_node()
-        rclpy.shutdown()
     errors, cones, ages = [], [], []
     for told, turned in zip(answers, yaws, strict=True):
         for arrived, answer in told:
