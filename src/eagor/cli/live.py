@@ -88,7 +88,7 @@ class Live(Common):
     rate: Annotated[float, arg(metavar="HZ")] = 20.0
     """Answers per second."""
     perception: Annotated[str | None, bare("NAME")] = None
-    """The detector: colour, coco, onnx:MODEL.onnx, a model, or an installed one (as for locate). Also with replay."""
+    """The detector: colour, coco, onnx:MODEL.onnx, my.py:FUNCTION, a model, or an installed one. Also with replay."""
     patience: Annotated[float, arg(metavar="SECONDS")] = 60.0
     """Time that one look may take; then the detector is ended and started anew."""
     record: Annotated[Path | None, bare("DIR")] = None

@@ -67,10 +67,11 @@ class Locate(Common):
     """What to look for, in words."""
     perception: Annotated[str | None, bare("NAME")] = None
     (
-        "The detector (default: coco, or colour where only the colour is known): colour (the colour that the query "
+        "The detector (default: coco, or colour for a bare colour such as 'red'): colour (the colour that the query "
         "names; colour:rows=512 for things of 1 degree), "
         "coco (a small network for everyday things, `eagor models get coco`), "
-        "replay:FILE.jsonl (output of any detector), onnx:MODEL.onnx (a detector's file, options after ?), a model "
+        "replay:FILE.jsonl (output of any detector), onnx:MODEL.onnx (a detector's file, options after ?), "
+        "my.py:FUNCTION (a function of yours), a model "
         "(FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed "
         "one; `eagor doctor` lists them."
     )

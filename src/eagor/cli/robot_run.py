@@ -79,7 +79,7 @@ class RobotRun(Common):
     record: Annotated[Path | None, bare("DIR")] = None
     """A new folder for a bag of all that happens: pictures, poses, answers (as for `eagor live`)."""
     perception: Annotated[str | None, bare("NAME")] = None
-    """The detector: colour, coco, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
+    """The detector: colour, coco, onnx:MODEL.onnx, my.py:FUNCTION, a model, or an installed one."""
     patience: Annotated[float, arg(metavar="SECONDS")] = 10.0
     """Time that one look may take; then the detector is ended and started anew."""
     latency: Annotated[float, arg(metavar="SECONDS")] = 0.15

@@ -52,7 +52,7 @@ class Track(Footage):
     page: Annotated[Path | None, bare("FILE.html")] = None
     """Write one self-contained web page: the frames with the answers, a time line, a table."""
     perception: Annotated[str | None, bare("NAME")] = None
-    """The detector: colour, coco, replay:FILE.jsonl, onnx:MODEL.onnx, a model, or an installed one (as for locate)."""
+    """The detector: colour, coco, replay:FILE.jsonl, onnx:MODEL.onnx, my.py:FUNCTION, a model, or an installed one."""
     floor: Floor = None
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
