@@ -138,6 +138,7 @@ class Loop:
         queries = (queries,) if isinstance(queries, str) else tuple(queries)
         if not queries:
             raise QueryError("there is no query; say what to look for, such as 'red chair'")
+        perception = as_perception(perception)
         self.clock, self.counts = clock or LoopClock(), Counts()
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._stopped = threading.Event()
@@ -145,8 +146,11 @@ class Loop:
         self._camera: CameraSource = opened if reopen is None else reopen()
         self.live = self._camera.live
         self.rate, self.realtime = rate, realtime or self.live
-        if isinstance(poses, str):
-            poses = poses_for(poses, self._camera, again=reopen)
+        try:
+            poses = poses_for(poses, self._camera, again=reopen) if isinstance(poses, str) else poses
+        except BaseException:
+            self._camera.close()
+            raise
         self._odometer = poses if isinstance(poses, VisualOdometer) else None
         self._frames, self._odometry = self._readers(reopen, poses)
         config = config or TrackerConfig()
@@ -157,7 +161,6 @@ class Loop:
         )
         self.core = LiveCore(self._settings)
         masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
-        perception = as_perception(perception)
         own_process = self.realtime
         if own_process and (why := why_here(perception)):
             own_process = False
