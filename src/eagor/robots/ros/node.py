@@ -12,6 +12,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain, count, pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -318,11 +319,8 @@ class EagorNode(LifecycleNode):
                 there = numbers(Point, place + estimate.distance * d)
                 self.publish(f"{space}/point", PointStamped, header=header, point=there)
             self.publish("~/markers", MarkerArray, markers=lambda: markers(header, answer.query, estimate, place))
-        ages = {"pose_age": answer.pose_age, "look_age": answer.look_age, "image_age": answer.image_age}
-        self.tick[answer.query] = {
-            "query": answer.query, "stamp": nanoseconds / NANO, "stamp_ns": nanoseconds, "frame": self.base,
-            "direction": None if d is None else [round(float(each), 6) for each in d], **estimate.as_dict(),
-            **{name: None if age is None or math.isinf(age) else round(age, 6) for name, age in ages.items()},
+        self.tick[answer.query] = replace(answer, estimate=estimate).as_dict() | {
+            "stamp": nanoseconds / NANO, "stamp_ns": nanoseconds, "frame": self.base,
             "faults": [fault.text for fault in answer.faults],
         }  # fmt: skip
         if answer.query == queries[-1]:
