@@ -466,7 +466,7 @@ def cut(panorama: np.ndarray, *views: PerspectiveGrid) -> list[np.ndarray]:
     image = checked_picture(panorama)
     # A pixel of a view spans fewest degrees at its border; half way between that and the middle blurs least.
     rows = max((math.ceil(math.pi * view.focal / math.cos(view.hfov / 2)) for view in views), default=2)
-    image = _shrunk(np.ascontiguousarray(image), max(2, rows))
+    image = shrunk(np.ascontiguousarray(image), max(2, rows))
     height, width = image.shape[:2]
     # Beyond a pole the picture goes on half a turn away: one such row above and one below.
     canvas = np.concatenate([np.roll(image[:1], width // 2, axis=1), image, np.roll(image[-1:], width // 2, axis=1)])
@@ -485,7 +485,7 @@ def _rays(lens: ViewKey) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(forward_view(lens).directions, -1, 0).astype(np.float32))
 
 
-def _shrunk(image: np.ndarray, rows: int) -> np.ndarray:
+def shrunk(image: np.ndarray, rows: int) -> np.ndarray:
     """A panorama with about so many `rows`, by areas, around the seam; one that has no more is returned as it is."""
     import cv2
 

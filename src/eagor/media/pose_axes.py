@@ -22,7 +22,7 @@ from eagor.conventions import HABITAT_R_BODY, OPTICAL_R_BODY
 from eagor.errors import EagorError, PoseError
 from eagor.media import Frame, Pose
 from eagor.media.footage import Read
-from eagor.media.panorama import Picture
+from eagor.media.panorama import Picture, shrunk
 from eagor.media.pose_files import FramePose, Poses, interpolated, read_poses
 
 __all__ = ["AXES", "odometry_of_file", "settled", "with_axes"]
@@ -231,11 +231,7 @@ def _pairs(frames: Iterable[tuple[FramePose, Read | None]], poses: Sequence[Fram
 
 def _small(picture: Picture) -> Picture:
     """A panorama with few rows: it is compared sooner."""
-    import cv2
-
-    if picture.grid is not None or len(picture.picture) <= ROWS:
-        return picture
-    return replace(picture, picture=cv2.resize(picture.picture, (2 * ROWS, ROWS), interpolation=cv2.INTER_AREA))
+    return picture if picture.grid is not None else replace(picture, picture=shrunk(picture.picture, ROWS))
 
 
 def _angle(rotation: np.ndarray) -> float:
