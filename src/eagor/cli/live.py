@@ -237,7 +237,7 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
         mask = BodyMask(~unseen)
     try:
         dds = {"domain": options.domain, "interface": options.interface}
-        poses = poses_for(options.poses, camera, axes=options.axes, again=opens, **dds)
+        poses = poses_for(options.poses, camera, axes=options.axes, **dds)
         loop = Loop(
             already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast, sinks,
             config=config, rate=options.rate, patience=options.patience, record=options.record,
