@@ -156,7 +156,8 @@ def _mistake(box: str) -> str:
     lines = [line.strip("\u2502| ") for line in box.splitlines()]
     rule = "-+\u2500\u256d\u256e\u2570\u256f"  # the box; its first line has a title
     parts = " ".join("\n" if line.lstrip(rule) == "" or line[-1] in rule else line for line in lines).split("\n")
-    wrong = next((part.strip() for part in parts if ":" in part), "what is wanted is not clear")  # not the title
+    told = [part.strip() for part in parts if part.strip()]
+    wrong = told[0 if "\u256d" in box else 1]  # without a box the title comes first
     near = lines[lines.index("Perhaps you meant:") + 1].split()[0] if "Perhaps you meant:" in lines else ""
     return f"{wrong}{f'; did you mean {near}?' if near else ''}; eagor --help describes all"
 
