@@ -224,7 +224,8 @@ def perception_for_all(queries: Sequence[str], spec: str | None) -> str:
     found = {perception_for(query, spec) for query in queries}
     if len(found) > 1:
         raise QueryError(
-            f"{' and '.join(sorted(found))} would each answer some of the queries; name one with --perception"
+            f"{' and '.join(sorted(found))} would each answer some of the queries; name one with --perception. Is it "
+            f"one thing? {in_quotes(' '.join(queries))}"
         )
     return found.pop()
 

@@ -147,10 +147,11 @@ class PosedFrames:
                 f"{within} pictures are left out: {name} has no pose for more than {LONGEST:g} s about them"
             )
         if not used and early + late + within:
+            *_, last = *([last] if last else []), *([ahead] if ahead else []), *coming
             holes = f" with a hole of more than {LONGEST:g} s about {within} of the pictures" if within else ""
             raise PoseError(
                 f"no picture has a pose of {name}, which tells those from {begins:.3f} to "
-                f"{math.nan if last is None else last.stamp:.3f} s{holes}; the pictures begin at {self._begins:.3f} s. "
+                f"{last.stamp:.3f} s{holes}; the pictures begin at {self._begins:.3f} s. "
                 "Are both stamped by one clock? Or --poses level: headings from the pictures themselves"
             )
         for count, side in ((early, "before the first"), (late, "after the last")):
