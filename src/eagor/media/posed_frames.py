@@ -113,11 +113,11 @@ class PosedFrames:
         ahead = next(coming, None)
         begins = math.nan if ahead is None else ahead.stamp
         early = late = within = used = 0
-        noted = False
+        noted, posed_at = False, -math.inf
         for frame in self.source:
             stamp = frame.stamp
             while ahead is not None and ahead.stamp < stamp:
-                before += [ahead] if used or strict else []
+                before += [ahead] if (used or strict) and ahead.stamp > posed_at else []
                 last, ahead = ahead, next(coming, None)
             if (problem := getattr(poses, "problem", None)) and not noted:
                 noted = True
@@ -139,7 +139,7 @@ class PosedFrames:
                     continue
                 if hole <= LONGEST:
                     self._say(f"warning: {frame.name}: {name} has no pose for {hole:.2f} s about it")
-            used += 1
+            used, posed_at = used + 1, stamp
             yield PosedFrame(frame, Pose(stamp, *between(last, ahead, stamp)), tuple(before))
             before.clear()
         if within and used:
