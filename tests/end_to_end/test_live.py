@@ -129,7 +129,7 @@ def test_what_else_is_here_is_listed_at_the_end_and_recorded(film, tmp_path, mon
         return Loop(str(film), "level", eyes, "ball", sinks=sinks, around=around, record=options.record)
 
     monkeypatch.setattr("eagor.cli.live.loop_of", loop_of)
-    monkeypatch.setattr("eagor.cli.live.perception_for_all", lambda queries, given: spec)
+    monkeypatch.setattr("eagor.cli.live.perception_for", lambda queries, given: spec)
     words = ["live", str(film), "ball", "--fast", "--what-else"]
     assert main([*words, "--json", "--record", str(tmp_path / "run")]) == 0
     *answers, last = lines(capsys)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import arg
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_looks, checked_folder, checked_query, make_perception, perception_for
+from eagor.cli.checks import check_looks, checked_out, checked_query, make_perception, perception_for
 from eagor.cli.options import Common, Name, Whole, bare, given
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def _apartment(options: Demo) -> int:
         raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {SEEDS - 1}")
     if not 0 <= options.episode < PER_PLACE:
         raise terminal.UsageError(f"--episode {options.episode}; wanted 0 to {PER_PLACE - 1}")
-    checked_folder(options.out)
+    checked_out(options.out, folder=True)
     perception = "scout" if options.perception == AUTO else options.perception
     check_looks(perception)
     search = demo_apartment.play(options.seed, options.episode, perception, say=not options.json)
@@ -87,10 +87,10 @@ def _photo(options: Demo, path: Path) -> int:
     hfov = options.hfov
     if hfov is not None and not NARROWEST <= hfov <= WIDEST:
         raise terminal.UsageError(f"--hfov {hfov:g}; wanted degrees from {NARROWEST} to {WIDEST}")
-    checked_folder(options.out)
+    checked_out(options.out, folder=True)
     spec = options.perception
     if spec == AUTO:  # without a query the detector chooses one, so it has to be one that knows things
-        spec = "coco" if options.query is None else perception_for(checked_query(options.query), None)
+        spec = "coco" if options.query is None else perception_for([checked_query(options.query)], None)
     check_looks(spec)
     image, perception = _read(path), make_perception(spec)
     from eagor.cli import demo_looking, demo_photo

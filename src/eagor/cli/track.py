@@ -91,7 +91,7 @@ def track(options: Track) -> int:
         raise terminal.UsageError(
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
-    spec = checks.perception_for(query, options.perception) if replay is None else about(replay).perception
+    spec = checks.perception_for([query], options.perception) if replay is None else about(replay).perception
     checks.check_not_read(options.out, "--out", [*places, Path(options.poses)])
     outputs = {"pictures": options.picture, "video": options.video, "page": options.page, "rerun": options.rerun}
     for name, path in outputs.items():
@@ -99,10 +99,10 @@ def track(options: Track) -> int:
     config = checks.tracker_config(
         options.degree, spec, options.calibration, options.detector, options.force, options.static
     )
-    checks.checked_modes(options.modes)
+    checks.checked_number(options.modes, "--modes")
     if replay is None:
         perception = checks.make_perception(spec, busy=True)
-        checks.checked_rate(options.fps, "--fps")
+        checks.checked_number(options.fps, "--fps")
         shown = None if options.video is None else options.fps or FPS
         journey = journey_of(options, places, perception, shown)
     else:
@@ -182,7 +182,7 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     if options.poses not in SEEN and not os.path.exists(options.poses):
         raise terminal.UsageError(f"there is no file {options.poses}; --poses takes {', '.join(SEEN)} or a CSV file")
     poses = () if options.poses in SEEN else read_poses(options.poses)
-    checks.checked_rate(options.rate, "--rate")
+    checks.checked_number(options.rate, "--rate")
     rows, looks = max(rows_of(perception), LEAST_ROWS), options.rate or RATE
     rates = looks, max(looks, shown or 0)
     if len(places) == 1 and is_bag(places[0]):
@@ -230,7 +230,7 @@ def _of_video(
     source = VideoFrames(video, check)
     poses = _in_our_axes(options, source, poses)
     frames, told = _posed(options, source, poses, video.motion)
-    terminal.log(f"{checks.looks_in_words(looks, video.frame_rate)}, {told}")
+    terminal.log(f"{min(looks, video.frame_rate or looks):g} looks per second (--rate {looks:g}), {told}")
     end = options.end or video.duration
     span = None if end is None else end - options.start
     return Journey(thinned(frames, looks, lenses=max(1, lenses)), source.count, told, poses, shown, span)
@@ -529,7 +529,7 @@ def _painter(folder: Path, query: str, most: int) -> Sink:
     from eagor.drawing import Mosaic, draw_belief
     from eagor.drawing.style import answer_in_words
 
-    checks.checked_folder(folder, "--pictures")
+    checks.checked_out(folder, "--pictures", folder=True)
     numbers, mosaic = count(), Mosaic()
 
     def draw(result: FollowedFrame) -> None:
