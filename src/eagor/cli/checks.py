@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from eagor.cli.terminal import RunError, UsageError, log, many, warning
+from eagor.cli.terminal import RunError, UsageError, log, warning
 from eagor.errors import EagorError, ImageError, QueryError
 
 if TYPE_CHECKING:
@@ -29,10 +29,13 @@ if TYPE_CHECKING:
     from eagor.tracking.config import TrackerConfig
 
 SHARED = ("coco", "onnx")  # perceptions that look at several views at the same time, one core each
-POSITIVE = (math.ulp(0.0), math.inf)
-LIMITS = {
-    "--degree": (1, 63), "--rows": (8, math.inf), "--modes": (1, math.inf), "--drift": (0, 90),
-    "--latency": (0, math.inf), "--seconds": POSITIVE, "--patience": POSITIVE, "--rate": POSITIVE, "--fps": POSITIVE,
+SECONDS, RATE = "seconds above 0", "a number per second above 0"
+LIMITS = {  # least, most, and what is wanted
+    "--degree": (1, 63, "1 to 63 (15 resolves about 12 degrees)"), "--rows": (8, math.inf, "8 or more"),
+    "--modes": (1, math.inf, "1 or more"), "--drift": (0, 90, "degrees from 0 to 90"),
+    "--latency": (0, math.inf, "seconds, 0 or more"), "--seconds": (math.ulp(0), math.inf, SECONDS),
+    "--patience": (math.ulp(0), math.inf, SECONDS), "--rate": (math.ulp(0), math.inf, RATE),
+    "--fps": (math.ulp(0), math.inf, RATE),
 }  # fmt: skip
 
 _Number = TypeVar("_Number", int, float, "int | None", "float | None")
@@ -43,10 +46,9 @@ _Number = TypeVar("_Number", int, float, "int | None", "float | None")
 
 def checked_number(value: _Number, option: str) -> _Number:
     """`value` of `option`; None is an option that was left out. Raises `UsageError` outside of `LIMITS`."""
-    least, most = LIMITS[option]
+    least, most, wanted = LIMITS[option]
     if value is not None and not (least <= value <= most and value < math.inf):
-        above = "above 0" if least == POSITIVE[0] else f"{least:g} or more"
-        raise UsageError(f"{option} {value:g}; wanted {above if most == math.inf else f'{least:g} to {most:g}'}")
+        raise UsageError(f"{option} {value:g}; wanted {wanted}")
     return value
 
 
@@ -130,7 +132,9 @@ def frames_and_query(words: Sequence[str]) -> tuple[Sequence[str], str]:
 def nothing_of(frames: int, unread: int) -> EagorError:
     """The error where none of so many frames could be used; the input is wrong if all are `unread`."""
     error, what = (ImageError, "read") if unread == frames else (RunError, "used")
-    return error(f"none of {many(frames, 'frame')} could be {what}; see above why")
+    if frames == 1:
+        return error(f"the only frame could not be {what}; the reason is above")
+    return error(f"none of the {frames} frames could be {what}; the reasons are above")
 
 
 def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> None:

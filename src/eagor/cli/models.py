@@ -70,8 +70,8 @@ def get(options: ModelsGet) -> int:
     if options.json:
         terminal.emit(_coco() | {"was_there": there})
     else:
-        terminal.say(f"coco {'was there already' if there else 'is installed'}: {path}")
-        terminal.say(*(f"before it can run: {step}" for step in wanted()))
+        said = f"coco {'was there already' if there else 'is installed'}: {path}"
+        terminal.say(said, *(f"before it can run: {step}" for step in wanted()))
     return terminal.OK
 
 
@@ -152,7 +152,8 @@ def doctor(options: Doctor) -> int:
     terminal.columns(works, 2)
     terminal.say("", "These need something first:")
     terminal.columns(wants or {"nothing": ""}, 2)
-    terminal.say(*(f"left out: {line}" for line in left_out))
+    for line in left_out:
+        terminal.say(f"left out: {line}")
     if missing:
         terminal.error(f"eagor itself lacks {', '.join(missing)}; install it again with pip")
     return terminal.FAILED if missing else terminal.OK

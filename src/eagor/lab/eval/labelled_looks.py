@@ -64,7 +64,7 @@ class LabelledLook:
         if self.evidence.detections is None:
             raise ResponseError(
                 "a response map has no detections to count; wanted boxes, points or masks. Response maps are read by a "
-                "Calibration (docs/how-to/detector-errors.md)"
+                "Calibration"
             )
         targets = np.atleast_2d(np.asarray(self.targets, dtype=np.float64))
         targets = targets.reshape(-1, 3) if targets.size == 0 else targets

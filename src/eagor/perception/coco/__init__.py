@@ -162,11 +162,11 @@ def install() -> Path:
 
 def _fetched(folder: Path) -> list[bytes]:
     """The `MEMBERS` of the package, fetched by npm into the empty `folder`; nothing of it is run or unpacked."""
-    found = _npm("pack", PACKAGE, "--ignore-scripts", "--loglevel=error", "--no-update-notifier", "--fetch-retries=1",
-                 "--fetch-retry-maxtimeout=5000", "--cache", str(folder / "cache"), cwd=folder)  # fmt: skip
+    how = ("--ignore-scripts", "--loglevel=error", "--no-update-notifier", "--fetch-retries=1")
+    found = _npm("pack", PACKAGE, *how, "--cache", str(folder / "cache"), cwd=folder)
     archives = [*folder.glob("*.tgz")]
     if found.returncode or len(archives) != 1:
-        lines = re.findall(r"^npm (?:error|ERR!) (.+)", found.stderr, re.MULTILINE)[:3]
+        lines = re.findall(r"^npm (?:error|ERR!) (?!A complete log)(.+)", found.stderr, re.MULTILINE)[:3]
         raise ServerError(
             f"npm could not fetch {PACKAGE} ({'; '.join(lines) or f'exit code {found.returncode}'}). It needs a "
             "network, or a registry or proxy that `npm config` names; nothing was changed, so try again"

@@ -57,7 +57,7 @@ class Network:
             self._session = session(self.path, threads)
         except Exception as error:  # onnxruntime has a class for each fault, below none of its own
             raise EagorError(
-                f"{path} cannot be opened as an ONNX model ({_first_line(error)}); export it again, by a version of "
+                f"{path} cannot be opened as an ONNX model ({_short(error)}); export it again, by a version of "
                 "ONNX that this onnxruntime knows"
             ) from error
         self.metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
@@ -99,7 +99,7 @@ class Network:
         except Exception as error:
             raise EagorError(
                 f"{self.path} does not run on a picture of {canvas.shape[1]} x {canvas.shape[0]} "
-                f"({_first_line(error)}); try another size=..., a multiple of 32"
+                f"({_short(error)}); try another size=..., a multiple of 32"
             ) from error
         return {each.name: np.asarray(array) for each, array in zip(self._session.get_outputs(), found, strict=True)}
 
@@ -131,23 +131,22 @@ def _fixed(side: Any) -> int | None:
 
 
 def _is_picture(given: Any) -> bool:
-    """Whether an input takes one picture: three channels first or last, or, where no side is fixed, four axes."""
+    """Whether an input takes pictures: it has four axes, or three of which the first or the last has three sides."""
     shape = given.shape
-    if given.type not in _DTYPES or len(shape) not in (3, 4) or (len(shape) == 4 and _fixed(shape[0]) not in (1, None)):
-        return False
-    return 3 in (shape[-3], shape[-1]) or (len(shape) == 4 and _fixed(shape[-3]) is _fixed(shape[-1]) is None)
+    return given.type in _DTYPES and (len(shape) == 4 or (len(shape) == 3 and 3 in (shape[0], shape[2])))
 
 
 def _sides(asked: Any) -> Size:
     """640, (480, 640), "480x640" or, as metadata have it, "[480, 640]": rows and columns. Raises `EagorError`."""
-    sides = [int(side) for side in re.findall(r"\d+", asked)] if isinstance(asked, str) else np.ravel(asked).tolist()
-    if len(sides) not in (1, 2) or not all(isinstance(side, int) and 8 <= side <= LARGEST for side in sides):
+    found = re.fullmatch(r"[\[(]?(\d+)(?:[x,] ?(\d+))?[\])]?", str(asked))
+    sides = [int(side) for side in found.groups() if side] if found else [0]
+    if not 8 <= min(sides) <= max(sides) <= LARGEST:
         raise EagorError(f"size = {asked!r}; wanted pixels, 8 to {LARGEST}, or ROWSxCOLUMNS such as 480x640")
     return sides[0], sides[-1]
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+def _short(error: Exception) -> str:
+    return " ".join((str(error) or type(error).__name__).split())[:200]
 
 
 def letterbox(picture: np.ndarray, size: Size, fit: Fit) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
