@@ -133,7 +133,7 @@ def doctor(options: Doctor) -> int:
     names = (*PACKAGES, *(name for packages in EXTRAS.values() for name in packages))
     packages = {name: version_of(name) for name in dict.fromkeys(names)}
     states, left_out = _plugins()
-    extras = {extra: _lacks(extra) for extra in EXTRAS}
+    extras = {extra: _missing(extra) for extra in EXTRAS}
     extras["ros"] = [] if find_spec("rclpy") else ["rclpy: a ROS 2 installation, or on x86-64 Linux the extra 'ros'"]
     missing = [name for name in PACKAGES if packages[name] is None]
     left_out += plugins.unreadable()
@@ -174,7 +174,7 @@ def _plugins() -> tuple[dict[str, dict[str, str]], list[str]]:
         kind, known = part.GROUP.removeprefix("eagor."), part.known()
         states[kind] = {name: _state(known[name], known[name] in theirs, faults) for name in sorted(known)}
         left_out += [line for point in known.values() for line in plugins.left_out(point, kind[:-1])]
-    own = {name: "; ".join(_lacks(extra)) for name, extra in WANTS.items()}
+    own = {name: "; ".join(_missing(extra)) for name, extra in WANTS.items()}
     states["perceptions"] |= {name: lacks for name, lacks in own.items() if lacks}
     if steps := wanted():
         states["perceptions"]["coco"] = "; then ".join(steps)
@@ -196,7 +196,7 @@ def _state(point: EntryPoint, theirs: bool, faults: Mapping[EntryPoint, str]) ->
     return f"cannot be imported ({why})" if why else READY
 
 
-def _lacks(extra: str) -> list[str]:
+def _missing(extra: str) -> list[str]:
     """What of an extra is absent or too old here, and how to install it; nothing if it is there."""
     if extra == "npm" and shutil.which("npm"):
         return []

@@ -69,7 +69,7 @@ def checked(
     `noted`: keys that begin with ``_`` are notes, and null means absent, at any depth. `hints`: what to say of keys
     that others use. Raises `FormatError`; a key that is not known is refused with the nearest that is.
     """
-    bare = _unnoted(entry) if noted else entry
+    bare = _without_notes(entry) if noted else entry
     try:
         return msgspec.convert(bare, kind)
     except UnicodeEncodeError as error:
@@ -81,10 +81,11 @@ def checked(
         ) from error
 
 
-def _unnoted(entry: Any) -> Any:
+def _without_notes(entry: Any) -> Any:
     if isinstance(entry, dict):
-        return {key: _unnoted(each) for key, each in entry.items() if each is not None and not key.startswith("_")}
-    return [_unnoted(each) for each in entry] if isinstance(entry, list) else entry
+        told = {key: value for key, value in entry.items() if value is not None and not key.startswith("_")}
+        return {key: _without_notes(value) for key, value in told.items()}
+    return [_without_notes(each) for each in entry] if isinstance(entry, list) else entry
 
 
 def need(holds: bool, what: str, came: Any, wanted: str) -> None:

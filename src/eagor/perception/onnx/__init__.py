@@ -22,7 +22,7 @@ from eagor._checks import whole, within
 from eagor.errors import EagorError, ImageError, ResponseError
 from eagor.evidence.shapes import are_fractions
 from eagor.perception.onnx.labels import Labels, names_in, names_of
-from eagor.perception.onnx.layouts import LAYOUTS, choose
+from eagor.perception.onnx.layouts import LAYOUTS, choose_layout
 from eagor.perception.onnx.network import FITS, ORDERS, PAD, VALUES, Fit, Network, Order, Size, Values, letterbox
 
 if TYPE_CHECKING:
@@ -74,8 +74,8 @@ class OnnxDetector:
         threads: int = 1,
         together: int = 1,
     ) -> None:
-        self._given: dict[str, Any] = {name: value for name, value in locals().items() if name != "self"}
-        _check(self._given)
+        self._options: dict[str, Any] = {name: value for name, value in locals().items() if name != "self"}
+        _check(self._options)
         self._network = Network(path, threads)
         metadata = self._network.metadata
         usual = LAYOUTS.get(layout or metadata.get("layout", ""), LAYOUTS["yolov8"])  # other metadata are YOLO's
@@ -85,10 +85,10 @@ class OnnxDetector:
         self.size = self._network.size(size, usual.size)
         tried = self._network.run(np.full((*self.size, 3), PAD, dtype=np.uint8), values or usual.values, order)
         try:
-            self.layout, self._picked = choose(layout, metadata, tried, len(names))
+            self.layout, self._outputs = choose_layout(layout, metadata, tried, len(names))
         except EagorError as error:
             raise EagorError(f"{path}: {error}") from None
-        self._usual = usual = LAYOUTS[self.layout]
+        self._layout = usual = LAYOUTS[self.layout]
         self._names, self.classes = names, tuple(name for name in names if name)
         self.fit: Fit = fit or usual.fit
         self.values: Values = values or usual.values
@@ -108,7 +108,7 @@ class OnnxDetector:
         canvas, scale, offset = letterbox(picture, self.size, self.fit)
         outputs = self._network.run(canvas, self.values, self.order)
         try:
-            boxes, scores, classes = self._detections([outputs[name] for name in self._picked])
+            boxes, scores, classes = self._detections([outputs[name] for name in self._outputs])
         except ResponseError as error:
             raise ResponseError(
                 f"{self._network.path} (layout {self.layout}) gives {error}; state the right layout=... of its "
@@ -118,7 +118,7 @@ class OnnxDetector:
         boxes = np.clip((boxes - np.tile(offset, 2)) / np.tile(scale, 2), 0, [width, height, width, height])
         real = np.flatnonzero((boxes[:, 2:] > boxes[:, :2]).all(axis=1))
         best = real[np.argsort(-scores[real], kind="stable")][:MOST_COMPARED]  # of equal scores the earlier is better
-        if not self._usual.suppressed:
+        if not self._layout.suppressed:
             best = best[nms(boxes[best], scores[best], classes[best])]
         best = best[:MOST]
         return boxes[best], scores[best], [self._names[at] or f"class {at}" for at in classes[best].tolist()]
@@ -134,7 +134,7 @@ class OnnxDetector:
         """Boxes in pixels of the input, scores and numbers of classes, of all that reaches the threshold."""
         if broken := sum(int((~np.isfinite(each)).sum()) for each in outputs):
             raise ResponseError(f"{broken} numbers that are not finite")
-        boxes, scores, *numbers = self._usual.detections(outputs, self.size, len(self._names), self.threshold)
+        boxes, scores, *numbers = self._layout.detections(outputs, self.size, len(self._names), self.threshold)
         if scores.size and not (scores.min() >= -SLACK and scores.max() <= 1 + SLACK):
             raise ResponseError(f"scores from {scores.min():.3g} to {scores.max():.3g}, where [0, 1] is wanted")
         reach = scores >= self.threshold
@@ -155,7 +155,7 @@ class OnnxDetector:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Other processes open the file again."""
-        return partial(OnnxDetector, **self._given), ()
+        return partial(OnnxDetector, **self._options), ()
 
 
 def _check(given: dict[str, Any]) -> None:

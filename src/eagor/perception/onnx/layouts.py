@@ -1,7 +1,7 @@
 """The layouts in which families of detectors write boxes, and which of them a file's metadata settle.
 
-Where they settle none, none is guessed: with the wrong one a box is wrong, and its score is not. `choose` then raises
-an error that lists the outputs and the layouts.
+Where they settle none, none is guessed: with the wrong one a box is wrong, and its score is not. An error lists the
+outputs and the layouts instead.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ LAYOUTS: dict[str, Layout] = {
 }  # fmt: skip
 
 
-def choose(
+def choose_layout(
     stated: str | None, metadata: Mapping[str, str], outputs: Mapping[str, np.ndarray], classes: int
 ) -> tuple[str, tuple[str, ...]]:
     """The layout of a network, and the names of its outputs in the order in which the layout reads them.
@@ -139,9 +139,9 @@ def choose(
     key_points = [int(side) for side in re.findall(r"\d+", metadata.get("kpt_shape", "[17, 3]"))]
     more = {"detect": 0, "segment": MASKS, "pose": int(np.prod(key_points))}[task]
     shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items()) + f", of {classes} classes"
-    picks = {name: picked for name in LAYOUTS if (picked := _picked(name, outputs, classes, more))}
+    picks = {name: picked for name in LAYOUTS if (picked := _match_outputs(name, outputs, classes, more))}
     listing = "; ".join(f"{name}: {LAYOUTS[name].title}" for name in picks or LAYOUTS)
-    settled = _settled(metadata, picks)
+    settled = _layout_in_metadata(metadata, picks)
     name = stated or settled
     if name is None:
         raise EagorError(
@@ -159,7 +159,7 @@ def choose(
     return name, picks[name]
 
 
-def _settled(metadata: Mapping[str, str], picks: Mapping[str, Any]) -> str | None:
+def _layout_in_metadata(metadata: Mapping[str, str], picks: Mapping[str, Any]) -> str | None:
     """The layout that the metadata settle: our own, under ``layout``; those of Ultralytics, with a task; YOLOv5's."""
     if "task" not in metadata:
         return metadata.get("layout") or ("yolov5" if {"stride", "names"} <= metadata.keys() else None)
@@ -171,7 +171,7 @@ def _settled(metadata: Mapping[str, str], picks: Mapping[str, Any]) -> str | Non
     return tables[0] if len(tables) == 1 else None  # early exports of YOLOv10 do not say what they are: shapes do
 
 
-def _picked(name: str, outputs: Mapping[str, np.ndarray], classes: int, more: int) -> tuple[str, ...] | None:
+def _match_outputs(name: str, outputs: Mapping[str, np.ndarray], classes: int, more: int) -> tuple[str, ...] | None:
     """The names of the outputs that a layout reads; None unless there is exactly one for each of its shapes.
 
     Of two with the same shape, boxes are known by their name, and labels by whole numbers.
