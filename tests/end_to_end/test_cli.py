@@ -811,7 +811,7 @@ def test_rules_without_sense_are_refused_before_anything_is_played(tmp_path):
     assert "rules.steps = '0': Expected `int` >= 1" in twice, "both count"
     assert "two values of steps; leave one of them out" in refused(*words, "--set", "steps=4", "--set", "steps=5")
     assert "camera.step = 'nan': Expected `float` > 0" in refused(*words, "--set", "seen=0.5", "step=nan")
-    assert "NoiseModel: latency = -1" in refused(*words, "--set", "latency=-1")
+    assert "disturbances.latency = '-1': Expected `int` >= 0" in refused(*words, "--set", "latency=-1")
     assert not (tmp_path / "run").exists()
 
 

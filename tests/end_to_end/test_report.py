@@ -2,8 +2,6 @@
 
 import json
 import re
-import xml.etree.ElementTree as ET
-from base64 import b64decode
 from html.parser import HTMLParser
 
 import pytest
@@ -25,7 +23,7 @@ MAKERS = {
     "tracking": lambda: runs.tracking(apartments=4, methods=METHODS),
 }
 VOID = {"meta", "img", "br"}
-SVG = "data:image/svg+xml;base64,"
+PNG = "data:image/png;base64,"
 
 
 class Page(HTMLParser):
@@ -78,17 +76,13 @@ def test_the_page_needs_nothing_else_and_can_be_read_aloud_and_on_a_phone(writte
     tags = [tag for tag, _ in page.tags]
     assert "script" not in tags
     assert not re.search(r"url\(|@import|https?://", text)
-    assert all(link.startswith(("#", SVG)) for link in page.links)
+    assert all(link.startswith(("#", PNG)) for link in page.links)
     assert {link[1:] for link in page.links if link.startswith("#")} == set(page.ids)
     assert ("meta", {"name": "viewport", "content": "width=device-width, initial-scale=1"}) in page.tags
     assert "prefers-color-scheme:dark" in text
     assert tags.count("table") == tags.count("caption") > 2
-    charts = [given for tag, given in page.tags if tag == "img"]
-    assert len(charts) >= 2
-    for given in charts:
-        assert len(given["alt"]) > 20
-        drawn = ET.fromstring(b64decode(given["src"].removeprefix(SVG)))
-        assert "eagor" in {each.text for each in drawn.iter("{http://www.w3.org/2000/svg}text")}
+    (chart,) = (given for tag, given in page.tags if tag == "img")
+    assert "Mean error at each step" in chart["alt"]
     assert all(colour in text for colour in set(re.findall(r"var\((--[\w-]+)\)", text)))
     wanted = {
         "waypoint": {"parts", "ordering", "steps", "variants"},
@@ -155,8 +149,6 @@ def test_development_seeds_are_no_results(tmp_path):
     text = write_report(runs.write_run(tmp_path / "run", records, development=True)).read_text()
     assert "parameters were chosen on them" in text
     assert "Only one apartment" in text
-    assert "Means over" in text
-    assert "bands" not in text
 
 
 def test_a_run_without_ours_or_with_failures_alone_still_has_a_report(tmp_path):

@@ -13,12 +13,10 @@ import numpy as np
 
 from eagor.errors import EagorError
 from eagor.lab.envs.episodes import PER_PLACE, EpisodeSpec, spec_from_json
-from eagor.lab.eval.page import Curve
 from eagor.lab.eval.results import Result, Run, mean_intervals
 from eagor.lab.tasks.sim.play import Runner
 from eagor.lab.tasks.task import finished, group_of, sample_of
 
-LEVELS = tuple(round(0.1 * k, 1) for k in range(1, 10))  # masses of the regions in a reliability curve
 UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
 PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
 SEEN = "after it was first seen"  # in sight or hidden again
@@ -40,34 +38,14 @@ def truth_of(result: Result) -> dict[str, Any]:
     return {**trace, **{key.removeprefix("true_"): each for key, each in trace.items() if key.startswith("true_")}}
 
 
-def by_step(results: Sequence[Result]) -> Curve | None:
+def by_step(results: Sequence[Result]) -> list[float | None]:
     """Mean error at each step, where at least half of the episodes have one; it ends where fewer go on."""
     found = [numbers(result.answer["trace"]["error_deg"]) for result in results]
     longest = max(map(len, found), default=0)
     values = np.array([np.pad(row, (0, longest - len(row)), constant_values=np.nan) for row in found])
-    count = np.isfinite(values).sum(axis=0)
-    enough = np.flatnonzero(count >= max(1, len(found) / 2))
-    if not len(enough):
-        return None
-    low, high = mean_intervals(values, [group_of(result.record) for result in results])
-    means = np.full((3, int(enough[-1]) + 1), np.nan)
-    means[:, enough] = np.nanmean(values[:, enough], axis=0), low[enough], high[enough]
-    return Curve(np.arange(means.shape[1]), means[0], means[1], means[2], int(count.max()))
-
-
-def reliability(results: Sequence[Result]) -> Curve | None:
-    """Share of steps, percent, at which the truth lay in the region of each mass (percent); None where none is said."""
-    rows, labels = [], []
-    for result in results:
-        stated = numbers(result.answer["trace"].get("mass_above"))
-        stated = stated[np.isfinite(stated)]
-        if len(stated):
-            rows.append([100 * float((stated < level).mean()) for level in LEVELS])
-            labels.append(group_of(result.record))
-    if not rows:
-        return None
-    low, high = mean_intervals(np.array(rows), labels)
-    return Curve(100 * np.array(LEVELS), np.mean(rows, axis=0), low, high, len(rows))
+    enough = np.isfinite(values).sum(axis=0) >= max(1, len(found) / 2)
+    last = int(np.flatnonzero(enough).max(initial=-1)) + 1
+    return [float(np.nanmean(values[:, step])) if enough[step] else None for step in range(last)]
 
 
 def parts(results: Sequence[Result]) -> tuple[dict[str, tuple[float, float, float]], dict[str, float]]:

@@ -10,14 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from eagor._files import written
 from eagor.errors import EagorError
 from eagor.lab.envs.places import APARTMENT
+from eagor.lab.envs.rules import Camera
 from eagor.lab.eval import episodes, tables
 from eagor.lab.eval.page import (
-    Curve,
     Facts,
     Fold,
     List,
@@ -26,7 +24,7 @@ from eagor.lab.eval.page import (
     Section,
     Table,
     Text,
-    line_chart,
+    address_of,
     markdown,
     page,
 )
@@ -37,7 +35,6 @@ from eagor.lab.eval.results import (
     OURS,
     PAPERS,
     RESAMPLES,
-    RIVALS,
     Result,
     Run,
     Summary,
@@ -201,13 +198,11 @@ def criterion_of(run: Run) -> str:
 def _simulated(run: Run, summary: Summary) -> list[Section]:
     task, results = run.task, run.results()
     rivals = {name: found for name, found in results.items() if is_rival(name)}
-    ordering, parts = ([table] if table.rows else [] for table in (
-        tables.ordering_table(task, results), tables.parts_table(results),
-    ))  # fmt: skip
+    ordering, parts = tables.ordering_table(task, results), tables.parts_table(results)
     return [
-        Section("ordering", "How far the paper's ordering carries over", ordering),
-        Section("parts", "What the errors are made of", [*parts, *_regions(rivals)]),
-        Section("steps", "Error by step", _by_step(rivals)),
+        Section("ordering", "How far the paper's ordering carries over", [ordering] if ordering.rows else []),
+        Section("parts", "What the errors are made of", [parts] if parts.rows else []),
+        Section("steps", "Error by step", _by_step(run, rivals)),
         Section("strata", "By kind of episode", tables.strata_tables(task, summary)),
         Section("variants", "Variants", tables.variant_tables(task, summary)),
         Section("episodes", "Three episodes", _three(run)),
@@ -227,66 +222,31 @@ def _three(run: Run) -> list[Part]:
     return [List(lines), Text(how, "note")]
 
 
-def _by_step(rivals: Mapping[str, Sequence[Result]]) -> list[Part]:
-    """Errors against steps, in two charts: the paper's methods and ours, the further rivals and ours."""
-    found = {name: curve for name, each in rivals.items() if (curve := episodes.by_step(each)) is not None}
-    if not found:
-        return []
-    top = float(np.nanmax([[np.nanmax(curve.y), np.nanmax([*curve.high, 0])] for curve in found.values()]))
-    paper = [name for name in found if name in (*RIVALS, PAPERS)]
-    further = [name for name in found if name not in (*paper, OURS)]
-    pictures = []
-    for label, group in (("the paper's methods", paper), ("further methods", further)):
-        if not group and (pictures or OURS not in found):
-            continue
-        curves = {name: found[name] for name in (*group, OURS) if name in found}
-        chart = line_chart(curves, "step", "error, degrees", (0.0, max(1.03 * top, 1e-6)))
-        whole = f"Error by step: {label} and {OURS}" if group and OURS in curves else "Error by step"
-        counts = sorted({curve.n for curve in curves.values()})
-        of = f"{counts[-1]} episodes" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} episodes, by method"
-        pictures.append((chart, f"{whole}. Means over {of}{_bands(curves)}."))
-    note = (
-        "A line ends where fewer than half of its episodes go on: where every method goes its own way, those that "
-        "arrive early leave it, so the right end of a line is about the harder episodes."
-    )
-    return [Pictures(pictures), Text(note, "note")]
-
-
-def _bands(curves: Mapping[str, Curve]) -> str:
-    """What a caption says of the bands of these lines; "" where none is drawn."""
-    return "; bands: 95 % intervals" if any(np.isfinite(curve.low).any() for curve in curves.values()) else ""
-
-
-def _regions(rivals: Mapping[str, Sequence[Result]]) -> list[Part]:
-    """Stated against found, for regions of every mass, where the records say enough."""
-    curves = {name: curve for name, each in rivals.items() if (curve := episodes.reliability(each)) is not None}
+def _by_step(run: Run, rivals: Mapping[str, Sequence[Result]]) -> list[Part]:
+    """Errors against time."""
+    curves = {name: curve for name, found in rivals.items() if (curve := episodes.by_step(found))}
     if not curves:
         return []
-    labels = "stated mass of the region, %", "steps with the truth inside, %"
-    chart = line_chart(curves, *labels, (0.0, 100.0), diagonal=True)
-    title = "Regions of every mass: stated, and found to hold the truth"
-    caption = "On the dotted line statements are true; below it they are overconfident, above it too cautious."
-    return [Pictures([(chart, f"{title}. {caption}")])]
+    from eagor.drawing import draw_errors
+
+    seconds = run.settings.get("camera", {}).get("seconds", Camera().seconds)
+    times = [step * seconds for step in range(max(map(len, curves.values())))]
+    ours_first = {name: curves[name] for name in sorted(curves, key=lambda name: name != OURS)}
+    caption = (
+        "Mean error at each step. A line ends where fewer than half of its episodes go on: where every method goes its "
+        "own way, those that arrive early leave it, so the right end of a line is about the harder episodes."
+    )
+    return [Pictures([(address_of(draw_errors(times, ours_first)), caption)], "wide")]
 
 
 # --- the sections of answers to published data ------------------------------------------------------------------------
 
 
 def _published(runs: Sequence[Run], summary: Summary) -> list[Section]:
-    task, answers = runs[0].task, summary["answers"]
-    turns = {}
-    for name, part in answers.items():
-        if "by_turn" in part:
-            y, low, high = (np.array(part["by_turn"][key], dtype=float) for key in ("success", "low", "high"))
-            turns[name] = Curve(1.0 + np.arange(len(y)), y, low, high, summary["episodes"])
-    sections = []
-    if turns:
-        chart = line_chart(turns, "turn", "success, %", (0.0, 100.0))
-        caption = f"Success had the answer been given at this turn{_bands(turns)}."
-        sections.append(Section("turns", "Success by turn", [Pictures([(chart, caption)])]))
-    if (views := tables.views_table(summary)).rows:
-        sections.append(Section("views", "Views, and stopping", [views]))
-    for number, (run, (name, part)) in enumerate(zip(runs, answers.items(), strict=True)):
+    task, sections = runs[0].task, []
+    for name, table in (("turns", tables.turn_table(summary)), ("views", tables.views_table(summary))):
+        sections += [Section(name, table.title, [table])] if table.rows else []
+    for number, (run, (name, part)) in enumerate(zip(runs, summary["answers"].items(), strict=True)):
         found = tables.failure_tables(task, part)
         if len(runs) > 1:
             found = [replace(table, title=f"{table.title}: {name}") for table in found]

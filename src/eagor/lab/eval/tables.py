@@ -276,6 +276,21 @@ def parts_table(results: Mapping[str, Sequence[Result]]) -> Table:
 # --- of answers to published data -------------------------------------------------------------------------------------
 
 
+def turn_table(summary: Summary) -> Table:
+    """Success if the episode had ended at each turn."""
+    found = {name: part["by_turn"] for name, part in summary["answers"].items() if "by_turn" in part}
+    longest = max((len(part["success"]) for part in found.values()), default=0)
+    rows = []
+    for name, part in found.items():
+        cells = [Cell(number(value), span(ends, 0)) for value, *ends in zip(*part.values(), strict=True)]
+        rows.append(row(name, [*cells, *[Cell(NOTHING)] * (longest - len(cells))]))
+    note = (
+        "Per cent of the episodes whose answer would have succeeded, had it been given at this turn; after a "
+        "submission its outcome stands. Small print: 95 % of whole clusters."
+    )
+    return Table("Success by turn", ("agent", *(str(k + 1) for k in range(longest))), tuple(rows), (note,))
+
+
 def views_table(summary: Summary) -> Table:
     """How many views it took, and whether those that were sure were right."""
     rows = []
