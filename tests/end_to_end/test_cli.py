@@ -794,7 +794,7 @@ def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
     assert "it differs in methods (" in other.stderr.splitlines()[-2]
     page = Path(answer("bench", "report", tmp_path / "run")["report"])
     assert page.is_file()
-    assert (tmp_path / "run" / "tables.csv").is_file()
+    assert (tmp_path / "run" / "tables.md").is_file()
 
 
 def test_rules_without_sense_are_refused_before_anything_is_played(tmp_path):
@@ -804,7 +804,7 @@ def test_rules_without_sense_are_refused_before_anything_is_played(tmp_path):
     assert "rules.steps = '0': Expected `int` >= 1" in twice, "both count"
     assert "two values of steps; leave one of them out" in refused(*words, "--set", "steps=4", "--set", "steps=5")
     assert "camera.step = 'nan': Expected `float` > 0" in refused(*words, "--set", "speed=0.5", "step=nan")
-    assert "NoiseModel: latency = -1" in refused(*words, "--latency", "-1")
+    assert "disturbances.latency = '-1': Expected `int` >= 0" in refused(*words, "--set", "latency=-1")
     assert not (tmp_path / "run").exists()
 
 

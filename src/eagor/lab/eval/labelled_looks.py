@@ -336,24 +336,24 @@ def apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
     that results are taken from.
     """
     check_development(count, "panoramas", seed, PER_PLACE)
-    specs = (EpisodeSpec("labels", APARTMENT, seed + n // PER_PLACE, n % PER_PLACE, n) for n in range(count))
-    return (label for spec in specs if (label := _labelled(spec, rows)) is not None)
+    return _apartment_labels(count, seed, rows)
 
 
-def _labelled(spec: EpisodeSpec, rows: int) -> Labelled | None:
-    camera, grid, rng = Camera(), ErpGrid(LOOK_ROWS, 2 * LOOK_ROWS), spec.rng("labels")
-    place = load_place(spec.world, spec.seed, camera.radius)
-    names = place.nameable()
-    for _ in range(TRIES):
-        position = np.array([*place.ground.sample(rng), camera.height])
-        turned = world_R_body(float(rng.uniform(-math.pi, math.pi)))
-        ids = place.ids(position, turned, LOOK_ROWS)
-        shown = {thing: grid.weights * (ids == thing) for thing in names}
-        sizes = {thing: cap_radius(float(share.sum())) for thing, share in shown.items()}
-        if fit := [thing for thing, size in sizes.items() if SIZES[0] <= size <= SIZES[1]]:
-            thing = int(rng.choice(fit))
-            centre = unit((shown[thing][..., None] * grid.directions).sum(axis=(0, 1)))
-            picture = place.renderer.panorama(position, turned, rows, range=False, ids=False).rgb
-            assert picture is not None
-            return Labelled(picture, str(names[thing]), centre, sizes[thing])
-    return None
+def _apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
+    camera, grid = Camera(), ErpGrid(LOOK_ROWS, 2 * LOOK_ROWS)
+    for number in range(count):
+        spec = EpisodeSpec("labels", APARTMENT, seed + number // PER_PLACE, number % PER_PLACE, number)
+        rng, place = spec.rng("labels"), load_place(spec.world, spec.seed, camera.radius)
+        names = place.nameable()
+        for _ in range(TRIES):
+            position = np.array([*place.ground.sample(rng), camera.height])
+            turned = world_R_body(float(rng.uniform(-math.pi, math.pi)))
+            ids = place.ids(position, turned, LOOK_ROWS)
+            sizes = {thing: cap_radius(float(grid.weights[ids == thing].sum())) for thing in names}
+            if fit := [thing for thing, size in sizes.items() if SIZES[0] <= size <= SIZES[1]]:
+                thing = int(rng.choice(fit))
+                centre = unit(((grid.weights * (ids == thing))[..., None] * grid.directions).sum(axis=(0, 1)))
+                picture = place.renderer.panorama(position, turned, rows, range=False, ids=False).rgb
+                assert picture is not None
+                yield Labelled(picture, str(names[thing]), centre, sizes[thing])
+                break
