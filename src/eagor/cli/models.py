@@ -22,7 +22,6 @@ from eagor.perception.coco import CLASSES, MODELS, Model, install, model_named, 
 
 if TYPE_CHECKING:
     from eagor.perception.coco import Model
-    from eagor.perception.vlm import Checkpoint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,35 +153,15 @@ class Machine:
     memory: float | None
     gpus: tuple[tuple[str, float], ...]
 
-    def place(self, checkpoint: Checkpoint) -> str:
-        """Where a checkpoint can run, or why it cannot."""
-        largest = max((memory for _, memory in self.gpus), default=0.0)
-        together = sum(memory for _, memory in self.gpus)
-        if checkpoint.gigabytes <= largest:
-            return "GPU"
-        if checkpoint.gigabytes <= together:
-            return "all GPUs (device=auto)"
-        if self.memory is None:
-            return "unknown memory size"
-        if 2 * checkpoint.gigabytes <= self.memory:  # 32 bits
-            return "CPU"
-        if checkpoint.gigabytes <= self.memory:
-            return "CPU (dtype=bfloat16)"
-        return "too large"
-
 
 def report(here: Machine) -> dict[str, Any]:
-    """For ``--json``: the machine, the families with their checkpoints and where they run, and what to install."""
+    """For ``--json``: the machine, the families with some of their checkpoints, and what to install."""
     from eagor.perception.vlm import FAMILIES
 
-    families = []
-    for family in FAMILIES:
-        checkpoints = [
-            {"name": one.name, "needs_gb": round(one.gigabytes, 1), "runs_on": here.place(one)}
-            for one in family.checkpoints
-        ]
-        about = {"name": family.name, "title": family.title, "extractors": list(family.extractors)}
-        families.append(about | {"default": family.extractor, "checkpoints": checkpoints})
+    families = [
+        {"name": each.name, "title": each.title, "extractors": each.extractors, "checkpoints": each.checkpoints}
+        for each in FAMILIES
+    ]
     machine = asdict(here) | {"gpus": [{"name": name, "memory": memory} for name, memory in here.gpus]}
     return {"machine": machine, "families": families, "install": missing()}
 
@@ -194,9 +173,7 @@ def lines(here: Machine) -> list[tuple[str, str]]:
     gpus = ", ".join(f"{name} with {memory:.0f} GB" for name, memory in here.gpus) or "no GPU"
     memory = "memory unknown" if here.memory is None else f"{here.memory:.0f} GB"
     found = [("memory", f"{memory}; {gpus}")]
-    for family in FAMILIES:
-        sizes = [f"{one.name} ({_gigabytes(one)}: {here.place(one)})" for one in family.checkpoints]
-        found.append(("models", f"{family.title}, {family.extractor}: {', '.join(sizes)}"))
+    found += [("models", f"{each.title}: {', '.join(each.checkpoints)}") for each in FAMILIES]
     return found + [("to install", step) for step in missing()]
 
 
@@ -267,16 +244,12 @@ def _gpus() -> tuple[tuple[str, float], ...]:
     return tuple((str(one.name), round(one.total_memory / 1e9, 1)) for one in found)
 
 
-def _gigabytes(checkpoint: Checkpoint) -> str:
-    return f"{checkpoint.gigabytes:.0f} GB" if checkpoint.gigabytes >= 1 else f"{checkpoint.gigabytes:.1f} GB"
-
-
 # --- ``eagor doctor`` -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Common):
-    """Show what is installed (with plugins), which models this machine can run, and what to install for them."""
+    """Show what is installed (with plugins), which models can run here, and what to install for them."""
 
     runs: ClassVar[str] = "doctor"
 
