@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
@@ -39,7 +39,7 @@ from eagor.media.rotation import VisualOdometer
 from eagor.perception import Perception, as_perception
 from eagor.tracking import Around, TrackerConfig
 
-__all__ = ["Counts", "Loop", "Sink"]
+__all__ = ["LOADING", "Counts", "Loop", "Sink"]
 
 RATE = 20.0  # answers per second
 STALLED = 10.0  # seconds without a picture after which a stream is opened again
@@ -47,11 +47,13 @@ SLIPPED = 0.1  # seconds by which this machine's clock is set before it is worth
 LONGEST_LATE = 60.0  # seconds: evidence may come so late, if the perception has the patience
 ON_DEMAND = 0.2  # seconds between pictures while the perception is busy
 LEAVING = 5.0  # seconds that threads have to come back from a device
+LOADING = "the perception is being loaded"  # a fault until it is
 
 Source = str | CameraSource | Callable[[], CameraSource]
 Poses = str | PoseSource | Callable[[], PoseSource] | VisualOdometer | None
 
 
+@runtime_checkable
 class Sink(Protocol):
     """Sees all that comes into the loop and out of it, in the loop's thread: a recording, a viewer."""
 
@@ -84,8 +86,9 @@ class Loop:
     """Follows `queries` through the pictures of a `source`: answers in the order of time, one per query and tick.
 
     In turn, the perception looks at every picture, time is that of the recording, and answers come `rate` times in each
-    of its seconds. With `realtime`, and always with a source that is `live`, answers come `rate` times a second,
-    however slow the perception is, which looks at the newest picture.
+    of its seconds, or one for each picture (None). With `realtime`, and always with a source that is `live`, answers
+    come `rate` times a second, however slow the perception is, which looks at the newest picture. A source that is a
+    sink as well hears the answers, such as a simulated body that follows them.
 
     - `source`: text for `eagor.open_source`, a source, or a function that opens one, which is called again when the
       camera is gone. It is closed at the end.
@@ -122,7 +125,7 @@ class Loop:
         sinks: Sequence[Sink] = (),
         *,
         config: TrackerConfig | None = None,
-        rate: float = RATE,
+        rate: float | None = RATE,
         patience: float = PATIENCE,
         record: Path | None = None,
         pictures: Pictures = "jpeg",
@@ -133,7 +136,7 @@ class Loop:
         clock: LoopClock | None = None,
     ) -> None:
         for name, value in (("rate", rate), ("patience", patience), ("acceleration", acceleration)):
-            if not above(value, 0):
+            if value is not None and not above(value, 0):
                 raise TimeError(f"{name} = {value!r}; wanted a number above 0")
         queries = (queries,) if isinstance(queries, str) else tuple(queries)
         if not queries:
@@ -145,7 +148,8 @@ class Loop:
         reopen, opened = opener(partial(open_source, source) if isinstance(source, str) else source)
         self._camera: CameraSource = opened if reopen is None else reopen()
         self.live = self._camera.live
-        self.rate, self.realtime = rate, realtime or self.live
+        self.rate, self.realtime = rate or RATE, realtime or self.live
+        self._each = rate is None
         try:
             poses = poses_for(poses, self._camera, again=reopen) if isinstance(poses, str) else poses
         except BaseException:
@@ -178,6 +182,8 @@ class Loop:
         if record is not None:
             self._recorder = Recorder(record, self._settings, partial(self._trouble, "recording"), pictures)
         self._sinks: list[Sink] = [*sinks, *([] if self._recorder is None else [self._recorder])]
+        if isinstance(self._camera, Sink):  # a simulated body follows the answers to its pictures
+            self._sinks.insert(0, self._camera)
         self._perception: PerceptionThread | None = None
         self._seer: VisualPosesThread | None = None
         # A source that keeps the newest picture itself makes it a panorama when asked: not more often than needed.
@@ -285,7 +291,7 @@ class Loop:
             next_tick += (missed + 1) / self.rate
 
     def _begin(self) -> None:
-        self._trouble("perception", "the perception is being loaded")
+        self._trouble("perception", LOADING)
         self._perception = PerceptionThread(
             self._inference,
             self.core.queries,
@@ -340,7 +346,8 @@ class Loop:
         for frame in self._camera:
             now = frame.stamp
             begun = now if begun is None else begun
-            while (tick := begun + ticks / self.rate) < now:
+            self._drain()  # other queries, of a source that waits for them
+            while not self._each and (tick := begun + ticks / self.rate) < now:
                 take_poses(tick)
                 yield from self._taken(Asked(tick))
                 ticks += 1
@@ -354,7 +361,9 @@ class Loop:
             for said in self._inference.look(frame.picture, queries, now, self.core.orientation(now), frame.grid):
                 self._found(picture, said, now)
             self._drain()  # the answer at this picture knows what was seen in it
-        if begun is not None:
+            if self._each:
+                yield from self._taken(Asked(now))
+        if not self._each and begun is not None:
             yield from self._taken(Asked(now))
 
     def _drain(self) -> None:

@@ -37,7 +37,11 @@ from eagor.media.video import Video
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_source"]
 
 GROUP = "eagor.cameras"
-BUILT_IN = {"bag": "eagor.media.bag_sources:BagCamera", "ros": "eagor.robots.ros:RosCamera"}
+BUILT_IN = {
+    "apartment": "eagor.lab.tasks.sim.walk:open_walk",
+    "bag": "eagor.media.bag_sources:BagCamera",
+    "ros": "eagor.robots.ros:RosCamera",
+}
 SOURCES = (
     "a folder of panoramas, a video file, a ROS 2 bag (BAG?topic=/image), /dev/video0 or v4l2:0 "
     "(?size=1920x960&rate=30&format=mjpeg), rtsp://..., rtmp://..., http://..., udp://..., ros:/image_topic, - "
