@@ -29,7 +29,7 @@ from eagor.studio.answers import belief_of, lens_of, picture_of, plan_of, step_o
 from eagor.studio.messages import LONGEST, Message, Opening, PageError, merged, packed, read, rounded
 from eagor.studio.replays import EpisodeReplay
 from eagor.studio.server import Auth
-from eagor.studio.sessions import LatestMailbox
+from eagor.studio.sessions import Page
 from eagor.studio.stream import Played, StudioSink
 from eagor.tracking import DirectionTracker
 
@@ -69,7 +69,7 @@ def test_a_slow_page_misses_steps_but_no_picture_and_no_belief():
 
 def test_a_mailbox_never_grows_gives_words_first_and_a_new_scene_drops_the_steps_of_the_old_one():
     async def scenario():
-        box = LatestMailbox()
+        box = Page()
         for number in range(1000):
             box.put(step(number, belief=bytes(100)))
             box.put(Message.status(str(number)))

@@ -173,12 +173,9 @@ def beside_report(run: Run, out: Path) -> str | None:
     try:
         if is_model(str(run.settings.get("perception", ""))) or episodes_of(run)["problem"]:
             return None
-    except (EagorError, OSError, KeyError, IndexError, TypeError, AttributeError):  # the report says what is wrong
-        return None
-    try:
         with terminal.progress("playing the worst episode again", None) as advance:
             write(episode_of(run, None, lambda _: advance()), out / EPISODE)
-    except (EagorError, ImportError, OSError, KeyError, IndexError, TypeError) as error:
+    except (EagorError, ImportError, OSError, KeyError, IndexError, TypeError, AttributeError) as error:
         terminal.warning(f"no {EPISODE}: {error if isinstance(error, EagorError) else repr(error)}")
         return None
     finally:

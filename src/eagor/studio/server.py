@@ -1,7 +1,7 @@
 """The web server of the studio: the page, JSON about runs and pictures, and a socket per page for what is live.
 
 Only its own page may speak to it, from this machine, or whoever has the token. Nothing is computed here: a page that
-reads slowly has a mailbox with the newest step (`eagor.studio.sessions.LatestMailbox`), so it delays nobody.
+reads slowly keeps the newest step alone (`eagor.studio.sessions.Page`), so it delays nobody.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ async def _serve_page(manager: SessionManager, web: WebSocket) -> None:
 async def _send(page: Page, web: WebSocket) -> None:
     with suppress(WebSocketDisconnect, RuntimeError):
         while True:
-            await web.send_bytes(packed(await page.mailbox.get()))
+            await web.send_bytes(packed(await page.get()))
 
 
 def _hear(manager: SessionManager, page: Page, text: str | bytes) -> None:
@@ -209,7 +209,7 @@ def _hear(manager: SessionManager, page: Page, text: str | bytes) -> None:
         (manager.open if isinstance(message, Open) else manager.tell)(page, message)
     except PageError as error:
         question = getattr(message, "question", 0)
-        page.mailbox.put(Message.problem(error.problem, error.change, question=question))
+        page.put(Message.problem(error.problem, error.change, question=question))
 
 
 def serve(settings: Settings, taken: socket, opens: str | None = None) -> None:

@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from eagor.perception import short_name
 from eagor.studio.messages import Ask, FromPage, Message, Open, Opening, PageError, merged
 from eagor.studio.uploads import BYTES, PIXELS, Uploads
 
-__all__ = ["FIRST_SEED", "LatestMailbox", "Page", "RunReader", "SessionManager", "Settings", "StreamHandle"]
+__all__ = ["FIRST_SEED", "Page", "RunReader", "SessionManager", "Settings", "StreamHandle"]
 
 STREAM, RUNS = "eagor.studio.stream:serve", "eagor.studio.runs:serve"
 OFFERED = (11, 3, 8, 12, 17, 602)  # apartments: the first has the tour (`eagor.lab.tasks.sim.walk`)
@@ -56,10 +56,14 @@ class Settings:
     live: Opening | None = None
 
 
-class LatestMailbox:
-    """What waits for one page. However slow it is, this never grows: of steps only the newest waits."""
+class Page:
+    """A browser's page: the `stream` that it watches, and what waits for it.
+
+    However slow it is, what waits never grows: of steps only the newest does.
+    """
 
     def __init__(self) -> None:
+        self.stream: StreamHandle | None = None
         self._said: deque[Message] = deque(maxlen=WAITING)
         self._step: Message | None = None
         self._news = asyncio.Event()
@@ -90,14 +94,6 @@ class LatestMailbox:
         return message
 
 
-@dataclass(eq=False)
-class Page:
-    """A browser's page: what waits for it, and the stream that it watches."""
-
-    mailbox: LatestMailbox = field(default_factory=LatestMailbox)
-    stream: StreamHandle | None = None
-
-
 class StreamHandle:
     """A stream's process, those who watch it, and what it said last. For the event loop's thread.
 
@@ -115,43 +111,33 @@ class StreamHandle:
         self._worker = Worker(STREAM, warm, parent=True)
         threading.Thread(target=self._listen, name="eagor studio stream", daemon=True).start()
 
-    def begin(self, opening: Opening) -> None:
-        """Show this, in place of what was shown."""
-        self.opening = opening
-        self._said.clear()
-        self._tell(opening)
-
-    def steer(self, page: Page) -> None:
-        """The page speaks to it now. Raises `PageError` while another one steers."""
+    def steer(self, page: Page, order: FromPage | Opening) -> None:
+        """What a page wants shown, or says. Raises `PageError` while another page steers."""
         now = time.monotonic()
         if self._driver not in (None, page) and self._driver in self.pages and now < self._until:
             change = f"Try again in {self._until - now:.0f} s."
             raise PageError("Somebody else steers this at the moment; you can watch.", change, 409)
         self._driver, self._until = page, now + LEASE
-
-    def obey(self, page: Page, message: FromPage) -> None:
-        """What a page says to it. Raises `PageError` while another one steers."""
-        self.steer(page)
-        if isinstance(message, Ask) and self.opening is not None:
-            perception = message.perception or self.opening.perception
-            self.opening = replace(self.opening, query=message.query, perception=perception)
-        self._tell(message)
+        if isinstance(order, Opening):
+            self.opening = order
+            self._said.clear()
+        elif isinstance(order, Ask) and self.opening is not None:
+            perception = order.perception or self.opening.perception
+            self.opening = replace(self.opening, query=order.query, perception=perception)
+        with suppress(WorkerEnded):
+            self._worker.send(order)
 
     def join(self, page: Page) -> None:
         """Watch from now on."""
         self.pages.append(page)
         page.stream = self
         for message in self._said.values():
-            page.mailbox.put(message)
+            page.put(message)
 
     def close(self) -> None:
         """End the process. Takes a while."""
         self._closed = True
         self._worker.close(ENDING)
-
-    def _tell(self, order: Any) -> None:
-        with suppress(WorkerEnded):
-            self._worker.send(order)
 
     def _listen(self) -> None:
         with suppress(WorkerEnded, EagorError, RuntimeError):  # the last: the loop is closed, the server ends
@@ -173,7 +159,7 @@ class StreamHandle:
         if kind != "problem" or message.header["fatal"]:  # who comes later need not hear of others' questions
             self._said[kind] = merged(self._said.get(kind), message) if kind == "step" else message
         for page in self.pages:
-            page.mailbox.put(message)
+            page.put(message)
 
 
 class RunReader:
@@ -241,8 +227,7 @@ class SessionManager:
         shown = stream.opening
         asks = shown and message.query and (shown.query, shown.perception) != (opening.query, opening.perception)
         if shown is None or asks or message.hfov or message.drive:  # else it is watched as it is
-            stream.steer(page)
-            stream.begin(opening)
+            stream.steer(page, opening)
         stream.join(page)
 
     def tell(self, page: Page, message: FromPage) -> None:
@@ -251,12 +236,12 @@ class SessionManager:
             raise PageError("Nothing is open.", "Open a source first.")
         if isinstance(message, Ask):
             self._checked(message.perception, page.stream.opening.simulated)
-        page.stream.obey(page, message)
+        page.stream.steer(page, message)
 
     def leave(self, page: Page) -> None:
         """The page watches nothing any more; a stream that nobody watches ends soon."""
         stream, page.stream = page.stream, None
-        page.mailbox.clear()
+        page.clear()
         if stream is not None:
             stream.pages.remove(page)
             asyncio.get_running_loop().call_later(LINGER, self._end, stream)
