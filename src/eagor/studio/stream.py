@@ -29,6 +29,7 @@ from eagor.live.loop import LOADING, Loop
 from eagor.live.threads import already_open
 from eagor.media import CameraSource, Frame
 from eagor.media.camera_sources import open_source
+from eagor.media.footage import Footage
 from eagor.media.intrinsics import ShapeError
 from eagor.media.odometry import poses_for
 from eagor.studio.answers import belief_of, evidence_of, lens_of, picture_of, plan_of, scene_of, step_of
@@ -48,22 +49,19 @@ LATE = 1.0  # seconds after which a picture is shown without
 AGAIN = 0.5  # seconds of the recording from its last picture to the same one again
 
 
-class Played:
+class Played(Footage):
     """A recording for people: no faster than it was taken. It can pause, and gives its last picture again, if asked."""
 
-    live = False
+    waits = True
 
-    def __init__(self, source: CameraSource) -> None:
-        self._source = source
+    def __init__(self, source: Footage) -> None:
+        super().__init__(source.frames, source.latency, source.rows)
         self._changed = threading.Condition()
-        self._paused = self._wanted = self._closed = False
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._source, name)
+        self._paused = self._wanted = False
 
     def __iter__(self) -> Iterator[Frame]:
         begun, last = -math.inf, None
-        for frame in self._source:
+        for frame in super().__iter__():
             begun = max(begun, time.monotonic() - frame.stamp)  # what takes long delays all that follows
             if not self._wait(begun + frame.stamp):
                 return
@@ -99,7 +97,6 @@ class Played:
 
     def close(self) -> None:
         self._set(_closed=True)
-        self._source.close()
 
 
 class StudioSink:
@@ -302,14 +299,14 @@ class Stream:
         try:
             if not self._openings.empty():
                 return
-            poses, live = poses_for(opening.poses, source, again=again), source.live
+            poses, live = poses_for(opening.poses, source), source.live
             self._source = source if live else Played(source)
             sink = StudioSink(self._say, opening, self._source)
             shown = already_open(source, again) if live and not opening.simulated else self._source
             config = TrackerConfig(floor_height=FLOOR if opening.simulated else None)
-            clock, rate = getattr(source, "clock", None), RATE if live else None
+            clock = getattr(source, "clock", None)
             sink.loop = loop = Loop(
-                shown, poses, opening.perception, sink.query, live, [sink], rate=rate, config=config, clock=clock
+                shown, poses, opening.perception, sink.query, live, [sink], rate=RATE, config=config, clock=clock
             )
             self._sink = sink
             loop.run(lambda _: None)
