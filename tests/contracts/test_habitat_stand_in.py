@@ -17,7 +17,7 @@ from eagor.errors import EagorError, WorldError
 from eagor.grids import ErpGrid
 from eagor.lab import worlds
 from eagor.lab.envs.places import load_place
-from eagor.lab.tasks.sim.checking import check_simulation
+from eagor.lab.tasks.sim.play import check_simulation
 from eagor.lab.tasks.task import load as load_task
 from eagor.lab.worlds.checking import check_world
 from eagor.lab.worlds.glb import export_glb

@@ -800,10 +800,10 @@ def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
 def test_rules_without_sense_are_refused_before_anything_is_played(tmp_path):
     words = ("bench", "run", "tracking", "--perception", "truth", "--out", tmp_path / "run")
     assert "rules.steps = '0': Expected `int` >= 1" in refused(*words, "--set", "steps=0")
-    twice = refused(*words, "--set", "steps=0", "--set=hfov=100", "--seed", "1")
+    twice = refused(*words, "--set", "steps=0", "--set=turn=90", "--seed", "1")
     assert "rules.steps = '0': Expected `int` >= 1" in twice, "both count"
     assert "two values of steps; leave one of them out" in refused(*words, "--set", "steps=4", "--set", "steps=5")
-    assert "camera.step = 'nan': Expected `float` > 0" in refused(*words, "--set", "seen=0.5", "step=nan")
+    assert "camera.step = 'nan': Expected `float` > 0" in refused(*words, "--set", "speed=0.5", "step=nan")
     assert "NoiseModel: latency = -1" in refused(*words, "--latency", "-1")
     assert not (tmp_path / "run").exists()
 

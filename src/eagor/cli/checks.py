@@ -107,26 +107,22 @@ def places_of(words: Sequence[str], rig: bool) -> list[Path]:
 
 
 def in_quotes(query: str) -> str:
-    """What to change about a query that came as several words; of several with commas between, the first is taken."""
-    first, comma, _ = query.partition(",")
-    return f'{"Ask for one thing at a time" if comma else "Write a query of several words in quotes"}: "{first}"'
+    """What to change about a query that came as several words."""
+    return f'Write a query of several words in quotes: "{query}"'
 
 
-def frames_and_query(words: Sequence[str]) -> tuple[Sequence[str], str]:
-    """What names the frames, and the query after it, "" for one word alone.
+def frames_and_queries(words: Sequence[str]) -> tuple[Sequence[str], list[str]]:
+    """What names the frames, and the queries after it; none for one word alone.
 
-    Raises `UsageError` if words between them are no files: they belong to the query.
+    The first word that is no file, and has no suffix as a misspelt one would have, is the first query.
     """
     if len(words) < 2:
-        return words, ""
-    for at, word in enumerate(words[1:-1], 1):
-        if not os.path.exists(word) and not Path(word).suffix:  # with a suffix it is a file's name, misspelt
-            several = " ".join(f'"{each}"' for each in words[at:])
-            raise UsageError(
-                f"there is no file {word}. {in_quotes(' '.join(words[at:]))}. For several things at once: "
-                f"eagor live {words[0]} {several} --fast"
-            )
-    return words[:-1], checked_query(words[-1])
+        return words, []
+    first = next(
+        (at for at, word in enumerate(words[1:-1], 1) if not (os.path.exists(word) or Path(word).suffix)),
+        len(words) - 1,
+    )
+    return words[:first], checked_queries(words[first:])
 
 
 def nothing_of(frames: int, unread: int) -> EagorError:
@@ -174,7 +170,10 @@ def perception_for(queries: Sequence[str], spec: str | None) -> str:
     if nouns and wanted():
         raise QueryError(how_to_find(nouns[0]))
     if 0 < len(nouns) < len(queries):
-        raise QueryError("coco and colour would each answer some of the queries; name one with --perception")
+        raise QueryError(
+            "coco and colour would each answer some of the queries; name one with --perception. Is it one thing? "
+            f"{in_quotes(' '.join(queries))}"
+        )
     return "coco" if nouns else "colour"
 
 
