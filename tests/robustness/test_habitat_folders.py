@@ -95,7 +95,7 @@ def strange(found):
         (lambda found: found["episodes"][0]["info"].pop("eagor"), "do not say which of our scenes"),
         (
             lambda found: [each["info"]["eagor"].update(version="apartment 0 seed 7") for each in found["episodes"]],
-            "made for apartment 0 seed 7; this version makes apartments 2",
+            "made for apartment 0 seed 7; this version makes apartments 3",
         ),
         (lambda found: found["episodes"][0].update(object_category="piano"), "its category has no goals"),
         (

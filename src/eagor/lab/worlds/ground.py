@@ -184,7 +184,7 @@ class Ground:
 
     # --- points ---
 
-    @lazy
+    @property
     def points(self) -> np.ndarray:
         return self.centres(self._nodes)
 

@@ -250,6 +250,7 @@ def string_pull(points: np.ndarray, walls: np.ndarray) -> np.ndarray:
 def _shortcut(points: np.ndarray, walls: np.ndarray) -> np.ndarray:
     kept = [0]
     while kept[-1] < len(points) - 1:
-        seen = sees(walls, points[kept[-1]], points[kept[-1] + 2 :])
-        kept.append(kept[-1] + 1 + int(np.append(seen, False).argmin()))
+        following, ahead = kept[-1] + 1, points[kept[-1] + 2 :]
+        seen = sees(walls, points[kept[-1]], ahead) if len(ahead) else []
+        kept.append(following + int(np.append(seen, False).argmin()))
     return points[kept]

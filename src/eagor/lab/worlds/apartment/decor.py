@@ -10,6 +10,7 @@ Inside, the shade would block their light; close to it, half of the room would l
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -262,7 +263,7 @@ def _palm(top: float, tall: float, azimuth: np.ndarray, rng: np.random.Generator
 _GROWTHS = ((_broad, 0.7, 1.25, 0.16), (_palm, 1.1, 1.7, 0.17), (_swords, 0.65, 1.1, 0.14))
 
 
-def _turned_pot(outline: Triple, radius: float, height: float, sides: int) -> tuple[Mesh, float]:
+def _turned_pot(outline: Sequence[Triple], radius: float, height: float, sides: int) -> tuple[Mesh, float]:
     """A vessel from its outline, with its wall turned inwards at the top, and the radius of its mouth."""
     profile = [(a * radius, b * height) for a, b in outline]
     mouth = profile[-1][0]

@@ -230,7 +230,7 @@ def cylinder(centre: Triple, radius: float, height: float, sides: int = 16) -> M
 
 def tube(path: Sequence[Triple] | np.ndarray, radius: float, sides: int = 6) -> Mesh:
     """Round bars from point to point of `path` ``(n, 3)``."""
-    bars = [trimesh.creation.cylinder(radius, sections=sides, segment=ends) for ends in pairwise(path)]
+    bars = [trimesh.creation.cylinder(radius, sections=sides, segment=np.array(ends)) for ends in pairwise(path)]
     return merged(*(solid(bar.vertices, bar.faces) for bar in bars))
 
 
