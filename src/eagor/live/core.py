@@ -9,7 +9,6 @@ import bisect
 import math
 import warnings
 from collections import deque
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from statistics import median
 
@@ -20,7 +19,6 @@ from eagor._checks import checked_stamp
 from eagor.errors import EagorError, TimeError
 from eagor.evidence import Evidence
 from eagor.live.events import (
-    AllCame,
     Answer,
     Asked,
     Event,
@@ -35,7 +33,7 @@ from eagor.live.events import (
 )
 from eagor.media import Pose
 from eagor.media.clocks import RelatedClock
-from eagor.tracking import DirectionTracker, Estimate, Surroundings, TrackerConfig
+from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["LiveCore", "LoopSettings", "RecentPoses", "deviation", "warm"]
 
@@ -47,6 +45,7 @@ DEVIATION_STEP = 1.2  # deviations are rounded to powers of this, so that answer
 LEAST_DEVIATION = math.radians(0.2)  # a smaller deviation counts as 0
 UNKNOWN_TURN = math.pi / 2  # radians: nothing is known of the direction any more
 
+UNSURE = math.radians(10)  # of a pose: a look from there says nothing of directions
 HELD = 0.05  # seconds that the newest pose may be old without a word
 STARTING = 1.0  # seconds that the first pose may take
 STALE_POSE = 1.0  # ... and without words of their own: those for a moment are heard often, and told seldom
@@ -62,7 +61,6 @@ FUTURE = 0.1  # seconds by which evidence may be ahead of time
 PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
 SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
 ONE_CLOCK = 0.5  # seconds: two clocks that differ by less from ours, in the same sense, are one
-ASIDE = 0.1  # seconds between two computations for what nobody has asked for
 TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
 
 
@@ -150,10 +148,9 @@ class LoopSettings:
 
     Without poses the camera is taken to stand still. `latency`: seconds by which the camera's stamps are set back.
     `acceleration`: radians per second squared (root mean square) by which the camera may turn faster or slower. The
-    poses tell more: this counts as one observation beside many, and alone where there are too few. `around`: also
-    follow all else that a perception sees that knows its classes, with one computation, for one thing, every so many
-    seconds at most; 0: all at once, however long it takes; None: do not. `extrapolate`: answers are those of the time
-    that is asked for; otherwise those of the newest pose.
+    poses tell more: this counts as one observation beside many, and alone where there are too few. `extrapolate`:
+    answers are those of the time that is asked for; otherwise those of the newest pose. `exact`: compute every answer
+    anew, however long it takes.
     """
 
     queries: tuple[str, ...]
@@ -161,8 +158,8 @@ class LoopSettings:
     poses: bool = True
     latency: float = 0.0
     acceleration: float = 0.5
-    around: float | None = None
     extrapolate: bool = True
+    exact: bool = False
 
 
 class LiveCore:
@@ -171,9 +168,6 @@ class LiveCore:
     A belief is computed anew with a new look, but at most every `TOGETHER` seconds, and without one when the camera has
     moved by `MOVED` or after `REFRESHED` seconds. In between it is turned with the camera, which is exact for turns and
     cheap. After the newest pose the camera's turn is extrapolated, and regions are wider by what that may miss.
-
-    `around`: all that was seen, asked for or not, if that is wanted; a query that is one of its `names` begins with
-    what is known of it.
     """
 
     def __init__(self, settings: LoopSettings) -> None:
@@ -181,12 +175,10 @@ class LiveCore:
         self._camera = RelatedClock("camera", settings.latency, SLOWEST)
         self._odometry = RelatedClock("odometry")
         self._tracker = DirectionTracker(settings.config)
-        self.around = None if settings.around is None else Surroundings(settings.config)
-        self._apart = settings.around or 0.0  # seconds between two works on it, at least
-        self._aside = -math.inf  # when the last was
         self._recent = RecentPoses(settings.acceleration)
-        self._extrapolates = settings.poses and settings.extrapolate
+        self._extrapolates, self._exact = settings.poses and settings.extrapolate, settings.exact
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
+        self._spreads: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # of poses, by stamp
         self._pose = -math.inf
         self._images: dict[int, tuple[float, float]] = {}  # by lens: the newest stamp, and seconds from the one before
         self._first = math.inf  # stamp of the first pose
@@ -215,8 +207,6 @@ class LiveCore:
                 self._take_pose(event)
             case EvidenceCame():
                 self._evidence(event)
-            case AllCame():
-                self._all(event)
             case Trouble():
                 self._trouble(event)
             case PosesLost():
@@ -248,11 +238,6 @@ class LiveCore:
             self._fresh.discard(gone)
             if gone in self._tracker.targets:
                 self._tracker.forget(gone)
-        for new in {*queries} - {*self.queries}:
-            if self.around is not None and new in self.around.names:
-                self._tracker.begin(new, new, self.around.tracker)
-                self._looks[new] = self.around.newest
-                self._fresh.add(new)
         self.queries = queries
 
     def _frame(self, event: FrameCame) -> None:
@@ -260,6 +245,8 @@ class LiveCore:
         if news:
             self._say("clock", news, event.arrival)
         if stamp is not None:
+            if event.problem:
+                self._say("camera", f"{event.name} is left out: {event.problem}", event.arrival)
             stamp -= self._later()
             self._pictures.append((event.stamp, stamp))
             newest, interval = self._images.get(event.lens, (stamp, 0.0))
@@ -285,12 +272,12 @@ class LiveCore:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of far stamps: the age of the pose tells
                 self._tracker.add_pose(stamp, pose.world_R_body, pose.position)
-                if self.around is not None:
-                    self.around.move(stamp, pose.world_R_body, pose.position)
         except EagorError as error:
             self._say("poses", f"a pose is left out: {error}", event.arrival)
             return
         self._recent.add(stamp, self._tracker.pose_at(stamp)[0])
+        if pose.spread:
+            self._spreads.append((stamp, pose.spread))
         for query, look in self._looks.items():
             if look > self._pose:  # it has waited for this pose, and is placed anew
                 self._fresh.add(query)
@@ -308,21 +295,10 @@ class LiveCore:
             return
         for look in event.looks:
             own = stamp if look.stamp is None else stamp + (look.stamp - event.told)
+            if look.stamp is not None and event.told == stamp:  # to the last bit
+                own = look.stamp
             self._early.append((event.query, replace(look, stamp=checked_stamp(own)), event.arrival))
         self._settle(event.arrival)
-
-    def _all(self, event: AllCame) -> None:
-        """A look at everything. One that cannot be placed was said of its `EvidenceCame`."""
-        stamp, told = self._of_picture(event.stamp), event.around.nothing.stamp
-        if self.around is None or stamp is None:
-            return
-        own = stamp if told is None else stamp + (told - event.told)
-        if own > event.arrival + FUTURE or own < self._first - HELD:
-            return
-        with suppress(EagorError):
-            self.around.look(event.around.at(checked_stamp(max(own, self._first) if self._first < math.inf else own)))
-        while self.around.behind and not self._apart:
-            self.around.take_in()
 
     def _settle(self, now: float) -> None:
         """Give the tracker the evidence that is not of the future, and whose pose is there or does not come."""
@@ -342,6 +318,13 @@ class LiveCore:
             if 0 < before < math.inf:
                 stamp = self._first
                 look = replace(look, stamp=stamp)
+            spread = min(self._spreads, key=lambda each: abs(each[0] - stamp), default=(stamp, 0.0))[1]
+            if spread >= UNSURE:
+                self._say(
+                    "poses", f"a look is left out: its pose may be off by {math.degrees(spread):.0f} degrees", now
+                )
+                continue
+            look = look.widened(spread)
             try:
                 self._tracker.observe(look, query)
             except EagorError as error:
@@ -362,7 +345,7 @@ class LiveCore:
             return None, f"a stamp of the {clock.name} is left out: {error}"
 
     def _trouble(self, event: Trouble) -> None:
-        if event.part == "clock" and event.text:  # it is over when it is said
+        if event.passing and event.text:
             self._say(event.part, event.text, event.arrival)
             return
         key = event.part, event.about
@@ -375,10 +358,9 @@ class LiveCore:
 
     def _lost(self, event: PosesLost) -> None:
         self._tracker.reset()
-        if self.around is not None:
-            self.around.reset()
         self._recent.clear()
         self._pose, self._first = -math.inf, math.inf
+        self._spreads.clear()
         self._full.clear()
         self._fresh.clear()
         self._looks.clear()
@@ -398,12 +380,9 @@ class LiveCore:
         due = [query for query in self.queries if self._is_due(query, now)]
         due.sort(key=lambda query: self._full[query][0].stamp if query in self._full else -math.inf)
         # The same work in each round: a belief that waits is turned meanwhile.
-        most = math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
+        most = len(due) if self._exact else math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
         for query in due[: max(1, most)]:
             self._compute(query, now)
-        if self.around is not None and now - self._aside >= self._apart:
-            self._aside = now
-            self.around.take_in()
         for query in self.queries:
             estimate = self._turned(query, now)
             answers.append(
@@ -418,7 +397,7 @@ class LiveCore:
         return answers
 
     def _is_due(self, query: str, now: float) -> bool:
-        if query not in self._full:
+        if query not in self._full or self._exact:
             return True
         full, before = self._full[query]
         if now < full.stamp or now - full.stamp >= REFRESHED:
@@ -440,10 +419,13 @@ class LiveCore:
         """What was computed last, seen from where the camera points now."""
         if query not in self._full:
             self._compute(query, now)
+        full = self._full[query][0]
+        if now <= self._pose or not self.has_poses:
+            return full if now == full.stamp else full.turned(now, self._tracker.pose_at(now)[0])
         # A look without a pose of its time has the newest pose: what matters is how the camera has turned since.
         known = max(self._pose, self._looks.get(query, -math.inf))
         pose, spread = self._recent.after(now - known if self._extrapolates else 0.0)
-        return self._full[query][0].turned(now, pose, spread)
+        return full.turned(now, pose, spread)
 
     def _unknown(self, now: float) -> Estimate:
         """The estimate of a target without evidence."""

@@ -19,11 +19,11 @@ from eagor.errors import GridError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.media import Pose
-from eagor.tracking import Around, TurningCamera, TurningRig
+from eagor.tracking import TurningCamera, TurningRig
 from eagor.tracking.estimate import Estimate, plain_number
 
 __all__ = [
-    "AGAIN", "CALM", "AllCame", "Answer", "Asked", "Event", "EvidenceCame", "Fault", "FaultLog", "Following",
+    "AGAIN", "CALM", "Answer", "Asked", "Event", "EvidenceCame", "Fault", "FaultLog", "Following",
     "FrameCame", "NextLooks", "Part", "PoseCame", "PosesLost", "Trouble",
 ]  # fmt: skip
 
@@ -88,7 +88,8 @@ class Answer:
 class FrameCame:
     """A picture; `stamp`: its capture. The core needs no `picture` ``(H, W, 3)``; a recording does.
 
-    `grid`: its pixels, if an ordinary camera took it; None for a panorama. `lens`: which of several took it.
+    `grid`: its pixels, if an ordinary camera took it; None for a panorama. `lens`: which of several took it. `problem`:
+    why there is no picture. `looked`: whether the perception looks at it, if that is known.
     """
 
     arrival: float
@@ -97,6 +98,8 @@ class FrameCame:
     picture: np.ndarray | None = field(default=None, repr=False)
     grid: PerspectiveGrid | None = field(default=None, repr=False)
     lens: int = 0
+    problem: str = ""
+    looked: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,27 +134,19 @@ class EvidenceCame:
     seconds: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class AllCame:
-    """What the same pass says about everything in the picture of `stamp`; the rest as in `EvidenceCame`."""
-
-    arrival: float
-    stamp: float
-    told: float
-    around: Around
-
-
 @dataclass(frozen=True)
 class Trouble:
     """Something is wrong with a part, in words; an empty `text`: it works again.
 
     `about`: the query that alone is concerned, or which of a part's faults this is; empty for the part as a whole.
+    `passing`: it is over when it is said, as a clock that jumped.
     """
 
     arrival: float
     part: Part
     text: str = ""
     about: str = ""
+    passing: bool = False
 
 
 @dataclass(frozen=True)
@@ -169,7 +164,7 @@ class Asked:
     arrival: float
 
 
-Event = FrameCame | PoseCame | PosesLost | EvidenceCame | AllCame | Trouble | Following | Asked
+Event = FrameCame | PoseCame | PosesLost | EvidenceCame | Trouble | Following | Asked
 
 
 @dataclass

@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -29,10 +29,10 @@ from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.errors import EagorError, FormatError, ImageError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.grids import PerspectiveGrid
-from eagor.media.defects import NeverSeen
-from eagor.perception import Perception, knows_classes, load
+from eagor.media.panorama import Picture
+from eagor.perception import NoEvidenceError, Perception, knows_classes, load
+from eagor.perception.recordings import HiddenParts
 from eagor.perception.replay import look_if_recorded
-from eagor.tracking import Around
 from eagor.tracking.checkpoint import packed, unpacked
 
 __all__ = ["Failed", "Inference", "InferenceWorker", "Looked", "UnusableError", "why_here"]
@@ -59,27 +59,35 @@ class Looked:
 
 @dataclass(frozen=True)
 class Failed:
-    """Why there is no look; `query`: None if it concerns all. `refused`: this query will never be understood."""
+    """Why there is no look; `query`: None if it concerns all.
+
+    `refused`: this query will never be understood; `malformed`: what the perception returned is no evidence.
+    """
 
     query: str | None
     text: str
     refused: bool = False
+    malformed: bool = False
 
 
 class Inference:
     """A perception that looks at pictures in this process, given as text for `eagor.perception.load` or as an object.
 
-    What fails is said, and nothing is raised for it. `everything`: tell all else that a perception sees that knows its
-    classes, too. `masks`: where looks say nothing; where all pictures are black about a pole, they do not either.
+    What fails is said, and nothing is raised for it. `masks`: where looks say nothing; where all pictures are black
+    about a pole, they do not either, which `say` is told once.
     """
 
     def __init__(
-        self, perception: str | Perception, *, masks: Sequence[BodyMask] = (), everything: bool = False
+        self,
+        perception: str | Perception,
+        *,
+        masks: Sequence[BodyMask] = (),
+        say: Callable[[str], object] = lambda text: None,
     ) -> None:
-        self.perception, self.masks, self.everything = perception, tuple(masks), everything
+        self.perception = perception
         self.knows_classes: bool | None = None  # not known before it is loaded
         self._loaded: Perception | None = None
-        self._black = NeverSeen()
+        self._hidden = HiddenParts(masks, say)
 
     def start(self) -> Iterator[Failed]:
         """Load the perception. Nothing comes. Raises `UnusableError`."""
@@ -93,27 +101,32 @@ class Inference:
 
     def look(
         self,
-        picture: np.ndarray,
+        picture: np.ndarray | None,
         queries: Sequence[str],
         stamp: float,
         world_R_body: np.ndarray | None = None,
         grid: PerspectiveGrid | None = None,
-    ) -> Iterator[Looked | Failed | Around]:
+        unseen: np.ndarray | None = None,
+    ) -> Iterator[Looked | Failed]:
         """Look at a picture ``(H, W, 3)`` uint8 for each query in turn; what is found comes as it is found.
 
-        It is a panorama, or an ordinary one with its `grid`. With `everything`, all else comes last.
+        It is a panorama, or an ordinary one with its `grid`, without what is `unseen`; None for a perception that plays
+        recorded looks.
 
         Raises `UnusableError` if the perception cannot be loaded, `ImageError` for another array.
         """
-        check_picture(picture)
         self.start()
-        seen = picture.view()
-        seen.flags.writeable = False
-        covers = list(self.masks)
-        if grid is None:  # an ordinary picture has no poles
-            hidden = self._black.add(seen)
-            covers += [BodyMask(~hidden)] if hidden.any() and not hidden.all() else []
-        if self.knows_classes:
+        covers, seen = self._hidden.masks(None), None
+        if picture is not None:
+            check_picture(picture)
+            seen = picture.view()
+            seen.flags.writeable = False
+            try:
+                covers = self._hidden.masks(Picture(seen, unseen, grid=grid))
+            except ImageError as error:
+                yield Failed(None, str(error))
+                return
+        if self.knows_classes and seen is not None:
             yield from self._at_once(seen, queries, stamp, world_R_body, grid, covers)
             return
         assert self._loaded is not None
@@ -123,7 +136,7 @@ class Inference:
                 looks = look_if_recorded(self._loaded, seen, query, stamp, world_R_body, grid)
                 looks = tuple(_covered(look, covers) for look in looks)
             except Exception as error:  # whatever the perception raises
-                yield Failed(query, _said(error), isinstance(error, QueryError))
+                yield Failed(query, _said(error), isinstance(error, QueryError), isinstance(error, NoEvidenceError))
             else:
                 yield Looked(query, looks, time.perf_counter() - began)
 
@@ -135,24 +148,21 @@ class Inference:
         pose: np.ndarray | None,
         grid: PerspectiveGrid | None,
         covers: Sequence[BodyMask],
-    ) -> Iterator[Looked | Failed | Around]:
-        """All queries from one pass of a perception that knows its classes; then everything, if wanted."""
+    ) -> Iterator[Looked | Failed]:
+        """All queries from one pass of a perception that knows its classes."""
         perception: Any = self._loaded
         began = time.perf_counter()
         try:
-            looks, around = perception.around(seen, queries, stamp, pose, grid)
+            looks = perception.answers(seen, queries, stamp, pose, grid)
             looks = [look if isinstance(look, QueryError) else _covered(look, covers) for look in looks]
-            around = _covered(around, covers)
         except Exception as error:
-            looks, around = [error] * len(queries), None
+            looks = [error] * len(queries)
         seconds = (time.perf_counter() - began) / max(len(queries), 1)
         for query, look in zip(queries, looks, strict=True):
             if isinstance(look, Exception):
                 yield Failed(query, _said(look), isinstance(look, QueryError))
             else:
                 yield Looked(query, (look,), seconds)
-        if self.everything and around is not None:
-            yield around
 
     def kill(self) -> None:
         """Nothing can end a look in this process."""
@@ -189,9 +199,8 @@ class InferenceWorker:
         *,
         patience: float = PATIENCE,
         masks: Sequence[BodyMask] = (),
-        everything: bool = False,
     ) -> None:
-        self.perception, self.patience, self.masks, self.everything = perception, patience, tuple(masks), everything
+        self.perception, self.patience, self.masks = perception, patience, tuple(masks)
         self.starts = 0
         self.knows_classes: bool | None = None  # not known before it is loaded
         self._worker: Worker | None = None
@@ -212,7 +221,7 @@ class InferenceWorker:
             if self._killed.is_set():
                 return
             try:
-                self._worker = worker = Worker(serve, self.perception, self.masks, self.everything, os.getpid())
+                self._worker = worker = Worker(serve, self.perception, self.masks, os.getpid())
             except Exception as error:  # the system has no more processes
                 raise UnusableError(f"the perception's process cannot be started: {error}") from error
         self.starts += 1
@@ -237,7 +246,8 @@ class InferenceWorker:
         stamp: float,
         world_R_body: np.ndarray | None = None,
         grid: PerspectiveGrid | None = None,
-    ) -> Iterator[Looked | Failed | Around]:
+        unseen: np.ndarray | None = None,
+    ) -> Iterator[Looked | Failed]:
         """As `Inference.look`."""
         check_picture(picture)
         yield from self.start()
@@ -245,13 +255,11 @@ class InferenceWorker:
             return
         name = self._show(picture)
         try:
-            worker.send((name, tuple(queries), stamp, picture.shape, world_R_body, grid))
+            worker.send((name, tuple(queries), stamp, picture.shape, world_R_body, grid, unseen))
             while (said := worker.receive(self.patience))[0] != "done":
                 self._pause = PAUSES[0]
                 if said[0] == "looked":
                     yield Looked(said[1], unpacked(said[2]), said[3])
-                elif said[0] == "around":
-                    yield unpacked(said[1])
                 else:
                     yield Failed(said[1], said[2], said[3])
         except WorkerSilent:
@@ -316,14 +324,12 @@ class InferenceWorker:
 # --- the process that looks ---
 
 
-def serve(
-    line: Connection, perception: str | Perception, masks: Sequence[BodyMask], everything: bool, parent: int
-) -> None:
-    """The life of the process; it ends when the line or its parent does. `masks`, `everything`: see `Inference`."""
+def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMask], parent: int) -> None:
+    """The life of the process; it ends when the line or its parent does. `masks`: see `Inference`."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _die_with(parent)
     memory: SharedMemory | None = None
-    inference = Inference(perception, masks=masks, everything=everything)
+    inference = Inference(perception, masks=masks)
     with suppress(EOFError, OSError):
         try:
             inference.start()
@@ -332,13 +338,13 @@ def serve(
             return
         line.send(("ready", inference.knows_classes))
         while (order := line.recv()) is not None:
-            name, queries, stamp, shape, pose, grid = order
+            name, queries, stamp, shape, pose, grid, unseen = order
             if memory is None or memory.name != name:
                 if memory is not None:
                     memory.close()
                 memory = SharedMemory(name)
             seen = np.ndarray(shape, dtype=np.uint8, buffer=memory.buf)
-            for said in inference.look(seen, queries, stamp, pose, grid):
+            for said in inference.look(seen, queries, stamp, pose, grid, unseen):
                 line.send(_in_bytes(said))
             del seen
             line.send(("done",))
@@ -347,15 +353,13 @@ def serve(
             memory.close()
 
 
-def _in_bytes(said: Looked | Failed | Around) -> tuple[Any, ...]:
+def _in_bytes(said: Looked | Failed) -> tuple[Any, ...]:
     """What is said, as it is sent."""
     match said:
         case Looked(query, looks, seconds):
             return "looked", query, looks_in_bytes(looks), seconds
         case Failed(query, text, refused):
             return "failed", query, text, refused
-        case _:
-            return "around", packed(said)
 
 
 def looks_in_bytes(looks: tuple[Evidence, ...]) -> bytes:
@@ -373,7 +377,7 @@ def check_picture(picture: np.ndarray) -> None:
 
 
 def _covered(look: Any, masks: Sequence[BodyMask]) -> Any:
-    """A look, or a look at everything, that says nothing where the masks are."""
+    """A look that says nothing where the masks are."""
     for mask in masks:
         look = look.covered(mask)
     return look
