@@ -8,7 +8,6 @@ from commands import eagor
 from habitat_stand_in import installed
 from listed_rooms import exported, rewrite
 
-from eagor.lab.envs.episodes import file_episode_specs
 from eagor.lab.eval import log
 from eagor.lab.worlds.habitat import world
 
@@ -44,30 +43,6 @@ def test_the_same_episodes_are_played_in_both_worlds(file, tmp_path):
         assert found["trace"]["true_azimuth_deg"][0] == pytest.approx(wanted["trace"]["true_azimuth_deg"][0], abs=0.1)
         assert found["trace"]["true_range_m"][0] == pytest.approx(wanted["trace"]["true_range_m"][0], abs=0.01)
         assert np.allclose(found["path"][0], wanted["path"][0], atol=1e-6)
-
-
-def test_one_scene_may_be_named(file, tmp_path):
-    (_, second) = dict.fromkeys(spec.world for spec in file_episode_specs("navigation", file, None, "habitat", None))
-    done = bench(file, tmp_path / "run", "--world", second)
-    assert done.returncode == 2
-    assert "has episodes in 2 scenes, but --world habitat:" in done.stderr
-    one = file.parent / "content" / "room.json.gz"
-    bench(one, tmp_path / "run", "--world", second)
-    bench(one, tmp_path / "all", "--world", "habitat", "--scenes", file.parents[5] / "scene_datasets")
-    for mine, theirs in zip(log.read(tmp_path / "run"), log.read(tmp_path / "all"), strict=True):
-        assert mine["methods"]["oracle"]["path"] == theirs["methods"]["oracle"]["path"]
-
-
-def test_episodes_of_others_are_played_there(tmp_path):
-    """Without our own entry in `info`, as in HM3D."""
-    file = exported(tmp_path, episodes=2)
-
-    def strange(found):
-        for episode in found["episodes"]:
-            del episode["info"]["eagor"]
-
-    rewrite(file, strange)
-    assert "2 episodes" in bench(file, tmp_path / "run", "--world", "habitat").stdout
 
 
 def test_a_start_off_the_mesh_costs_its_episode_alone(tmp_path):
