@@ -20,8 +20,8 @@ SIMULATED = [
     ("methods/eagor", None), ("methods/eagor/metrics", GONE), ("methods/eagor/metrics/L1", "x"),
     ("methods/eagor/metrics/L1", 1e308), ("methods/eagor/trace", []), ("methods/eagor/trace/error_deg", GONE),
     ("methods/eagor/trace/error_deg", []), ("methods/eagor/trace/error_deg/0", {}), ("truth", [1]),
-    ("truth/pose/0", [1, 2]), ("truth/pose/0", [0, 0, 0, 0, 0, 0, 0]), ("truth/visible/1", "yes"), ("truth/leg", [{}]),
-    ("truth/azimuth_deg", [1.0]), ("seconds", "long"), ("looked", {"looks": 1}), ("truth", GONE),
+    ("truth/pose/0", [1, 2]), ("truth/pose/0", [0, 0, 0, 0, 0, 0, 0]), ("truth/leg", [{}]),
+    ("truth/azimuth_deg", [1.0]), ("seconds", "long"), ("truth", GONE),
     ("methods/eagor/trace/searching", [1, 0]), ("methods/eagor/trace/searching", "yes"),
 ]  # fmt: skip
 WALKED = [(f"methods/vmf/trace/{gone}", GONE) for gone in ("pose", "true_azimuth_deg", "true_range_m", "visible")]

@@ -293,7 +293,7 @@ def run(options: BenchRun) -> int:
 
 def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     """The settings of a run by field. Raises `UsageError` for an option that the task does not have."""
-    from eagor.cli.checks import calibrated, check_looks, checked_rows
+    from eagor.cli.checks import calibrated, check_looks, checked_number
 
     fields = task.Config.__struct_fields__
     simulated = "methods" in fields
@@ -313,7 +313,7 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     from eagor.lab.envs.rules import NoiseModel
     from eagor.lab.tasks.sim.task import split_methods, variants
 
-    checked_rows(options.rows)
+    checked_number(options.rows, "--rows")
     if options.scenes is not None and options.episodes_file is None:
         raise terminal.UsageError("--scenes is the folder of the scenes of --episodes-file, which is not given")
     if options.seed is not None and options.episodes_file is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_looks, check_not_read, checked_out, checked_rows
+from eagor.cli.checks import check_looks, check_not_read, checked_number, checked_out
 from eagor.cli.options import Common, Rows, Whole, bare, given
 from eagor.errors import EagorError, PoseError
 
@@ -75,7 +75,7 @@ def calibrate(options: Calibrate) -> int:
         raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} is for eagor calibrate {other}")
     if given(options, REPLAY):
         return replay(options)
-    checked_rows(options.rows)
+    checked_number(options.rows, "--rows")
     for name in ("episodes", "trials", "workers", "take"):
         if getattr(options, name) < 1:
             raise terminal.UsageError(f"--{name} {getattr(options, name)}; wanted 1 or more")

@@ -64,7 +64,7 @@ class BenchFailures(Common):
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` if it cannot be written."""
     from eagor._extras import need
-    from eagor.cli.checks import checked_folder
+    from eagor.cli.checks import checked_out
     from eagor.lab.eval.report import write_report
     from eagor.lab.eval.results import read
 
@@ -72,7 +72,7 @@ def report(options: BenchReport) -> int:
         raise terminal.UsageError("no run was given; wanted the folder of a run")
     need("a report", "report", "jinja2")  # before an episode is played for it
     if options.out is not None:
-        checked_folder(options.out)
+        checked_out(options.out, folder=True)
     episode, out = None, options.out or options.folders[0]
     runs = [read(folder) for folder in options.folders]
     if len(runs) == 1 and not options.without_episode:

@@ -64,7 +64,7 @@ class LabelledLook:
         if self.evidence.detections is None:
             raise ResponseError(
                 "a response map has no detections to count; wanted boxes, points or masks. Response maps are read by a "
-                "Calibration (docs/how-to/detector-errors.md)"
+                "Calibration"
             )
         targets = np.atleast_2d(np.asarray(self.targets, dtype=np.float64))
         targets = targets.reshape(-1, 3) if targets.size == 0 else targets
@@ -227,7 +227,6 @@ def _places(looks: Sequence[LabelledLook], segment: np.ndarray, targets: Sequenc
 
 # --- labelled looks from a replay file (docs/replay-format.md) and a file of true directions --------------------------
 
-_TARGETS = "a list of objects with azimuth_deg and elevation_deg; [] if the thing is absent"
 Pose = tuple[np.ndarray, np.ndarray | None]  # world_R_body ``(3, 3)``, and the position ``(3,)`` if it is known
 
 
@@ -266,9 +265,9 @@ class _Target(msgspec.Struct, forbid_unknown_fields=True):
 
 class _Line(msgspec.Struct, forbid_unknown_fields=True):
     stamp: Finite
-    query: Annotated[str, msgspec.Meta(description="words")]
-    targets: Annotated[list[_Target], msgspec.Meta(description=_TARGETS)]
-    group: Annotated[str, msgspec.Meta(min_length=1, description="text, or no such key")] | None = None
+    query: str
+    targets: list[_Target]  # none: the thing is absent
+    group: Annotated[str, msgspec.Meta(min_length=1)] | None = None
 
 
 def _parsed(line: bytes) -> Truth:
