@@ -786,10 +786,10 @@ def test_options_are_read_from_the_name(folders):
 def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
     folder = folders("llava")
     for written, says in {
-        "colour=red": "'colour' is no key of a model here; known are",
+        "colour=red": "'colour' is no key of a model here",
         "extractor=mask": "attention, views",
         "per_view=views": "it can be attention",
-        "dtype=int8": "float32, bfloat16",
+        "dtype=int8": r"float32\|bfloat16",
         "threshold=0.3": "'threshold' is no key of a model here",
     }.items():
         with pytest.raises(EagorError, match=says):
@@ -836,7 +836,7 @@ def test_options_without_a_meaning_are_refused_before_weights_are_read(folders, 
 
 @pytest.mark.parametrize("threshold", ["nan", "inf", "-1", "2", "true", "low"])
 def test_thresholds_that_are_no_scores_are_refused(folders, threshold):
-    with pytest.raises(EagorError, match=r"threshold is .*; wanted a score from 0 to 1"):
+    with pytest.raises(EagorError, match=r"threshold is .*; wanted `"):
         load(f"{folders('owlv2')}?threshold={threshold}")
 
 
