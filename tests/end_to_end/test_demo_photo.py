@@ -149,7 +149,7 @@ def test_a_large_photograph_is_shrunk():
         (["--photo", "PHOTO", "--query", " "], "no words"),
         (["--photo", "PHOTO", "--perception", "colour"], "say what to look for with --query"),
         (["--photo", "PHOTO", "--query", "red", "--perception", "replay:a.jsonl"], "belongs to other frames"),
-        (["--photo", "PHOTO"], "the model 'coco'"),
+        (["--photo", "PHOTO"], "the detector coco is not installed"),
         (["--photo", "PHOTO", "--query", "chair"], "no detector for 'chair' is installed"),
     ],
 )

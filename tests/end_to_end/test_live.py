@@ -119,6 +119,7 @@ def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):
     assert len(lines(capsys)) == len(first)
 
 
+@pytest.mark.slow
 def test_a_recording_that_is_cut_anywhere_gives_the_same_answers(film, tmp_path, capsys):
     """What is not recorded any more is not compared: it differs from nothing."""
     pytest.importorskip("rosbags")

@@ -66,7 +66,6 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         (("bench", "report", "torn"), "run.json does not name its data"),
         (("bench", "run", "hstar-hos", "--data", "folder", "--agent", "random", "--seed", "-1"), "seed = -1"),
         (("bench", "info", "folder"), "as hstar-hos, hstar-hps: "),
-        ((*WAYPOINT, "--address", "head:1"), "add --engine ray"),
         (("calibrate", "--perception", "truth", "--rows", "-4"), "--rows -4"),
         (("calibrate", "--perception", "truth", "--episodes", "4"), "wanted 5 or more"),
         (("calibrate", "--perception", "truth", "--take", "4"), "--take 4 is for eagor calibrate heads"),

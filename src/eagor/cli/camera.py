@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_not_read, checked_out, checked_picture, checked_rows, keep_picture, rig_of
+from eagor.cli.checks import check_not_read, checked_number, checked_out, checked_picture, keep_picture, rig_of
 from eagor.cli.options import Common, Flag, bare
 from eagor.errors import DeviceError, ImageError
 
@@ -185,7 +185,7 @@ def view(options: CameraView) -> int:
         if path is not None:
             check_not_read(path, option, inputs)
             checked_picture(path)
-    checked_rows(options.rows)
+    checked_number(options.rows, "--rows")
     rig = rig_of(options.rig)
     pictures = list(next(_film(inputs, rig, options.stamp))) if is_video(inputs, True) else _read(options.picture)
     if rig is None:

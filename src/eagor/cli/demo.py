@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from tyro.conf import arg
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_looks, checked_folder, checked_query, make_perception, perception_for
+from eagor.cli.checks import check_looks, checked_out, checked_query, make_perception, perception_for
 from eagor.cli.options import Common, Name, Whole, bare, given
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def _apartment(options: Demo) -> int:
         raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {SEEDS - 1}")
     if not 0 <= options.episode < PER_PLACE:
         raise terminal.UsageError(f"--episode {options.episode}; wanted 0 to {PER_PLACE - 1}")
-    checked_folder(options.out)
+    checked_out(options.out, folder=True)
     perception = "scout" if options.perception == AUTO else options.perception
     check_looks(perception)
     search = demo_apartment.play(options.seed, options.episode, perception, say=not options.json)
@@ -78,10 +78,10 @@ def _apartment(options: Demo) -> int:
 def _photo(options: Demo, path: Path) -> int:
     if mistaken := given(options, ("seed", "episode")):
         raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")
-    checked_folder(options.out)
+    checked_out(options.out, folder=True)
     spec = options.perception
     if spec == AUTO:  # without a query the detector chooses one, so it has to be one that knows things
-        spec = "coco" if options.query is None else perception_for(checked_query(options.query), None)
+        spec = "coco" if options.query is None else perception_for([checked_query(options.query)], None)
     check_looks(spec)
     image, perception = _read(path), make_perception(spec)
     from eagor.cli import demo_photo

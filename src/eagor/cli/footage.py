@@ -82,7 +82,8 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
         return Journey(source, found, told, None, looks, rate, None, camera.begins)
     if isinstance(frames, VideoFrames):
         video = frames.video
-        terminal.log(f"{checks.looks_in_words(looks or RATE, video.frame_rate)}, {told}")
+        looks = looks or RATE
+        terminal.log(f"{min(looks, video.frame_rate or looks):g} looks per second (--rate {looks:g}), {told}")
         end = options.end or video.duration
         return Journey(source, found, told, video.count, looks, rate, None if end is None else end - options.start)
     stamps = frames.stamps or [number / frames.rate for number in range(len(frames.paths))]
@@ -98,7 +99,7 @@ def _checked(options: Footage, places: Sequence[Path], bag: bool, moves: bool) -
     poses = options.poses
     if poses not in WORDS and not os.path.exists(poses):
         raise terminal.UsageError(f"there is no file {poses}; --poses takes {', '.join(WORDS)} or a CSV file")
-    checks.checked_rate(options.rate, "--rate")
+    checks.checked_number(options.rate, "--rate")
     if options.axes != "auto" and poses in WORDS:
         raise terminal.UsageError(f"--axes {options.axes} is for a file of poses; give one with --poses")
     if not bag and given(options, ("image_topic", "odom_topic", "camera_info")):

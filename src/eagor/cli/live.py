@@ -22,17 +22,14 @@ from eagor.cli import terminal
 from eagor.cli.checks import (
     check_looks,
     checked_drift,
-    checked_latency,
-    checked_modes,
+    checked_number,
     checked_out,
     checked_queries,
     checked_record,
-    checked_rows,
-    checked_seconds,
     make_perception,
     mask_of,
     ordinary,
-    perception_for_all,
+    perception_for,
     rig_of,
     rows_for,
     tracker_config,
@@ -187,12 +184,12 @@ def asked(options: Live) -> tuple[str, list[str]]:
     queries = checked_queries(words)
     if not 0 < options.rate <= MOST_RATE:
         raise terminal.UsageError(f"--rate {options.rate:g}; wanted answers per second, up to {MOST_RATE:g}")
-    checked_seconds(options.patience, "--patience")
-    checked_seconds(options.seconds)
-    checked_latency(options.latency)
+    checked_number(options.patience, "--patience")
+    checked_number(options.seconds, "--seconds")
+    checked_number(options.latency, "--latency")
     checked_drift(options.drift)
-    checked_modes(options.modes)
-    checked_rows(options.rows)
+    checked_number(options.modes, "--modes")
+    checked_number(options.rows, "--rows")
     checked_record(options.record)
     return source, queries
 
@@ -210,7 +207,7 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
     from eagor.media.rig_videos import are_ordinary
 
     source, queries = asked(options)
-    spec = perception_for_all(queries, options.perception)
+    spec = perception_for(queries, options.perception)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=options.floor, drift=checked_drift(options.drift))
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
@@ -342,7 +339,7 @@ def _replay(options: Live) -> int:
 
     if len(options.words) != 2:
         raise terminal.UsageError("wanted the folder of one recording: eagor live replay DIR")
-    checked_modes(options.modes)
+    checked_number(options.modes, "--modes")
     folder = Path(options.words[1])
     if options.perception is not None:
         check_looks(options.perception)

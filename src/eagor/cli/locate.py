@@ -15,7 +15,7 @@ from eagor.cli import terminal
 from eagor.cli.answers import table
 from eagor.cli.checks import (
     check_not_read,
-    checked_modes,
+    checked_number,
     checked_picture,
     checked_query,
     keep_picture,
@@ -107,8 +107,8 @@ def locate(options: Locate) -> int:
     from eagor.tracking.follower import Follower
 
     query = checked_query(options.query)
-    spec = perception_for(query, options.perception)
-    checked_modes(options.modes)
+    spec = perception_for([query], options.perception)
+    checked_number(options.modes, "--modes")
     places = places_of([options.file], options.rig is not None)
     check_not_read(options.picture, "--picture", places)
     check_not_read(options.out, "--out", places)

@@ -26,15 +26,6 @@ Rows = Annotated[
     int | None,
     bare("N", "Rows of rendered panoramas (default: those of the perception, else 256; truth reads ids instead)."),
 ]
-Scoring = Annotated[
-    Literal["official", "strict"] | None,
-    bare("WAY", "H*Bench: official (default), or strict (checks the pitch also where a window crosses yaw 0)."),
-]
-Labels = Annotated[
-    Literal["official", "corrected", "both"] | None,
-    bare("WHICH", "OSR-Bench: official labels (default), corrected (left and right exchanged back), or both."),
-]
-
 
 Detector = Annotated[
     str | None,

@@ -86,7 +86,7 @@ def track(options: Track) -> int:
         raise terminal.UsageError(
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
-    spec = checks.perception_for_all(queries, options.perception) if looks is None else looks.about.perception
+    spec = checks.perception_for(queries, options.perception) if looks is None else looks.about.perception
     checks.check_not_read(options.out, "--out", [*places, Path(options.poses)])
     outputs = {"pictures": options.picture, "video": options.video, "page": options.page, "rerun": options.rerun}
     for name, path in outputs.items():
@@ -94,10 +94,10 @@ def track(options: Track) -> int:
     config = checks.tracker_config(
         options.degree, spec, options.calibration, options.detector, options.force, options.static
     )
-    checks.checked_modes(options.modes)
+    checks.checked_number(options.modes, "--modes")
     if looks is None:
         perception = checks.make_perception(spec, busy=True)
-        checks.checked_rate(options.fps, "--fps")
+        checks.checked_number(options.fps, "--fps")
         journey = journey_of(options, places, perception, None if options.video is None else options.fps or FPS)
     else:
         perception, journey = looks.replay, _of_looks(looks)
@@ -387,7 +387,7 @@ def _painter(folder: Path, queries: Sequence[str], most: int) -> Output:
     from eagor.drawing import Mosaic, draw_belief
     from eagor.drawing.style import answer_in_words
 
-    checks.checked_folder(folder, "--pictures")
+    checks.checked_out(folder, "--pictures", folder=True)
     numbers, mosaics = count(), {query: Mosaic() for query in queries}
 
     def draw(result: Followed) -> None:

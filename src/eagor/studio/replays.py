@@ -21,7 +21,7 @@ from eagor.drawing.timeline import Thinned
 from eagor.errors import EagorError, FormatError
 from eagor.lab.agents.methods import DESCRIPTIONS, TrackerEstimator
 from eagor.lab.envs.places import load_place
-from eagor.lab.eval.replay import runner_of
+from eagor.lab.eval.episodes import runner_of
 from eagor.lab.eval.results import OURS, Run
 from eagor.lab.tasks.sim.play import StepInfo
 from eagor.lab.tasks.task import finished, sample_of
