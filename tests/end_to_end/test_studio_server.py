@@ -121,6 +121,7 @@ def test_a_walk_shows_a_scene_a_picture_and_a_belief_and_the_person_steers(serve
             said = next(header for header in iter(other.hear, None) if header["type"] == "problem")
             assert said["question"] == 9
             assert "Somebody else steers" in said["problem"]
+        page.say(type="drive", by="person", turn=1.0, seconds=0.4)
         page.say(type="pause", on=True)  # what stands still is shown as finely as it can be
         steps(
             page, lambda _: "panorama" in page.blobs and Image.open(io.BytesIO(page.blobs["panorama"])).height == 1024
