@@ -21,9 +21,9 @@ from eagor.errors import EagorError, ImageError, QueryError
 if TYPE_CHECKING:
     from PIL import Image
 
+    from eagor.cameras import Rig
     from eagor.evidence import BodyMask, Evidence
     from eagor.media.intrinsics import Camera
-    from eagor.media.rigs import Rig
     from eagor.perception import Perception
     from eagor.perception.calibrated import Calibrated
     from eagor.tracking.config import TrackerConfig
@@ -256,14 +256,6 @@ def rows_for(spec: str, rows: int | None = None, least: int | None = None) -> in
     from eagor.perception import is_model, rows_of
 
     return rows or max(least or NICE, 0 if is_model(spec) else rows_of(make_perception(spec)))
-
-
-def wants_panoramas(spec: str) -> bool:
-    """Whether the perception that ``--perception`` names cannot look at ordinary pictures as they are."""
-    from eagor.perception import is_model
-    from eagor.perception.replay import takes_pictures
-
-    return not (is_model(spec) or takes_pictures(make_perception(spec)))
 
 
 def check_looks(perception: str) -> None:

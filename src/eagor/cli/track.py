@@ -25,10 +25,10 @@ from eagor.cli.options import Detector, Drift, Flag, Floor, Footage, Mask, Modes
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
+    from eagor.cameras import Rig
     from eagor.media.footage import FrameCheck, Frames
     from eagor.media.pose_files import FramePose
     from eagor.media.posed_frames import PosedFrame
-    from eagor.media.rigs import Rig
     from eagor.perception import Perception
     from eagor.perception.footage import FollowedFrame, Method
     from eagor.perception.replay import ReplayPerception
@@ -177,7 +177,6 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     from eagor.media.footage import LEAST_ROWS, is_video
     from eagor.media.pose_files import read_poses
     from eagor.perception import rows_of
-    from eagor.perception.replay import takes_pictures
 
     if options.poses not in SEEN and not os.path.exists(options.poses):
         raise terminal.UsageError(f"there is no file {options.poses}; --poses takes {', '.join(SEEN)} or a CSV file")
@@ -186,14 +185,14 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     rows, looks = max(rows_of(perception), LEAST_ROWS), options.rate or RATE
     rates = looks, max(looks, shown or 0)
     if len(places) == 1 and is_bag(places[0]):
-        return _of_bag(options, places[0], poses, rows, *rates, not takes_pictures(perception))
+        return _of_bag(options, places[0], poses, rows, *rates)
     if given(options, ("image_topic", "odom_topic", "camera_info")):
         topics = "--image-topic, --odom-topic and --camera-info"
         raise terminal.UsageError(f"{topics} are for a ROS 2 bag; {places[0]} is none")
-    rig, stitched = checks.rig_of(options.rig), not takes_pictures(perception)
+    rig = checks.rig_of(options.rig)
     if is_video(places, rig is not None):
-        return _of_video(options, places, poses, rows, rig, stitched, *rates)
-    return _of_images(options, places, poses, rig, stitched)
+        return _of_video(options, places, poses, rows, rig, *rates)
+    return _of_images(options, places, poses, rig)
 
 
 def _of_looks(replay: ReplayPerception) -> Journey:
@@ -211,19 +210,17 @@ def _of_looks(replay: ReplayPerception) -> Journey:
 
 
 def _of_video(
-    options: Footage, places: Sequence[Path], poses: Sequence[FramePose], rows: int, rig: Rig | None, stitched: bool,
+    options: Footage, places: Sequence[Path], poses: Sequence[FramePose], rows: int, rig: Rig | None,
     looks: float, shown: float,
 ) -> Journey:  # fmt: skip
     from eagor.media.footage import VideoFrames
     from eagor.media.posed_frames import thinned
-    from eagor.media.rig_videos import LensVideos, open_video
+    from eagor.media.rig_videos import open_video
 
-    opened = partial(open_video, places, rig, stitched=stitched, start=options.start, end=options.end, rows=rows)
+    opened = partial(open_video, places, rig, start=options.start, end=options.end, rows=rows)
     video, check = opened(rate=shown), _check(options)
-    lenses = len(video.grids) if isinstance(video, LensVideos) else 0
-    sighted = not poses and (options.poses == "level" or video.motion is None)
-    ordinary_lens = lenses > 0 or (rig is None and check.takes_as_ordinary(*video.shape))
-    if sighted and shown < BY_SIGHT and ordinary_lens:
+    sighted, size = not poses and (options.poses == "level" or video.motion is None), (video.shape[1], video.shape[0])
+    if rig is None and sighted and shown < BY_SIGHT and check.builder(size, video.path, video.hint).view is not None:
         shown = BY_SIGHT
         video = opened(rate=shown)
     checks.say_of_video(places[0].name, video.facts, video.duration)
@@ -233,12 +230,10 @@ def _of_video(
     terminal.log(f"{checks.looks_in_words(looks, video.frame_rate)}, {told}")
     end = options.end or video.duration
     span = None if end is None else end - options.start
-    return Journey(thinned(frames, looks, lenses=max(1, lenses)), source.count, told, poses, shown, span)
+    return Journey(thinned(frames, looks), source.count, told, poses, shown, span)
 
 
-def _of_images(
-    options: Footage, places: Sequence[Path], poses: Sequence[FramePose], rig: Rig | None, stitched: bool
-) -> Journey:
+def _of_images(options: Footage, places: Sequence[Path], poses: Sequence[FramePose], rig: Rig | None) -> Journey:
     from eagor.media.footage import images
 
     if wrong := given(options, ("start", "end", "fps")):
@@ -246,7 +241,7 @@ def _of_images(
     if poses and options.rate is not None:
         raise terminal.UsageError(f"--rate {options.rate:g}: {options.poses} tells when the images were taken")
     rate = options.rate or 1.0
-    source = images(places, rate, _check(options), rig, stitched)
+    source = images(places, rate, _check(options), rig)
     poses = _in_our_axes(options, source, poses)
     frames, told = _posed(options, source, poses)
     if poses:
@@ -256,7 +251,7 @@ def _of_images(
 
 
 def _of_bag(
-    options: Footage, place: Path, poses: Sequence[FramePose], rows: int, looks: float, shown: float, stitched: bool
+    options: Footage, place: Path, poses: Sequence[FramePose], rows: int, looks: float, shown: float
 ) -> Journey:
     from eagor.media.bag_sources import BagCamera, bag_odometry
     from eagor.media.bags import Bag
@@ -268,15 +263,13 @@ def _of_bag(
     lens = checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info)
     bag, rig = Bag(place), checks.rig_of(options.rig)
     one = None if options.eyes is None else replace(lens, eyes="mono")  # the source takes one of them
-    camera = BagCamera(
-        bag, options.image_topic, rows=rows, rig=rig, camera=lens, info=options.camera_info, stitched=stitched
-    )
+    camera = BagCamera(bag, options.image_topic, rows=rows, rig=rig, camera=lens, info=options.camera_info)
     if camera.lens is not None:
-        terminal.log(f"{camera.topic}: {in_words(camera.lens.name, camera.views[0])}")
+        terminal.log(f"{camera.topic}: {in_words(camera.lens.name, camera.view)}")
     if poses and options.odom_topic:
         raise terminal.UsageError(f"--poses {options.poses} and --odom-topic: wanted one of them")
     odometry = None if poses or options.poses == "level" else bag_odometry(bag, options.odom_topic, camera.frame)
-    if camera.views[0] is not None and not poses and odometry is None:
+    if camera.view is not None and not poses and odometry is None:
         shown = max(shown, BY_SIGHT)
     source = BagFrames(camera, shown, options.start, options.end, FrameCheck(options.force, terminal.log, camera=one))
     poses = _in_our_axes(options, source, poses)
@@ -296,7 +289,7 @@ def _of_bag(
             back[f"poses of {odometry.topic}"] = odometry.reader.back
         return lost + [f"{many} {what} whose stamps go back are left out" for what, many in back.items() if many]
 
-    frames = thinned(frames, looks, camera.begins, len(camera.views))
+    frames = thinned(frames, looks, camera.begins)
     return Journey(frames, None, told, poses, shown, None, camera.begins, placed, left_out)
 
 

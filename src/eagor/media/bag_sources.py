@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from eagor.cameras import Rig
 from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
 from eagor.media import Frame, Pose
 from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick, split_bag
 from eagor.media.intrinsics import Camera
-from eagor.media.rigs import Rig
 from eagor.media.ros_frames import BODY, PoseReader
 from eagor.media.ros_messages import TRANSFORMS, stamp_of
 from eagor.media.topic_pictures import Lenses, TopicPictures, placed_in_bag, told_in_bag, topics_of
@@ -41,8 +41,8 @@ class BagCamera:
     ``BAG?topic=/image``. Stamps are those of the headers less the `latency`; where a header has none, the time of
     recording. `rate`: the most pictures per second of each topic. `back`: of the `dropped`, how many had stamps that go
     back, which is said once. `count`: how many pictures there are; `frame`: as of
-    `TopicPictures`; `lens`: the ordinary camera, if it is one; `views`: the grid of each camera's pictures, None where
-    they become panoramas. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
+    `TopicPictures`; `lens`: the ordinary camera, if it is one; `view`: the grid of its pictures, None where they become
+    panoramas. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
     """
 
     live = False
@@ -58,7 +58,6 @@ class BagCamera:
         camera: Camera | None = None,
         info: str | None = None,
         rate: float | None = None,
-        stitched: bool = False,
     ) -> None:
         self._apart = apart(rate)
         if isinstance(bag, str) and topic is None:
@@ -73,19 +72,19 @@ class BagCamera:
         firsts = [self._first(each) for each in self.topics]
         self.begins = min(self._stamp(received, when) for when, received in firsts)
         self._pictures = TopicPictures(
-            [received for _, received in firsts], self.topics, Lenses(rig, camera, info, rows, stitched),
+            [received for _, received in firsts], self.topics, Lenses(rig, camera, info, rows),
             lambda image, told: told_in_bag(self.bag, image, told),
             lambda frames: placed_in_bag(self.bag, frames),
         )  # fmt: skip
-        self.frame, camera, makers = self._pictures.frame, self._pictures.camera, self._pictures.makers
+        self.frame, camera, builder = self._pictures.frame, self._pictures.camera, self._pictures.builder
         self.lens = camera if camera is not None and camera.known else None
-        self.grid, self.unseen, self.views = makers[0].grid, makers[0].unseen, tuple(each.view for each in makers)
-        self.count = sum(self.bag.counts[each] for each in self.topics[: len(makers)])
+        self.grid, self.unseen, self.view = builder.grid, builder.unseen, builder.view
+        self.count = self.bag.counts[self.topics[0]]
 
     def __iter__(self) -> Iterator[Frame]:
         last = -math.inf
-        for stamp, lens, read in self.pictures():
-            topic = self.topics[lens]
+        topic = self.topics[0]
+        for stamp, read in self.pictures():
             try:
                 picture = read()
             except EagorError as error:
@@ -93,22 +92,19 @@ class BagCamera:
                     warnings.warn(f"a picture of {topic} is left out: {error}", UserWarning, stacklevel=2)
                 self.dropped += 1
                 continue
-            last = max(stamp, math.nextafter(last, math.inf))  # cameras may see at the same moment
-            yield Frame(last, picture, f"{topic} at {stamp:.3f} s", self.views[lens], lens)
+            last = max(stamp, math.nextafter(last, math.inf))
+            yield Frame(last, picture, f"{topic} at {stamp:.3f} s", self.view)
 
-    def pictures(self) -> Iterator[tuple[float, int, Callable[[], np.ndarray]]]:
-        """Stamp of each picture, in order of time, which camera's, and what gives the frame or raises `ImageError`."""
+    def pictures(self) -> Iterator[tuple[float, Callable[[], np.ndarray]]]:
+        """Stamp of each picture, in order of time, and what gives the frame or raises `ImageError`."""
         newest: list[Any] = [None] * len(self.topics)
-        together, after = self._pictures.together, [-math.inf] * len(self.topics)
+        after = -math.inf
         for stamp, lens, received in heapq.merge(*map(self._of, range(len(self.topics)))):
             newest[lens] = received
-            if together and (lens or None in newest):  # those of the first topic are stitched with the others' newest
+            if lens or None in newest or stamp < after:  # those of the first topic go with the others' newest
                 continue
-            if stamp < after[lens]:
-                continue
-            after[lens] = stamp + self._apart
-            taken = tuple(newest) if together else (received,)
-            yield stamp, lens, partial(self._pictures.made, lens, taken)
+            after = stamp + self._apart
+            yield stamp, partial(self._pictures.made, tuple(newest))
 
     def close(self) -> None:
         self._closed = True

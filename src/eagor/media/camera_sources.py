@@ -18,21 +18,20 @@ from typing import Any
 import numpy as np
 
 from eagor import plugins
+from eagor.cameras import Rig
 from eagor.errors import DeviceError, EagorError, TimeError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media import CameraSource, Frame
-from eagor.media.animations import Animation
 from eagor.media.bags import is_bag, split_bag
 from eagor.media.footage import lens_folders
 from eagor.media.intrinsics import Camera
 from eagor.media.live_camera import LiveCamera
 from eagor.media.panorama import read_panorama, read_photograph
-from eagor.media.rig_videos import LensVideos, StitchedVideo, made_of, makers, open_video
-from eagor.media.rigs import Rig, read_rig, sizes_of
-from eagor.media.stitching import Panoramas
+from eagor.media.rig_videos import open_video
+from eagor.media.rigs import read_rig
+from eagor.media.stitching import PanoramaBuilder, sizes_of
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
 from eagor.media.times import times_of
-from eagor.media.video import Video
 
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_source"]
 
@@ -61,7 +60,6 @@ def open_source(
     rig: Rig | str | os.PathLike[str] | None = None,
     rate: float | None = None,
     camera: Camera | None = None,
-    stitched: bool = False,
 ) -> CameraSource:
     """The source of pictures that `text` names (`SOURCES`), or that another package brings (``NAME:REST``).
 
@@ -70,7 +68,6 @@ def open_source(
     pictures, `text` is as many sources with commas between, unless one gives all; of topics of ROS or of a bag, as many
     topics (``ros:/front/image,/back/image``), which may also do without a rig. `rate`: the most pictures per second
     to take; for a folder, how many per second were taken. `camera`: an ordinary one, if it is known to be that.
-    `stitched`: make a panorama also of pictures of a rig's ordinary lenses, which are otherwise given as they are.
 
     Other packages add cameras under the entry points ``eagor.cameras``: a name, and a function ``(rest, *, latency,
     rows, rig, rate) -> CameraSource``. Raises `DeviceError`, `ImageError`, `FormatError` for the rig, and
@@ -90,14 +87,12 @@ def open_source(
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")
     if kinds[0] in ("folder", "file"):
         kind = FolderCamera if kinds[0] == "folder" else VideoCamera
-        return kind([Path(part) for part in parts], **settings, stitched=stitched)
+        return kind([Path(part) for part in parts], **settings)
     if kinds[0] in ("bag", "plugin"):
         name, _, rest = ("bag", "", text) if kinds[0] == "bag" else text.partition(":")
-        if stitched and name in BUILT_IN:  # those of other packages need not know of it
-            settings["stitched"] = True
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
     streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
-    return LiveCamera(streams, **settings, stitched=stitched)
+    return LiveCamera(streams, **settings)
 
 
 def _kind(text: str) -> str:
@@ -165,36 +160,30 @@ class VideoCamera:
         rate: float | None = None,
         latency: float = 0.0,
         camera: Camera | None = None,
-        stitched: bool = False,
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed = False
-        self._panoramas: Panoramas | None = None  # of a video without a rig: checks its pictures
-        self.video: Video | Animation | StitchedVideo | LensVideos = open_video(
-            paths, rig, stitched=stitched, rate=rate, rows=rows
-        )
-        height, width = self.video.shape
-        self.grid: ErpGrid | PerspectiveGrid = ErpGrid(height, width)
-        self.unseen, self.motion = self.video.unseen, self.video.motion
-        if isinstance(self.video, LensVideos):
-            self.grid = self.video.grids[0]
+        self.video = video = open_video(paths, rig, rate=rate, rows=rows)
+        self._builder: PanoramaBuilder | None = None  # of a video without a rig: says what its pictures are
         if rig is None:
-            self._panoramas = Panoramas(((width, height),), None, rows, self.video.path, camera)
-            self.grid = self._panoramas.grid
-            self.unseen = self.unseen if self._panoramas.unseen is None else self._panoramas.unseen
+            (height, width), hint = video.shape, video.hint
+            self._builder = PanoramaBuilder([(width, height)], video.path, camera=camera, hint=hint, rows=rows)
+        self.grid: ErpGrid | PerspectiveGrid = ErpGrid(*video.shape) if self._builder is None else self._builder.grid
+        self.motion = video.motion
+        self.unseen = video.unseen if self._builder is None else self._builder.hidden(video.unseen)
 
     def __iter__(self) -> Iterator[Frame]:
         last = -math.inf
         for number, frame in enumerate(self.video):
             if self._closed:
                 return
-            picture, view = frame.picture, frame.grid
-            if self._panoramas is not None:
+            picture, view = frame.picture, None
+            if self._builder is not None:
                 if number == 0:
-                    self._panoramas.check(picture)
-                picture, view = self._panoramas.make(picture), self._panoramas.view
+                    self._builder.check(picture)
+                picture, view = self._builder.make(picture), self._builder.view
             last = _after(last, frame.stamp - self.latency)
-            yield Frame(last, picture, frame.name, view, frame.lens)
+            yield Frame(last, picture, frame.name, view)
 
     def close(self) -> None:
         self._closed = True
@@ -218,17 +207,15 @@ class FolderCamera:
         rate: float | None = None,
         latency: float = 0.0,
         camera: Camera | None = None,
-        stitched: bool = False,
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._closed, self._rig, self._camera = False, rig, camera
         self._moments = list(zip(*lens_folders(folders), strict=True))
         self._stamps = _stamps([moment[0] for moment in self._moments], RATE if rate is None else rate)
         first = self._read(self._moments[0])
-        self._makers = makers(sizes_of(first), rig, rows, str(folders[0]), camera, stitched)
-        if len(self._makers) == 1:
-            self._makers[0].check(*first)
-        self.grid, self.unseen = self._makers[0].grid, self._makers[0].unseen
+        self._builder = PanoramaBuilder(sizes_of(first), str(folders[0]), rig=rig, camera=camera, rows=rows)
+        self._builder.check(*first)
+        self.grid, self.unseen = self._builder.grid, self._builder.unseen
 
     def __iter__(self) -> Iterator[Frame]:
         last = -math.inf
@@ -238,16 +225,15 @@ class FolderCamera:
             try:
                 pictures = self._read(moment)
                 if self._rig is None:  # raises for another shape
-                    Panoramas(sizes_of(pictures), None, None, str(moment[0]), self._camera)
-                made = made_of(self._makers, pictures)
+                    PanoramaBuilder(sizes_of(pictures), str(moment[0]), camera=self._camera)
+                picture = self._builder.make(*pictures)
             except EagorError as error:
                 if not self.dropped:
                     warnings.warn(f"a picture is left out: {error}", UserWarning, stacklevel=2)
                 self.dropped += 1
                 continue
-            for lens, picture in enumerate(made):
-                last = _after(last, stamp - self.latency)
-                yield Frame(last, picture, moment[lens].name, self._makers[lens].view, lens)
+            last = _after(last, stamp - self.latency)
+            yield Frame(last, picture, moment[0].name, self._builder.view)
 
     def _read(self, moment: tuple[Path, ...]) -> list[np.ndarray]:
         if self._rig is None:
@@ -261,7 +247,7 @@ class FolderCamera:
 
 
 def _after(last: float, stamp: float) -> float:
-    """The stamp, or the next one after the last: lenses see at the same moment, and no two frames have one stamp."""
+    """The stamp, or the next one after the last: no two frames have one stamp."""
     return max(stamp, math.nextafter(last, math.inf))
 
 

@@ -85,15 +85,14 @@ def _timed(source: ImageFrames, poses: Sequence[FramePose], count: int, name: Pa
 def _by_image(
     pairs: Sequence[tuple[FramePose, Path | None]], pose: FramePose, source: ImageFrames
 ) -> Iterator[PosedFrame]:
-    """Each pose of a file, and the image that was taken there, of several cameras each one's."""
+    """Each pose of a file, and the image that was taken there."""
     for told, image in pairs:
         if told.near:
             pose = told
             if image is None:
                 yield PosedFrame(pose)
                 continue
-            for name, read in source.moment(image):
-                yield PosedFrame(pose, name, read)
+            yield PosedFrame(pose, image.name, partial(source.read, image))
         elif image is not None:  # the frame is told of, at the pose before
             here = pose._replace(stamp=told.stamp, frame=told.frame)
             yield PosedFrame(here, image.name, partial(_refused, told))
@@ -206,19 +205,16 @@ def posed_by_odometry(
             say(f"{count} pictures {side} pose of {poses.topic} are left out")
 
 
-def thinned(
-    frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.0, lenses: int = 1
-) -> Iterator[PosedFrame]:
-    """The same, with `rate` frames per second from `begins` on looked at (None: all); of each of so many `lenses`."""
-    tick, left = -math.inf, 0
+def thinned(frames: Iterable[PosedFrame], rate: float | None, begins: float = 0.0) -> Iterator[PosedFrame]:
+    """The same, with `rate` frames per second from `begins` on looked at (None: all)."""
+    tick = -math.inf
     for each in frames:
         if rate is None or each.frame is None or each.lost:
             yield each
             continue
         number = math.floor((each.pose.stamp - begins) * rate + 1e-6)
-        left = lenses if number > tick else left
-        yield each if left > 0 else replace(each, looked=False)
-        tick, left = max(tick, number), left - 1
+        yield each if number > tick else replace(each, looked=False)
+        tick = max(tick, number)
 
 
 def ahead(frames: Iterable[PosedFrame], most: int = 2) -> Iterator[PosedFrame]:

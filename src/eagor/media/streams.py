@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, BinaryIO, ClassVar, cast
 
 import numpy as np
 
-from eagor._checks import above
 from eagor._extras import need
 from eagor._files import redacted
 from eagor.errors import DeviceError
@@ -41,7 +40,7 @@ BRIEF = {
     "probesize": "2000000",
     "analyzeduration": "1000000",
 }  # bytes and microseconds in which the stream is described
-FORMATS = ("mjpeg", "h264", "hevc", "yuyv422", "nv12", "yuv420p", "rgb24", "bgr24", "uyvy422")
+SETTINGS = {"size": "video_size", "rate": "framerate", "format": "input_format"}  # and what FFmpeg calls them
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
 # Format: numerator and denominator of bytes per pixel, and the shape of the array that PyAV takes.
@@ -144,27 +143,14 @@ def device(path: str, settings: Mapping[str, str]) -> Stream:
 
     Raises `DeviceError` if there is none, in words that list those that there are.
     """
-    options, size, kind = {}, None, settings.get("format", "")
-    for key, value in settings.items():
-        if key == "size":
-            found = _SIZE.fullmatch(value)
-            if found is None:
-                raise DeviceError(f"{path}: size={value}; wanted width and height, such as size=1920x960")
-            size, options["video_size"] = (int(found[1]), int(found[2])), value
-        elif key == "rate":
-            try:
-                fits = above(float(value), 0)
-            except ValueError:
-                fits = False
-            if not fits:
-                raise DeviceError(f"{path}: rate={value}; wanted pictures per second, such as rate=30")
-            options["framerate"] = value
-        elif key == "format":
-            if kind not in FORMATS:
-                raise DeviceError(f"{path}: format={value}; wanted one of {', '.join(FORMATS)}")
-            options["input_format"] = value
-        else:
+    for key in settings:
+        if key not in SETTINGS:
             raise DeviceError(f"{path}: there is no setting {key!r}; wanted size=WxH, rate=HZ or format=mjpeg")
+    found = _SIZE.fullmatch(settings.get("size", "1x1"))
+    if found is None:
+        raise DeviceError(f"{path}: size={settings['size']}; wanted width and height, such as size=1920x960")
+    size = (int(found[1]), int(found[2])) if "size" in settings else None
+    options = {SETTINGS[key]: value for key, value in settings.items()}
     try:
         mode = os.stat(path).st_mode
     except OSError:

@@ -19,7 +19,7 @@ from eagor.errors import EagorError
 from eagor.studio.messages import PageError
 
 if TYPE_CHECKING:
-    from eagor.media.intrinsics import Told
+    from eagor.media.intrinsics import IntrinsicsHint
 
 __all__ = ["BYTES", "PIXELS", "Upload", "Uploads"]
 
@@ -168,7 +168,7 @@ def _is_video(path: Path) -> bool:
 
 def _photo(path: Path, name: str) -> Upload:
     from eagor.media.defects import fisheye_circles, problems
-    from eagor.media.intrinsics import told_by_photograph
+    from eagor.media.intrinsics import intrinsics_from_exif
     from eagor.media.panorama import is_whole, opened, read_photograph
 
     try:
@@ -194,18 +194,18 @@ def _photo(path: Path, name: str) -> Upload:
         ) from error  # fmt: skip
     if not is_whole(found):
         high, wide = found.shape[:2]
-        hfov = _field(told_by_photograph(path), wide, high, name)
+        hfov = _field(intrinsics_from_exif(path), wide, high, name)
         return Upload(path.name, "photo", path, name, high, wide, 1, ordinary=True, hfov_deg=hfov)
     if fisheye_circles(found):
         raise PageError(f"{name} shows the circles of a fisheye camera.", LENSES, 422)
     return Upload(path.name, "photo", path, name, found.shape[0], found.shape[1], 1, tuple(problems(found)))
 
 
-def _field(told: Told, width: int, height: int, name: str) -> float | None:
+def _field(hint: IntrinsicsHint, width: int, height: int, name: str) -> float | None:
     """The horizontal field in degrees that a file tells of its ordinary camera; None: nothing."""
     from eagor.media.intrinsics import Camera, ordinary_grid
 
-    grid = ordinary_grid(Camera(), told, (width, height), name)
+    grid = ordinary_grid(Camera(), hint, (width, height), name)
     return None if grid is None else round(math.degrees(grid.hfov), 1)
 
 
@@ -222,6 +222,6 @@ def _video(path: Path, name: str) -> Upload:
         raise PageError(f"{name} cannot be used: {words}.", change, 422) from error
     height, width = found.shape
     if not is_twice_as_wide(height, width):
-        hfov = _field(found.told, width, height, name)
+        hfov = _field(found.hint, width, height, name)
         return Upload(path.name, "video", path, name, height, width, found.count or 0, ordinary=True, hfov_deg=hfov)
     return Upload(path.name, "video", path, name, height, width, found.count or 0)
