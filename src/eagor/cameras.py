@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from eagor._arrays import frozen
 from eagor._checks import above, shown, within
+from eagor._extras import opencv
 from eagor._values import lazy
 from eagor.errors import GridError, ImageError
 from eagor.sphere import azimuth_elevation, checked_pose, direction, world_R_body
@@ -104,33 +104,22 @@ class Lens:
     def __post_init__(self) -> None:
         object.__setattr__(self, "body_R_lens", frozen(np.array(checked_pose(self.body_R_lens, "body_R_lens"))))
         object.__setattr__(self, "distortion", tuple(float(k) for k in self.distortion))
-        numbers = (
-            all(above(side, 0, MOST) for side in self.size)
-            and all(within(f, LEAST, LONGEST) for f in self.focal)
-            and all(within(c, -MOST, MOST) for c in self.centre)
-            and within(self.radius, 0, MOST)
-            and within(self.mirror, 0, 1e3)
-        )
-        if not numbers:
-            raise GridError(
-                f"the lens {self.name!r} has focal {shown(self.focal)}, centre {shown(self.centre)}, radius "
-                f"{self.radius!r}, mirror {self.mirror!r} and size {shown(self.size)}; wanted pixels up to {MOST:g}, "
-                f"focal above 0, up to {LONGEST:g}"
-            )
         most = STRONGEST[self.kind]
-        if len(self.distortion) > 8 or not all(within(k, -most, most) for k in self.distortion):
+        limits = [(side, LEAST, MOST) for side in self.size]
+        limits += [(f, LEAST, LONGEST) for f in self.focal] + [(c, -MOST, MOST) for c in self.centre]
+        limits += [(self.radius, 0, MOST), (self.mirror, 0, 1e3), *((k, -most, most) for k in self.distortion)]
+        if len(self.distortion) > 8 or not all(within(*each) for each in limits):
             raise GridError(
-                f"the lens {self.name!r} has the distortion {shown(list(self.distortion))}; wanted up to eight numbers "
-                f"of at most {most:g}"
+                f"the lens {self.name!r} has focal {shown(self.focal)}, centre {shown(self.centre)}, size "
+                f"{shown(self.size)}, radius {self.radius!r}, mirror {self.mirror!r} and distortion "
+                f"{shown(list(self.distortion))}; wanted pixels up to {MOST:g}, focal above 0, and up to eight numbers "
+                f"of at most {most:g} for the distortion"
             )
-        if self.kind != "fisheye":
-            return
-        if not self.radius:
-            squeeze = np.array([1.0, self.focal[0] / self.focal[1]])  # pixels of y as pixels of x
-            corners = [(x, y) for x in (0, self.size[0]) for y in (0, self.size[1])]
-            corner = max(float(np.linalg.norm((np.array(each) - self.centre) * squeeze)) for each in corners)
-            object.__setattr__(self, "radius", min(corner, 0.999 * float(self._curve[1][-1]) * self.focal[0]))
-        if not self.reach > 0:
+        if self.kind == "fisheye" and not self.radius:
+            (wide, high), (cx, cy), (fx, fy) = self.size, self.centre, self.focal
+            corner = max(math.hypot(x - cx, (y - cy) * fx / fy) for x in (0, wide) for y in (0, high))
+            object.__setattr__(self, "radius", min(corner, 0.999 * float(self._curve[1][-1]) * fx))
+        if self.kind == "fisheye" and not self.reach > 0:
             raise GridError(
                 f"the lens {self.name!r} never reaches the radius of {self.radius:g} pixels within "
                 f"{math.degrees(self._widest):g} degrees of its axis: its curve is too flat, or turns back. Give "
@@ -147,8 +136,7 @@ class Lens:
                 f"the lens {name!r} has a field of {math.degrees(fov):g} degrees; wanted more than 0, and at most "
                 f"{math.degrees(WIDEST):g}"
             )
-        squared = (fov / 2) ** 2
-        scale = fov / 2 * float(np.polyval([*other.get("distortion", ())[3::-1], 1.0], squared))
+        scale = fov / 2 * float(np.polyval([*other.get("distortion", ())[3::-1], 1.0], (fov / 2) ** 2))
         if not above(scale, 0):
             raise GridError(f"the polynomial of the lens {name!r} is not above 0 at its rim; wanted a curve that rises")
         focal = radius / scale
@@ -220,13 +208,11 @@ class Lens:
         """Angle (radians) off the axis of the rim (0: the curve does not rise so far), or of the farthest corner."""
         if self.kind == "fisheye":
             rim = self.radius / self.focal[0]
-            if not any(self.distortion):
-                return rim if rim <= math.pi * (1 + 1e-9) else 0.0
             plain, bent, _ = self._curve
             return float(np.interp(rim, bent, plain)) if rim <= bent[-1] * (1 + 1e-9) else 0.0
-        t, (wide, high) = np.linspace(0, 1, 33), self.size
-        x = np.concatenate([t * wide, t * wide, 0 * t, 0 * t + wide])
-        y = np.concatenate([0 * t, 0 * t + high, t * high, t * high])
+        t = np.linspace(0, 1, 33)
+        edges = np.concatenate([(t, 0 * t), (t, 0 * t + 1), (0 * t, t), (0 * t + 1, t)], axis=1)
+        x, y = edges * np.array(self.size)[:, None]
         cosine = float((self.unproject(x, y) @ self.body_R_lens[:, 0]).min())
         return min(math.acos(min(max(cosine, -1.0), 1.0)), self._widest)
 
@@ -268,7 +254,6 @@ class Lens:
             depth = np.where(sees, rays[..., 0] + self.mirror * np.hypot(side, rays[..., 0]), 1.0)
         u, v = -rays[..., 1] / depth, -rays[..., 2] / depth
         if any(self.distortion):
-            u, v = (u, v) if fisheye else (np.where(sees, u, 0.0), np.where(sees, v, 0.0))
             radial, (right, down) = self._radial(u * u + v * v), self._sideways(u, v)
             u, v = u * radial + right, v * radial + down
         x, y = self.centre[0] + self.focal[0] * u, self.centre[1] + self.focal[1] * v
@@ -323,15 +308,14 @@ class Rig:
     lenses: tuple[Lens, ...]
 
     def __post_init__(self) -> None:
-        if not self.lenses or not self.sizes:
-            raise GridError("a rig needs at least one lens and one picture")
-        if not all(0 < side <= MOST for size in self.sizes for side in size):
-            raise GridError(f"a rig has pictures of {shown(self.sizes)}; wanted pixels, 1 to {MOST:g} along each side")
+        if not (self.lenses and self.sizes and all(0 < side <= MOST for size in self.sizes for side in size)):
+            raise GridError(
+                f"a rig has {len(self.lenses)} lenses in pictures of {shown(self.sizes)}; wanted at least one, and "
+                f"pixels, 1 to {MOST:g} along each side"
+            )
         for lens in self.lenses:
             if not 0 <= lens.picture < len(self.sizes):
-                raise GridError(
-                    f"the lens {lens.name!r} is in picture {lens.picture}; wanted 0 to {len(self.sizes) - 1}"
-                )
+                raise GridError(f"the lens {lens.name!r} is in picture {lens.picture} of {len(self.sizes)}")
 
     @property
     def rows(self) -> int:
@@ -390,7 +374,7 @@ class Sampler:
 
     def __init__(self, camera: Equirectangular | Lens | Rig, directions: np.ndarray, cubic: bool = False) -> None:
         self._shape, self._cubic, self._whole = directions.shape[:-1], cubic, isinstance(camera, Equirectangular)
-        self._shared, self._blended = np.empty(0, np.intp), []
+        self._shared = np.empty(0, np.intp)  # directions that several lenses see
         if isinstance(camera, Equirectangular):
             x, y, self.seen = camera.project(directions)
             self._first = _table(x - 0.5, y + (PAD - 0.5), cubic)
@@ -414,43 +398,32 @@ class Sampler:
         if len(rig.lenses) > 1:
             self._shared = np.flatnonzero(depth[1] > 0)
             share = np.maximum(depth[:, self._shared], 0)
-            weights = np.rint(256 * share / share.sum(axis=0)).astype(np.uint16)
-            weights[0] = 256 - weights[1:].sum(axis=0)  # to 256 exactly
-            tables = (_table(x[k, self._shared], y[k, self._shared], cubic) for k in range(1, len(x)))
-            self._blended = list(zip((None, *tables), weights[..., None], strict=True))
+            self._weights = np.rint(256 * share / share.sum(axis=0)).astype(np.uint16)[..., None]
+            self._weights[0] = 256 - self._weights[1:].sum(axis=0)  # to 256 exactly
+            self._others = [_table(x[k, self._shared], y[k, self._shared], cubic) for k in range(1, len(x))]
 
     def __call__(self, *pictures: np.ndarray) -> np.ndarray:
         """What `pictures` ``(H, W)`` or ``(H, W, C)``, of the camera's sizes, show there: ``(...)`` or ``(..., C)``."""
         if self._whole:
-            (picture,) = pictures
-            canvas, half = (
-                np.pad(picture, ((PAD, PAD), *[(0, 0)] * (picture.ndim - 1)), "symmetric"),
-                len(picture[0]) // 2,
-            )
+            canvas = np.pad(pictures[0], ((PAD, PAD), *[(0, 0)] * (pictures[0].ndim - 1)), "symmetric")
             for rows in (slice(PAD), slice(-PAD, None)):  # beyond a pole it goes on half a turn away
-                canvas[rows] = np.roll(canvas[rows], half, axis=1)
+                canvas[rows] = np.roll(canvas[rows], canvas.shape[1] // 2, axis=1)
         elif len(pictures) == 1:
             canvas = np.ascontiguousarray(pictures[0])
         else:
             height = max(map(len, pictures))
             canvas = np.hstack([np.pad(each, ((0, height - len(each)), (0, 0), (0, 0))) for each in pictures])
-        count = math.prod(self._shape)
-        found = self._read(canvas, self._first)[:count].reshape(*self._shape, *canvas.shape[2:])
+        found = self._read(canvas, self._first)[: math.prod(self._shape)].reshape(*self._shape, *canvas.shape[2:])
         if len(self._shared):
-            flat = found.reshape(-1, *canvas.shape[2:])
-            total = np.full((len(self._shared), *canvas.shape[2:]), 128, np.uint16)  # 256 * 255 and a half fit
-            for table, weights in self._blended:
-                read = flat if table is None else self._read(canvas, table)
-                total += np.multiply(
-                    read[self._shared] if table is None else read[: len(total)], weights, dtype=np.uint16
-                )
-            flat[self._shared] = total >> 8
+            flat, count = found.reshape(-1, *canvas.shape[2:]), len(self._shared)
+            read = [flat[self._shared], *(self._read(canvas, table)[:count] for table in self._others)]
+            total = sum(np.multiply(each, own, dtype=np.uint16) for each, own in zip(read, self._weights, strict=True))
+            flat[self._shared] = (total + 128) >> 8  # 256 * 255 and a half fit into 16 bits
         return found
 
     def _read(self, canvas: np.ndarray, table: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """The values ``(n, ...)`` of the canvas at the places of a table."""
-        cv2 = opencv()
-        if cv2 is not None and canvas.dtype == np.uint8:
+        if canvas.dtype == np.uint8 and (cv2 := opencv()) is not None:
             order = cv2.INTER_CUBIC if self._cubic else cv2.INTER_LINEAR
             border = cv2.BORDER_WRAP if self._whole else cv2.BORDER_CONSTANT
             places = table if self._cubic else [each.astype(np.float32, copy=False) for each in table]
@@ -472,17 +445,6 @@ def _table(x: np.ndarray, y: np.ndarray, cubic: bool) -> tuple[np.ndarray, np.nd
     if x.ndim != 2:
         left = -x.size % STRIP
         x, y = (np.pad(each.reshape(-1), (0, left), constant_values=NOWHERE).reshape(-1, STRIP) for each in (x, y))
-    cv2 = opencv()
-    if cv2 is None or not cubic:
+    if not cubic or (cv2 := opencv()) is None:
         return x, y
     return cv2.convertMaps(x.astype(np.float32), y.astype(np.float32), cv2.CV_16SC2)
-
-
-@lru_cache(maxsize=1)
-def opencv() -> Any:
-    """The module cv2, or None where it is not installed."""
-    try:
-        import cv2
-    except ImportError:
-        return None
-    return cv2

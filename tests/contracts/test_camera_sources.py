@@ -96,12 +96,12 @@ class Slow(io.RawIOBase):
     def __init__(self, data, size, pause=0.02):
         self.data, self.size, self.pause, self.shut = data, size, pause, threading.Event()
 
-    def read(self, count=-1):
+    def readinto(self, buffer):
         time.sleep(self.pause if self.data.tell() % self.size == 0 else 0)
-        found = self.data.read(count)
-        if not found:
+        count = self.data.readinto(buffer)
+        if not count:
             self.shut.wait(WAIT)
-        return found
+        return count
 
     def close(self):
         self.shut.set()

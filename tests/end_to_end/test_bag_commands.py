@@ -271,7 +271,7 @@ def test_live_takes_several_topics_of_a_bag(two, capsys):
     out, err = capsys.readouterr()
     assert "4 pictures, 4 looks" in err
     last = json.loads(out.splitlines()[-1])
-    assert last["azimuth_deg"] == pytest.approx(math.degrees(RATE * 2.1), abs=12)
+    assert last["azimuth_deg"] == pytest.approx(math.degrees(RATE * 1.8), abs=12)
 
 
 def test_what_does_not_tell_where_several_cameras_are(two, tmp_path, capsys):

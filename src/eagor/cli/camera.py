@@ -14,7 +14,6 @@ from tyro.conf import Positional, arg, subcommand
 from eagor.cli import terminal
 from eagor.cli.checks import check_not_read, checked_out, checked_picture, checked_seconds, keep_picture, rig_of
 from eagor.cli.options import Common, Flag, bare
-from eagor.errors import DeviceError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,7 +98,6 @@ class Camera:
 WANTED = 0.3  # degrees: a lens that is known so well everywhere needs no more pictures
 APART = 1.0  # degrees: a median gap in the overlap above it means that the rig does not fit
 IDEAL = 200.0  # degrees across the circles of a camera of which nothing is known
-LONGEST = 120.0  # seconds between two pictures of a live camera before it is given up
 
 
 def calibrate(options: CameraCalibrate) -> int:
@@ -238,8 +236,6 @@ def _for_a_while(source: Any, seconds: float) -> Iterator[Frame]:
             advance()
             if source.live and time.monotonic() - begin > seconds:
                 return
-            if source.live and source.problem is not None and time.monotonic() - begin > LONGEST:
-                raise DeviceError(source.problem)
 
 
 def _pictures(text: str, rate: float | None = None) -> Iterator[Sequence[np.ndarray]]:

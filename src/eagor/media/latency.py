@@ -53,9 +53,9 @@ class Latency:
     mirrored: bool = False
 
 
-def steps_of(frames: Iterable[Frame], *, level: bool = False) -> Steps:
+def steps_of(frames: Iterable[Frame]) -> Steps:
     """How a camera turned from picture to picture, from its pictures; where it got lost, there is no step."""
-    odometer, before, rows = VisualOdometer(level=level), None, []
+    odometer, before, rows = VisualOdometer(), None, []
     for frame in frames:
         turned = odometer.add(frame.picture)
         if before is not None and not turned.lost and turned.matches and frame.stamp - before[0] <= LONGEST:

@@ -3,9 +3,6 @@
 Images are ``(H, W)`` or ``(H, W, C)`` arrays in the layout of `eagor.sphere`: the centre column is forward, columns
 grow to the right. A photograph has no depth, so the camera can turn in it, but not move. `read_photograph` also tells
 what a file says of itself (Photo Sphere XMP Metadata, "GPano").
-
-`cut` gives what ordinary pictures show of a panorama (`eagor.grids.tangent_views`: so that they cover the sphere).
-Detectors and models know such pictures better than panoramas, and none of them has a seam.
 """
 
 from __future__ import annotations
@@ -27,9 +24,9 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from eagor._checks import is_twice_as_wide
-from eagor._extras import need
+from eagor._extras import need, opencv
 from eagor._srgb import to_coded
-from eagor.cameras import Sampler, opencv
+from eagor.cameras import Sampler
 from eagor.errors import ImageError, MissingExtraError
 from eagor.grids import ErpGrid, Grid, PerspectiveGrid, ViewKey, forward_view, view_key
 from eagor.media.metadata import GPANO, Projection, of_photograph, properties
@@ -447,8 +444,7 @@ def placed(image: np.ndarray, found: Projection, hidden: np.ndarray | None = Non
 
 def _xmp(image: Image.Image) -> bytes:
     """The XMP packet of a picture that could be read; empty if it has none."""
-    for data in (image.info.get("xmp"), image.info.get("XML:com.adobe.xmp")):
-        if data:
-            return data.encode() if isinstance(data, str) else bytes(data)
+    if data := image.info.get("xmp") or image.info.get("XML:com.adobe.xmp"):
+        return data.encode() if isinstance(data, str) else bytes(data)
     segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
     return next((data[len(JPEG_XMP) :] for data in segments if data.startswith(JPEG_XMP)), b"")

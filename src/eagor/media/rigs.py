@@ -1,34 +1,9 @@
 """Calibrations in files: `read_rig` reads ours and those of other programs, which it knows by what is in them.
 
-Ours (`write_rig`)::
-
-    pictures:                    # one, or one per lens
-      - {width: 3840, height: 1920}
-    lenses:
-      - name: front
-        kind: fisheye            # fisheye (default), pinhole or omni
-        picture: 0               # which of the pictures shows it (default: 0)
-        centre: [960.0, 960.0]   # x, y of the optical axis, pixels; the first pixel's centre is at 0.5
-        radius: 960.0            # fisheye: pixels from the centre to the rim
-        field_deg: 200.0         # fisheye: angle from rim to rim; or focal, pixels per radian at the centre
-        polynomial: [0, 0, 0, 0] # fisheye: factors of angle^3, ^5, ^7, ^9 (radians) (default: equidistant)
-        rotation: {yaw_deg: 0, pitch_deg: 0, roll_deg: 0}   # of the lens in the body: left, nose DOWN, roll
-      - name: side
-        kind: pinhole
-        focal: [610.0, 611.0]    # pixels, one number or x and y
-        centre: [640.0, 360.0]
-        distortion: [-0.1, 0.01, 0, 0, 0]                   # k1, k2, p1, p2, k3, k4, k5, k6, as OpenCV orders them
-        rotation: [0.707, 0, 0, 0.707]                      # or a unit quaternion w, x, y, z
-      - name: left_optical_frame # or optical: true: the rotation is that of axes x right, y down, z forward
-        kind: pinhole
-        focal: 610.0
-        centre: [640.0, 360.0]
-        rotation: {x: -0.5, y: 0.5, z: -0.5, w: 0.5}        # or a quaternion by names, as a ROS static transform has it
-        position: [0.1, 0.0, 0.3]                           # ignored: lenses count as in one place
-
-Of others: ROS ``camera_info`` (YAML, or printed by ``ros2 topic echo``), OpenCV's FileStorage (YAML, JSON, XML),
-Kalibr's camchain, whose cameras are a rig in the axes of the first, EuRoC's sensor.yaml, COLMAP's cameras.txt. OpenCV,
-ROS and Kalibr count pixels from the first one's centre: half a pixel is added to their centre. COLMAP counts as we do.
+Ours (`write_rig`) are described in docs/how-to/camera.md. Of others: ROS ``camera_info`` (YAML, or printed by ``ros2
+topic echo``), OpenCV's FileStorage (YAML, JSON, XML), Kalibr's camchain, whose cameras are a rig in the axes of the
+first, EuRoC's sensor.yaml, COLMAP's cameras.txt. OpenCV, ROS and Kalibr count pixels from the first one's centre: half
+a pixel is added to their centre. COLMAP counts as we do.
 """
 
 from __future__ import annotations

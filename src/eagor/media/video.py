@@ -137,7 +137,7 @@ class Video:
         quarters, bright = self._turns, HDR.get(picture.color_trc)
         own = {
             f"{codec}, {picture.width} x {picture.height} pixels": True,
-            f"the camera is {camera or _camera(tags)}": camera or _camera(tags),
+            f"the camera is {camera}": camera,
             f"its pictures are turned by {90 * quarters} degrees counterclockwise, as it wants to be shown": quarters,
             "it wants to be shown mirrored, which is not done": mirrored,
             f"its colours are HDR ({bright}) and taken as they are: they look pale": bright,
@@ -326,12 +326,6 @@ def _turns(picture: VideoFrame, side_data: dict[str, bytes]) -> tuple[int, bool]
         matrix = np.frombuffer(side_data["DISPLAYMATRIX"], "i4").reshape(3, 3)[:2, :2].astype(float)
         return round(picture.rotation / 90) % 4, bool(np.linalg.det(matrix) < 0)
     return 0, False
-
-
-def _camera(metadata: dict[str, str]) -> str:
-    """Maker and model, "" if unknown."""
-    keys = {key.rsplit(".", 1)[-1].lower(): value for key, value in metadata.items()}
-    return " ".join(keys[key] for key in ("make", "model") if keys.get(key)).strip()
 
 
 # --- decoding ---
