@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_not_read, checked_out, checked_picture, checked_seconds, keep_picture, rig_of
+from eagor.cli.checks import check_not_read, checked_number, checked_out, checked_picture, keep_picture, rig_of
 from eagor.cli.options import Common, Flag, bare
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.media import Frame
+    from eagor.media import Frame, Pose
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +107,7 @@ def calibrate(options: CameraCalibrate) -> int:
     from eagor.media.lens_calibration import calibrate as fit
     from eagor.media.rigs import write_rig
 
-    checked_seconds(options.every, "--every")
+    checked_number(options.every, "--every")
     out, rig = checked_out(options.out), rig_of(options.rig)
     check_not_read(out, "--out", [Path(part) for text in options.pictures for part in text.split(",")])
     moments = [*_pictures(options.pictures[0], 1 / options.every)] if len(options.pictures) == 1 else [
@@ -193,20 +193,19 @@ def latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
     from eagor.media.camera_sources import open_source
     from eagor.media.latency import check_turning, latency_between, steps_of
-    from eagor.media.pose_axes import odometry_of_file
 
     for name in ("rate", "seconds", "most"):
-        checked_seconds(getattr(options, name), f"--{name}")
+        checked_number(getattr(options, name), f"--{name}")
     source = open_source(options.source, rig=options.rig, rate=options.rate, rows=512)
     try:
         if not source.live:
-            check_turning(odometry_of_file(options.poses))  # what is wrong with it is told before the work
+            check_turning(_odometry(options.poses))  # what is wrong with it is told before the work
         else:
             terminal.log(f"looking for {options.seconds:g} s: turn the camera left and right, briskly")
         steps = steps_of(_for_a_while(source, options.seconds))
     finally:
         source.close()
-    found = latency_between(steps, odometry_of_file(options.poses), most=options.most)
+    found = latency_between(steps, _odometry(options.poses), most=options.most)
     low, high = found.interval
     if options.json:
         values = {"latency_s": found.seconds, "low_s": low, "high_s": high, "correlation": found.correlation}
@@ -225,6 +224,14 @@ def latency(options: CameraLatency) -> int:
     if high < 0:
         terminal.warning("pictures come before odometry: it is odometry that is late, or their clocks differ")
     return terminal.OK
+
+
+def _odometry(path: Path) -> list[Pose]:
+    """The poses in a file, in order of time."""
+    from eagor.media.odometry import open_poses
+
+    poses: Any = open_poses(str(path))
+    return [*poses]
 
 
 def _for_a_while(source: Any, seconds: float) -> Iterator[Frame]:

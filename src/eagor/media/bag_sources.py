@@ -1,4 +1,4 @@
-"""Cameras and odometry of a recorded bag."""
+"""The pictures and the odometry of a recorded bag."""
 
 from __future__ import annotations
 
@@ -13,64 +13,48 @@ from typing import Any
 import numpy as np
 
 from eagor.cameras import Rig
-from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
-from eagor.media import Frame, Pose
-from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick, split_bag
+from eagor.errors import DeviceError, FormatError, PoseError
+from eagor.media import Pose
+from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick
 from eagor.media.intrinsics import Camera
 from eagor.media.ros_frames import BODY, PoseReader
 from eagor.media.ros_messages import TRANSFORMS, stamp_of
 from eagor.media.topic_pictures import Lenses, TopicPictures, placed_in_bag, told_in_bag, topics_of
 
-__all__ = ["BagCamera", "BagPoses", "apart", "bag_odometry"]
+__all__ = ["BagCamera", "BagPoses", "bag_odometry"]
 
 OPTION = "--image-topic"
 SETTLING = 10.0  # seconds of a bag in which its transforms have to tell where the camera is
 
 
-def apart(rate: float | None) -> float:
-    """Seconds between two pictures of so many per second, a little less for rounding. Raises `TimeError`."""
-    if rate is not None and not (math.isfinite(rate) and rate > 0):
-        raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
-    return 0.0 if rate is None else 0.99 / rate
-
-
 class BagCamera:
-    """A `CameraSource` that plays the pictures of a bag; each iteration begins at its start.
+    """The pictures of a bag, to play from its start as often as wanted.
 
-    `topic`: None is the only one with pictures, and several have commas between; or `bag` is the text
-    ``BAG?topic=/image``. Stamps are those of the headers less the `latency`; where a header has none, the time of
-    recording. `rate`: the most pictures per second of each topic. `back`: of the `dropped`, how many had stamps that go
-    back, which is said once. `count`: how many pictures there are; `frame`: as of
-    `TopicPictures`; `lens`: the ordinary camera, if it is one; `view`: the grid of its pictures, None where they become
-    panoramas. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
+    `topic`: None is the only one with pictures, and several have commas between. Stamps are those of the headers; where
+    a header has none, the time of recording. `dropped`: messages that were sent twice or out of order; `back`: how many
+    of them had stamps that go back, which is said once. `count`: how many pictures there are; `begins`: the stamp of
+    the first; `frame`: as of `TopicPictures`; `lens`: the ordinary camera, if it is one; `view`: the grid of its
+    pictures, None where they become panoramas. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
     """
-
-    live = False
 
     def __init__(
         self,
         bag: Bag | str | Path,
         topic: str | None = None,
         *,
-        latency: float = 0.0,
         rows: int | None = None,
         rig: Rig | None = None,
         camera: Camera | None = None,
         info: str | None = None,
-        rate: float | None = None,
     ) -> None:
-        self._apart = apart(rate)
-        if isinstance(bag, str) and topic is None:
-            bag, topic = split_bag(bag)
         self.bag = bag if isinstance(bag, Bag) else Bag(bag)
-        self.latency, self.dropped, self.back, self.problem = latency, 0, 0, None
-        self._closed = False
+        self.dropped = self.back = 0
         where = str(self.bag.path)
         found = [pick(self.bag.topics, PICTURES, each, where=where, option=OPTION) for each in topics_of(topic, OPTION)]
         self.topics, self.kind = tuple(name for name, _ in found), found[0][1]
         self.topic = ",".join(self.topics)
         firsts = [self._first(each) for each in self.topics]
-        self.begins = min(self._stamp(received, when) for when, received in firsts)
+        self.begins = min(_stamp(received, when) for when, received in firsts)
         self._pictures = TopicPictures(
             [received for _, received in firsts], self.topics, Lenses(rig, camera, info, rows),
             lambda image, told: told_in_bag(self.bag, image, told),
@@ -78,36 +62,18 @@ class BagCamera:
         )  # fmt: skip
         self.frame, camera, builder = self._pictures.frame, self._pictures.camera, self._pictures.builder
         self.lens = camera if camera is not None and camera.known else None
-        self.grid, self.unseen, self.view = builder.grid, builder.unseen, builder.view
+        self.unseen, self.view = builder.unseen, builder.view
         self.count = self.bag.counts[self.topics[0]]
-
-    def __iter__(self) -> Iterator[Frame]:
-        last = -math.inf
-        topic = self.topics[0]
-        for stamp, read in self.pictures():
-            try:
-                picture = read()
-            except EagorError as error:
-                if not self.dropped:
-                    warnings.warn(f"a picture of {topic} is left out: {error}", UserWarning, stacklevel=2)
-                self.dropped += 1
-                continue
-            last = max(stamp, math.nextafter(last, math.inf))
-            yield Frame(last, picture, f"{topic} at {stamp:.3f} s", self.view)
 
     def pictures(self) -> Iterator[tuple[float, Callable[[], np.ndarray]]]:
         """Stamp of each picture, in order of time, and what gives the frame or raises `ImageError`."""
         newest: list[Any] = [None] * len(self.topics)
-        after = -math.inf
+        self.dropped = self.back = 0
         for stamp, lens, received in heapq.merge(*map(self._of, range(len(self.topics)))):
             newest[lens] = received
-            if lens or None in newest or stamp < after:  # those of the first topic go with the others' newest
+            if lens or None in newest:  # those of the first topic go with the others' newest
                 continue
-            after = stamp + self._apart
             yield stamp, partial(self._pictures.made, tuple(newest))
-
-    def close(self) -> None:
-        self._closed = True
 
     def _first(self, topic: str) -> tuple[float, Any]:
         """Time of recording and message."""
@@ -120,9 +86,7 @@ class BagCamera:
         """Stamp, number and message of one topic, whose stamps rise."""
         last, told, topic = -math.inf, False, self.topics[lens]
         for when, _, _, received in self.bag.messages([topic]):
-            if self._closed:
-                return
-            stamp = self._stamp(received, when)
+            stamp = _stamp(received, when)
             if stamp_of(received) <= 0 and not told:
                 told = True
                 warnings.warn(
@@ -144,9 +108,10 @@ class BagCamera:
             last = stamp
             yield stamp, lens, received
 
-    def _stamp(self, received: Any, when: float) -> float:
-        stamp = stamp_of(received)
-        return (stamp if stamp > 0 else when) - self.latency
+
+def _stamp(received: Any, when: float) -> float:
+    stamp = stamp_of(received)
+    return stamp if stamp > 0 else when
 
 
 class BagPoses:

@@ -9,47 +9,37 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from io import FileIO
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from eagor import plugins
 from eagor.cameras import Rig
-from eagor.errors import DeviceError, EagorError, TimeError
-from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.media import CameraSource, Frame
+from eagor.errors import DeviceError, TimeError
+from eagor.media import CameraSource
+from eagor.media.bag_sources import BagCamera
 from eagor.media.bags import is_bag, split_bag
-from eagor.media.footage import lens_folders
-from eagor.media.intrinsics import Camera
+from eagor.media.footage import BagFrames, Footage, FrameCheck, VideoFrames, images, is_video
+from eagor.media.intrinsics import Camera, in_words
 from eagor.media.live_camera import LiveCamera
-from eagor.media.panorama import read_panorama, read_photograph
 from eagor.media.rig_videos import open_video
 from eagor.media.rigs import read_rig
-from eagor.media.stitching import PanoramaBuilder, sizes_of
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
-from eagor.media.times import times_of
 
-__all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_source"]
+__all__ = ["BUILT_IN", "GROUP", "SOURCES", "open_footage", "open_source"]
 
 GROUP = "eagor.cameras"
-BUILT_IN = {"bag": "eagor.media.bag_sources:BagCamera", "ros": "eagor.robots.ros:RosCamera"}
+BUILT_IN = {"ros": "eagor.robots.ros:RosCamera"}
 SOURCES = (
-    "a folder of panoramas, a video file, a ROS 2 bag (BAG?topic=/image), /dev/video0 or v4l2:0 "
+    "a folder of pictures, a picture, a video file, a ROS 2 bag (BAG?topic=/image), /dev/video0 or v4l2:0 "
     "(?size=1920x960&rate=30&format=mjpeg), rtsp://..., rtmp://..., http://..., udp://..., ros:/image_topic, - "
     "(encoded pictures on standard input) or pipe:rgb24:1920x960 (raw ones)"
 )
 _DEVICE = re.compile(r"(?:v4l2:)?(/dev/[^?]+)|v4l2:(\d+)")
 _ADDRESS = re.compile(rf"(?:{'|'.join(SCHEMES)})://", re.IGNORECASE)
 _NAME = re.compile(r"([A-Za-z][\w-]+):(.*)", re.DOTALL)
-
-RATE = 1.0  # pictures per second of a folder whose files do not tell times
-
-
-# --- what a source is ---
 
 
 def open_source(
@@ -60,6 +50,7 @@ def open_source(
     rig: Rig | str | os.PathLike[str] | None = None,
     rate: float | None = None,
     camera: Camera | None = None,
+    **more: Any,
 ) -> CameraSource:
     """The source of pictures that `text` names (`SOURCES`), or that another package brings (``NAME:REST``).
 
@@ -68,6 +59,7 @@ def open_source(
     pictures, `text` is as many sources with commas between, unless one gives all; of topics of ROS or of a bag, as many
     topics (``ros:/front/image,/back/image``), which may also do without a rig. `rate`: the most pictures per second
     to take; for a folder, how many per second were taken. `camera`: an ordinary one, if it is known to be that.
+    `more`: for recordings, as `open_footage` takes it.
 
     Other packages add cameras under the entry points ``eagor.cameras``: a name, and a function ``(rest, *, latency,
     rows, rig, rate) -> CameraSource``. Raises `DeviceError`, `ImageError`, `FormatError` for the rig, and
@@ -78,21 +70,62 @@ def open_source(
     if lenses is not None and len(lenses.sizes) > 1 and "," in text and not (os.path.exists(text) or _has_topics(text)):
         parts = text.split(",")
     kinds = [_kind(part) for part in parts]
-    settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
-    if camera is not None and (
-        camera.known or camera.eyes
-    ):  # else not given: cameras of other packages need not know of it
-        settings["camera"] = camera
     if len(set(kinds)) > 1:
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")
-    if kinds[0] in ("folder", "file"):
-        kind = FolderCamera if kinds[0] == "folder" else VideoCamera
-        return kind([Path(part) for part in parts], **settings)
-    if kinds[0] in ("bag", "plugin"):
-        name, _, rest = ("bag", "", text) if kinds[0] == "bag" else text.partition(":")
+    settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
+    if kinds[0] in ("file", "bag"):
+        return open_footage(parts, **settings, camera=camera, **more)
+    if camera is not None and (camera.known or camera.eyes):  # cameras of other packages need not know of it
+        settings["camera"] = camera
+    if kinds[0] == "plugin":
+        name, _, rest = text.partition(":")
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
     streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
     return LiveCamera(streams, **settings)
+
+
+def open_footage(
+    places: Sequence[str | Path],
+    *,
+    latency: float = 0.0,
+    rows: int | None = None,
+    rig: Rig | None = None,
+    rate: float | None = None,
+    camera: Camera | None = None,
+    start: float = 0.0,
+    end: float | None = None,
+    force: bool = False,
+    info: str | None = None,
+    say: Callable[[str], object] | None = None,
+) -> Footage:
+    """Recorded pictures: a video, a bag (``BAG?topic=/image``), a folder, image files; of a `rig`, one for each lens.
+
+    `start`, `end`: seconds of a video or bag. `force`: pictures that are not 2:1 are panoramas all the same. `info`:
+    the topic of a bag's CameraInfo. `say` is told what files say of themselves, and what looks odd in a line that
+    begins with "warning: " (default: that is a `UserWarning`). The rest, and errors, as for `open_source`.
+    """
+    if not (rate is None or (math.isfinite(rate) and rate > 0)):
+        raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
+    say, camera = say or _warned, camera or Camera()
+    path, topic = split_bag(str(places[0]))
+    if is_bag(path):
+        bag = BagCamera(path, topic, rows=rows, rig=rig, camera=camera, info=info)
+        if bag.lens is not None:
+            say(f"{bag.topic}: {in_words(bag.lens.name, bag.view)}")
+        check = FrameCheck(
+            force, say, None if camera.eyes is None else replace(camera, eyes="mono")
+        )  # it takes one of them
+        return Footage(BagFrames(bag, check, rate, start, end), latency)
+    paths, check = [Path(place) for place in places], FrameCheck(force, say, camera)
+    if is_video(paths, rig is not None):
+        video = open_video(paths, rig, rate=rate, start=start, end=end, rows=rows)
+        return Footage(VideoFrames(video, check), latency)
+    return Footage(images(paths, rate, check, rig), latency, rows)
+
+
+def _warned(text: str) -> None:
+    if text.startswith("warning: "):
+        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=3)
 
 
 def _kind(text: str) -> str:
@@ -106,8 +139,6 @@ def _kind(text: str) -> str:
         return "stream"
     if is_bag(split_bag(text)[0]):
         return "bag"
-    if os.path.isdir(text):
-        return "folder"
     if os.path.exists(text):
         return "file"
     named = _NAME.fullmatch(text)
@@ -141,122 +172,3 @@ _STREAMS: dict[str, Callable[[str], Any]] = {
     "device": _device,
     "stream": network,
 }
-
-
-# --- videos and folders; with a rig, those of lenses ---
-
-
-class VideoCamera:
-    """A `CameraSource` of a video file: each iteration begins at its start. `latency` is taken off its stamps."""
-
-    live = False
-
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        *,
-        rig: Rig | None = None,
-        rows: int | None = None,
-        rate: float | None = None,
-        latency: float = 0.0,
-        camera: Camera | None = None,
-    ) -> None:
-        self.latency, self.dropped, self.problem = latency, 0, None
-        self._closed = False
-        self.video = video = open_video(paths, rig, rate=rate, rows=rows)
-        self._builder: PanoramaBuilder | None = None  # of a video without a rig: says what its pictures are
-        if rig is None:
-            (height, width), hint = video.shape, video.hint
-            self._builder = PanoramaBuilder([(width, height)], video.path, camera=camera, hint=hint, rows=rows)
-        self.grid: ErpGrid | PerspectiveGrid = ErpGrid(*video.shape) if self._builder is None else self._builder.grid
-        self.motion = video.motion
-        self.unseen = video.unseen if self._builder is None else self._builder.hidden(video.unseen)
-
-    def __iter__(self) -> Iterator[Frame]:
-        last = -math.inf
-        for number, frame in enumerate(self.video):
-            if self._closed:
-                return
-            picture, view = frame.picture, None
-            if self._builder is not None:
-                if number == 0:
-                    self._builder.check(picture)
-                picture, view = self._builder.make(picture), self._builder.view
-            last = _after(last, frame.stamp - self.latency)
-            yield Frame(last, picture, frame.name, view)
-
-    def close(self) -> None:
-        self._closed = True
-
-
-class FolderCamera:
-    """A `CameraSource` of folders of pictures, one per picture of the `rig`, in order of their names.
-
-    Stamps: the names, where all are times (`eagor.media.times`: 12.350.png); otherwise `rate` pictures per second
-    (default: 1), from 0. Pictures that cannot be read or have another shape are left out, counted in `dropped`.
-    """
-
-    live = False
-
-    def __init__(
-        self,
-        folders: Sequence[Path],
-        *,
-        rig: Rig | None = None,
-        rows: int | None = None,
-        rate: float | None = None,
-        latency: float = 0.0,
-        camera: Camera | None = None,
-    ) -> None:
-        self.latency, self.dropped, self.problem = latency, 0, None
-        self._closed, self._rig, self._camera = False, rig, camera
-        self._moments = list(zip(*lens_folders(folders), strict=True))
-        self._stamps = _stamps([moment[0] for moment in self._moments], RATE if rate is None else rate)
-        first = self._read(self._moments[0])
-        self._builder = PanoramaBuilder(sizes_of(first), str(folders[0]), rig=rig, camera=camera, rows=rows)
-        self._builder.check(*first)
-        self.grid, self.unseen = self._builder.grid, self._builder.unseen
-
-    def __iter__(self) -> Iterator[Frame]:
-        last = -math.inf
-        for moment, stamp in zip(self._moments, self._stamps, strict=True):
-            if self._closed:
-                return
-            try:
-                pictures = self._read(moment)
-                if self._rig is None:  # raises for another shape
-                    PanoramaBuilder(sizes_of(pictures), str(moment[0]), camera=self._camera)
-                picture = self._builder.make(*pictures)
-            except EagorError as error:
-                if not self.dropped:
-                    warnings.warn(f"a picture is left out: {error}", UserWarning, stacklevel=2)
-                self.dropped += 1
-                continue
-            last = _after(last, stamp - self.latency)
-            yield Frame(last, picture, moment[0].name, self._builder.view)
-
-    def _read(self, moment: tuple[Path, ...]) -> list[np.ndarray]:
-        if self._rig is None:
-            return [read_photograph(moment[0], warn=False).picture]
-        with warnings.catch_warnings():  # of shapes, which are checked here
-            warnings.simplefilter("ignore")
-            return [read_panorama(path) for path in moment]
-
-    def close(self) -> None:
-        self._closed = True
-
-
-def _after(last: float, stamp: float) -> float:
-    """The stamp, or the next one after the last: no two frames have one stamp."""
-    return max(stamp, math.nextafter(last, math.inf))
-
-
-def _stamps(paths: Sequence[Path], rate: float) -> list[float]:
-    stamps = times_of([path.stem for path in paths])
-    if len(paths) > 1 and stamps is not None:
-        if any(later <= earlier for earlier, later in pairwise(stamps)):
-            raise TimeError(f"{paths[0].parent}: its names are times, and do not increase; rename the pictures")
-        return stamps
-    if not (math.isfinite(rate) and rate > 0):
-        raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
-    return [number / rate for number in range(len(paths))]

@@ -57,6 +57,8 @@ def steps_of(frames: Iterable[Frame]) -> Steps:
     """How a camera turned from picture to picture, from its pictures; where it got lost, there is no step."""
     odometer, before, rows = VisualOdometer(), None, []
     for frame in frames:
+        if frame.picture is None:
+            continue
         turned = odometer.add(frame.picture)
         if before is not None and not turned.lost and turned.matches and frame.stamp - before[0] <= LONGEST:
             turn = Rotation.from_matrix(before[1].T @ turned.world_R_body).as_rotvec()

@@ -7,12 +7,10 @@ which it is. They also tell where a file contradicts its pictures: radians for d
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -20,12 +18,11 @@ from scipy.spatial.transform import Rotation
 
 from eagor.conventions import HABITAT_R_BODY, OPTICAL_R_BODY
 from eagor.errors import EagorError, PoseError
-from eagor.media import Frame, Pose
 from eagor.media.footage import Read
 from eagor.media.panorama import Picture, shrunk
-from eagor.media.pose_files import FramePose, Poses, interpolated, read_poses
+from eagor.media.pose_files import FramePose, Poses
 
-__all__ = ["AXES", "odometry_of_file", "settled", "with_axes"]
+__all__ = ["AXES", "settled", "with_axes"]
 
 AXES = {  # the axes of the poses in the body: body_R_pose; x, y, z in words
     "body": (np.eye(3), "x ahead, y left, z up"),
@@ -122,28 +119,6 @@ def _found(poses: Poses, pairs: Sequence[Pair], name: str, say: Callable[[str], 
     if found not in (None, "body"):
         say(f"{name}: its axes are {AXES[found][1]}, as the pictures turn (--axes {found}); --axes body: as they stand")
     return found or "body"
-
-
-def odometry_of_file(
-    path: str | Path, axes: str = "auto", pictures: Callable[[], Iterable[Frame]] | None = None
-) -> list[Pose]:
-    """The poses of a file, in our axes, as those of odometry, for the `pictures` that were taken there.
-
-    Raises as `read_poses` and `settled`.
-    """
-    read = read_poses(path)
-    at = interpolated(read)
-
-    def posed() -> Iterator[tuple[FramePose, Read]]:
-        for frame in pictures() if pictures is not None else ():
-            picture = Picture(frame.picture, grid=frame.grid)
-            yield FramePose(frame.stamp, *at(frame.stamp), frame.name), lambda picture=picture: picture
-
-    def say(text: str) -> None:
-        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=2)
-
-    poses = settled(read, axes, str(path), None if pictures is None else posed, say)
-    return [Pose(each.stamp, each.world_R_body, each.position) for each in poses]
 
 
 def _relative(poses: Sequence[FramePose]) -> np.ndarray:
