@@ -8,7 +8,6 @@ import os
 import re
 import subprocess
 import sys
-import tomllib
 from importlib.metadata import PackageNotFoundError, packages_distributions, requires
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +19,7 @@ from PIL import Image
 import eagor
 from eagor import _extras
 from eagor._extras import EXTRAS, how_to_install, need
+from eagor._toml import tomllib
 from eagor.errors import EagorError, MissingExtraError
 from eagor.lab.worlds.painted import painted_room
 

@@ -1,6 +1,5 @@
 """What the documentation says holds: its code runs, its commands can be typed, its tables are what scripts print."""
 
-import contextlib
 import importlib
 import io
 import os
@@ -106,8 +105,12 @@ def check_commands(page, folder, apart=0.0, share=0.0):
             (line,) = text.splitlines()
             words = shlex.split(line, comments=True)
             assert words[0] == "eagor"
-            with contextlib.chdir(folder):
+            here = os.getcwd()
+            os.chdir(folder)
+            try:
                 done = commands.eagor(*words[1:])
+            finally:
+                os.chdir(here)
             said = [row for row in done.stderr.splitlines() if not re.match("eagor: (?!warning|error)", row)]
             assert (done.returncode, said) == (0, []), line
             shown = done.stdout + (done.stderr if "\neagor: " in under else "")  # notes come after the results

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-import tomllib
 import zipfile
 from importlib.metadata import PathDistribution
 from pathlib import Path
@@ -18,6 +17,7 @@ import yaml
 from PIL import Image
 
 from eagor import __version__, perception
+from eagor._toml import tomllib
 from eagor.drawing.video import Movie
 from eagor.lab import worlds
 from eagor.lab.tasks import task

@@ -20,7 +20,7 @@ invalid rotation and `ResponseError` for evidence with batch dimensions. Tensors
 
 from __future__ import annotations
 
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,9 @@ from eagor.baselines.filters import GridFilter, HistogramFilter, ParticleFilter,
 from eagor.baselines.maps import GRID
 from eagor.baselines.one_look import BestDetection, Centroid, CircularCentroid, LastDetection, Plain
 from eagor.evidence import Evidence
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = [
     "GRID",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,9 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import SILENT
 from eagor.grids import Grid
 from eagor.sphere import FORWARD, azimuth_elevation, check_rotation, direction, unit
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True, eq=False)

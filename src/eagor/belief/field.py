@@ -12,12 +12,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eagor._values import altered, inherited, known, lazy
 from eagor.grids import ErpGrid, ErpWindow, PatchGrid
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 def interpolated(

@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from eagor.errors import EagorError, StorageError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import azimuth_elevation, direction
 from eagor.tracking.estimate import Estimate
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = ["RerunLog"]
 

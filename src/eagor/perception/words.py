@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import tomllib
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -17,6 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from eagor._extras import how_to_install
+from eagor._toml import tomllib
 from eagor.errors import QueryError
 from eagor.evidence import Evidence
 from eagor.perception.colour import COLOURS as SHADES

@@ -15,11 +15,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 from eagor._checks import whole
 from eagor._extras import need
 from eagor.errors import DeviceError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = ["Link", "Raw", "Reader", "Writer", "default_domain", "free_domain", "raw"]
 

@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
+from eagor._toml import tomllib
 from eagor.lab.eval import episodes
 from eagor.lab.eval.page import NOTHING, Cell, Row, Table, cell, in_columns, number, span
 from eagor.lab.eval.results import (

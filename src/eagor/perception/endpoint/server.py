@@ -182,7 +182,7 @@ class ChatClient:
                 request.headers |= {"authorization": f"Bearer {key}", "accept-encoding": "identity"}
                 try:
                     return await asyncio.wait_for(self._whole(request, **how), options.timeout)
-                except asyncio.TimeoutError as error:  # noqa: UP041 - of its own before Python 3.11
+                except asyncio.TimeoutError as error:
                     below = import_module(type(request).__module__.partition(".")[0])  # httpx, or its successor
                     raise below.ReadTimeout("too late", request=request) from error
 

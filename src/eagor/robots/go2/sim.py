@@ -15,7 +15,7 @@ from collections import deque
 from contextlib import ExitStack
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from eagor.robots.go2.house import CAMERA_TOPIC, TRUTH, SimSettings, SimWorld, c
 from eagor.robots.go2.plant import GRAVITY, LIMP, LYING, STEP, Motion, Plant
 from eagor.robots.go2.sport import API_VERSION, AVOID, OK, SPORT, checked_velocity
 from eagor.robots.go2.state import SOURCES, low_state, sport_state
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = ["INTERFACE", "TRUTH", "Rehearsal", "SimSettings", "SimulatedGo2"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from enum import Enum
 from typing import NamedTuple
 
 from eagor.robots.safety.limits import STILL, Inputs, Limits, Velocity, faults_of
@@ -24,7 +24,7 @@ STANDS = 0.05, 0.05  # m/s and rad/s below which the robot stands: a trotting bo
 BLIND_TURN = 0.5  # rad/s while the presence is too low
 
 
-class Mode(StrEnum):
+class Mode(str, Enum):
     """What the gate does now."""
 
     DRY_RUN = "dry run"  # nothing is ever sent

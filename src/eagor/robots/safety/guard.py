@@ -19,7 +19,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 from eagor.errors import DeviceError, EagorError
 from eagor.media.clocks import Lateness
@@ -28,6 +28,9 @@ from eagor.robots.go2.sport import ALLOWED, OK, AvoidClient, SportClient, hear_c
 from eagor.robots.go2.state import MODES, BodyState, Go2Low, Go2State
 from eagor.robots.safety.gate import PERIOD, SILENCE, Gate, GateStatus, Mode, State, Stop
 from eagor.robots.safety.limits import Inputs, Limits, RobotState, Velocity
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = ["Guard", "main"]
 
