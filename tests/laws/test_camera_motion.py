@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from eagor.conventions import to_optical
 from eagor.errors import PoseError
 from eagor.media.motion import MotionTrack, complementary, integrate, read_insta360
 from eagor.media.video import Video
@@ -97,58 +96,12 @@ def test_complementary_leaves_level_orientations_alone():
 
 
 def test_between_samples_and_beyond_the_ends():
-    track = MotionTrack.of_orientations(np.array([1.0, 0.0]), Rotation.from_rotvec([[0, 0, 1.0], [0, 0, 0]]), "test")
+    track = MotionTrack(np.array([0.0, 1.0]), Rotation.from_rotvec([[0, 0, 0], [0, 0, 1.0]]), "test")
     assert off(track.world_R_body(0.25), world_R_body(0.25)) < 1e-9
     assert off(track.world_R_body(1.05), world_R_body(1.0)) < 1e-9
     for stamp in (-0.2, 1.2, float("nan")):
         with pytest.raises(PoseError, match=r"tells no orientation at .* it goes from 0.000 to 1.000 s"):
             track.world_R_body(stamp)
-
-
-# --- camm ------------------------------------------------------------------------------------------------------------
-
-
-def test_orientations_of_a_camm_track(tmp_path):
-    times = np.arange(0, 1, 0.02)
-    truth = tumbling(times, seed=4)
-    packets = [(t, 0, to_optical(v)) for t, v in zip(times, truth.as_rotvec(), strict=True)]
-    packets += [(t, 4, (1.0, 2.0, 3.0)) for t in times]  # positions
-    packets.sort(key=lambda packet: packet[0])
-    video = Video(clips.with_camm(clips.clip(tmp_path / "a.mp4"), packets))
-    for frame in video:
-        wanted = Slerp(times, truth)(min(frame.stamp, times[-1])).as_matrix()
-        assert off(video.motion.world_R_body(frame.stamp), wanted) < 0.05
-    assert any("motion track (camm)" in fact for fact in video.facts)
-    assert any("positions, which are not used" in fact for fact in video.facts)
-
-
-def test_a_camm_turn_to_the_left_is_one_in_the_pictures(tmp_path):
-    """In the axes of the spec (x right, y down) a left turn is negative about y."""
-    packets = [(t, 0, (0.0, -t, 0.0)) for t in (0.0, 0.5, 1.0)]
-    video = Video(clips.with_camm(clips.clip(tmp_path / "a.mp4"), packets))
-    assert off(video.motion.world_R_body(0.75), world_R_body(0.75)) < 0.01
-
-
-@pytest.mark.parametrize("late", [0.0, 0.3])
-def test_gyroscope_and_accelerometer_of_a_camm_track(tmp_path, late):
-    times = np.arange(0, 4, 0.01)
-    truth = tumbling(times, seed=2)
-    rates, felt = imu(truth, times)
-    packets = []
-    for t, rate, acceleration in zip(times, rates, felt, strict=True):
-        packets += [(t + late, 2, to_optical(rate)), (t + late, 3, to_optical(acceleration))]
-    video = Video(clips.with_camm(clips.clip(tmp_path / "a.mp4"), packets))
-    assert (video.motion.start, video.motion.end) == pytest.approx((late, 3.99 + late), abs=2e-3)
-    for stamp in np.arange(0.5, 3.5, 0.25):
-        wanted = Slerp(times, truth)(stamp).as_matrix()
-        assert off(video.motion.world_R_body(stamp + late), wanted) < 0.7
-
-
-def test_a_camm_track_without_rotations(tmp_path):
-    video = Video(clips.with_camm(clips.clip(tmp_path / "a.mp4"), [(t, 7, (1.0, 2.0, 3.0)) for t in (0.0, 0.5)]))
-    assert video.motion is None
-    assert any("tells no rotations" in fact for fact in video.facts)
-    assert len(list(video)) == 30
 
 
 # --- Insta360 --------------------------------------------------------------------------------------------------------
@@ -198,14 +151,3 @@ def test_a_trailer_without_samples(tmp_path):
     path = clips.clip(tmp_path / "a.mp4")
     path.write_bytes(path.read_bytes() + clips.trailer([]))
     assert Video(path).motion is None
-
-
-def test_a_damaged_motion_track_is_said_and_not_used(tmp_path):
-    path = clips.with_camm(clips.clip(tmp_path / "a.mp4"), [(t, 0, (0.0, -t, 0.0)) for t in (0.0, 0.5, 1.0)])
-    data = path.read_bytes()
-    at = data.rindex(b"mdhd") + 4 + 12  # units per second
-    path.write_bytes(data[:at] + bytes(4) + data[at + 4 :])
-    video = Video(path)
-    assert video.motion is None
-    assert any("motion track cannot be used: it has a damaged table" in fact for fact in video.facts)
-    assert len(list(video)) == 30

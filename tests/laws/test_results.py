@@ -170,9 +170,6 @@ def test_the_seeds_of_one_scene_are_one_group():
     assert summary["intervals"]["eagor"]["L1"] is None
     assert summary["differences"]["grid"]["L1"] is None
     assert summary["methods"]["eagor"]["L1"] is not None
-    for number, record in enumerate(records):  # storeys of two buildings that a file lists
-        record["episode"] |= {"slot": {}, "seed": 10_000 + number % 2, "scene_hash": f"storey {number}"}
-    assert summarise(run_of(records))["groups"] == 2
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=8))

@@ -12,8 +12,8 @@ from moving_rooms import PatternRoom
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from eagor.cameras import Lens
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.lenses import PinholeLens
 from eagor.media.features import Views, corners_of, features_of, followed, match, steadied, warped
 from eagor.media.panorama import read_panorama, turn, view
 from eagor.media.rotation import VisualOdometer
@@ -309,7 +309,7 @@ def test_photographs_turned_by_known_rotations():
 
 # --- ordinary cameras ---
 
-LENS = PinholeLens("phone", (256, 192), (200.0, 202.0), (130.0, 94.0), (-0.25, 0.08, 0.001, -0.002, 0.0))
+LENS = Lens("phone", (256, 192), (200.0, 202.0), (130.0, 94.0), (-0.25, 0.08, 0.001, -0.002, 0.0))
 
 
 class Ordinary:

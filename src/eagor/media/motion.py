@@ -1,16 +1,11 @@
-"""The camera's rotation over time, from the motion track of a video: orientations, or gyroscope and accelerometer.
+"""The camera's rotation over time, from the motion track of a video: its gyroscope and accelerometer.
 
 A gyroscope alone drifts. Gravity, as the accelerometer feels it, corrects roll and pitch; the heading has no such
 reference and drifts with the gyroscope's bias. The whole track is known, so the correction looks both ways in time:
 `complementary` is the complementary filter (W. T. Higgins, IEEE Trans. AES 11, 1975; R. Mahony et al., IEEE Trans.
 Automatic Control 53, 2008) without its delay.
 
-Two kinds of tracks are read, both with little-endian numbers.
-
-``camm`` (Google, Camera Motion Metadata Spec): each sample has two bytes reserved, two for its type, then its values.
-The camera's axes are x right, y down, z forward; those of the world are right-handed with y down along gravity.
-
-The trailer that Insta360 cameras append to their videos. Its format is not published by its maker; what is read here
+What is read is the trailer that Insta360 cameras append to their videos. Its format is not published by its maker; this
 follows public descriptions (ExifTool's tag tables and the project telemetry-parser): the file's last 72 bytes are 32 of
 padding, the trailer's length, its version and a magic text; before them lie records, each followed by its format, id
 and length. (The package telemetry-parser itself takes 2 GB for ten minutes at 1 kHz, and a damaged file ends the
@@ -21,7 +16,6 @@ from __future__ import annotations
 
 import os
 import struct
-from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
@@ -30,12 +24,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor._values import lazy
-from eagor.conventions import from_optical
 from eagor.errors import FormatError, PoseError
-from eagor.media.containers import Movie, samples
 from eagor.sphere import interpolate_rotation
 
-__all__ = ["MotionTrack", "Trailer", "complementary", "integrate", "read_camm", "read_insta360"]
+__all__ = ["MotionTrack", "Trailer", "complementary", "integrate", "read_insta360"]
 
 MARGIN = 0.1  # seconds beyond the ends of the track in which its first or last orientation holds
 # Seconds over which accelerations are averaged: longer than a step or a swing of the arm (1 to 2 s), so that they
@@ -44,10 +36,6 @@ SMOOTHING = 5.0
 GRAVITY = (4.9, 14.7)  # m/s^2: half to one and a half of gravity; outside, the camera is shaken, falls, or is no camera
 FASTEST = 100.0  # radians per second: 5700 degrees; gyroscopes in cameras measure up to 4000
 LONGEST = 4_000_000  # samples: an hour at 1 kHz
-
-# Types of camm; of `VECTORS`, three floats are read.
-ANGLE_AXIS, EXPOSURE, GYRO, ACCELERATION, POSITION, GPS, FULL_GPS, MAGNETIC = range(8)
-VECTORS = (ANGLE_AXIS, GYRO, ACCELERATION)
 
 MAGIC = b"8db42d694ccc418790edff439fe026bf"
 ENDING = 72  # bytes: padding, length, version, magic
@@ -97,12 +85,6 @@ class MotionTrack:
         share = (stamp - self.stamps[after - 1]) / (self.stamps[after] - self.stamps[after - 1])
         start, end = self.rotations[after - 1 : after + 1].as_matrix()
         return interpolate_rotation(start, end, float(share))
-
-    @classmethod
-    def of_orientations(cls, stamps: np.ndarray, rotations: Rotation, source: str) -> MotionTrack:
-        """From samples in any order; of several at one time the first counts."""
-        stamps, first = np.unique(stamps, return_index=True)
-        return cls(stamps, Rotation.from_quat(rotations.as_quat()[first]), source)
 
     @classmethod
     def of_imu(cls, gyro: np.ndarray, acceleration: np.ndarray | None, source: str) -> MotionTrack:
@@ -180,47 +162,6 @@ def _in_order(samples: np.ndarray) -> np.ndarray:
     samples = np.asarray(samples, dtype=np.float64).reshape(-1, 4)
     samples = samples[np.isfinite(samples).all(axis=1)]
     return samples[np.unique(samples[:, 0], return_index=True)[1]]
-
-
-# --- camm ---
-
-
-def read_camm(movie: Movie, file: BinaryIO) -> tuple[MotionTrack | None, tuple[str, ...]]:
-    """The motion that the ``camm`` track of `file` tells, and sentences about it. None if there is none.
-
-    Orientations (type 0) have priority over the gyroscope (type 2) and the accelerometer (type 3). Raises
-    `FormatError` if the track is damaged.
-    """
-    track = next((track for track in movie.tracks if track.entry == "camm"), None)
-    if track is None:
-        return None, ()
-    rows, kinds = {kind: array("d") for kind in VECTORS}, set()
-    for time, data in samples(track, file):
-        kind = struct.unpack_from("<H", data, 2)[0] if len(data) >= 4 else None
-        kinds.add(kind)
-        if kind in VECTORS and len(data) >= 16:
-            rows[kind].extend((time, *struct.unpack_from("<3f", data, 4)))
-    tables = {kind: np.frombuffer(rows[kind], dtype=np.float64).reshape(-1, 4) for kind in VECTORS}
-    tables = {kind: table[np.isfinite(table).all(axis=1)] for kind, table in tables.items()}
-    said = ["it has a motion track (camm)"]
-    if kinds & {POSITION, GPS, FULL_GPS}:
-        said.append("the motion track also tells positions, which are not used")
-    if len(tables[ANGLE_AXIS]):
-        # y is down in both the camera and the world: the axes of both are mapped, and with them the turn's axis.
-        turns = _in_body(tables[ANGLE_AXIS])
-        turned = Rotation.from_rotvec(turns[:, 1:])
-        return MotionTrack.of_orientations(turns[:, 0], turned, "camm, orientations"), tuple(said)
-    if len(tables[GYRO]) < 2:
-        return None, (*said, "the motion track tells no rotations")
-    gyro, felt = (_in_body(tables[kind]) for kind in (GYRO, ACCELERATION))
-    if not len(felt):
-        said.append("the motion track has no accelerometer: its first orientation is taken for level")
-    return MotionTrack.of_imu(gyro, felt, "camm, gyroscope"), tuple(said)
-
-
-def _in_body(table: np.ndarray) -> np.ndarray:
-    """Rows of time and vector ``(N, 4)``, from the camera's optical axes to ours."""
-    return np.concatenate([table[:, :1], from_optical(table[:, 1:])], axis=1)
 
 
 # --- Insta360 ---
