@@ -25,8 +25,8 @@ from eagor.cli import main
 from eagor.grids import ErpGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media.panorama import turn
-from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import posed_by_file
+from eagor.odometry.files import FramePose
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]

@@ -15,10 +15,10 @@ from eagor.lenses import PinholeLens
 from eagor.media.footage import FrameCheck, ShapeError, VideoFrames
 from eagor.media.intrinsics import Camera, Told, camera_of, ordinary_grid, told_by_photograph, told_by_video
 from eagor.media.panorama import Picture, cut, turn
-from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import PosedFrame
 from eagor.media.rig_videos import open_video
 from eagor.media.rigs import Rig
+from eagor.odometry.files import FramePose
 from eagor.perception.colour import ColourPerception
 from eagor.perception.footage import follow
 from eagor.perception.things import ViewBox, things

@@ -15,9 +15,9 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, paint
 from eagor.media.panorama import Picture, cut
 from eagor.media.panorama import turn as turned
-from eagor.media.pose_axes import AXES, odometry_of_file, settled, with_axes
-from eagor.media.pose_files import FramePose, Poses, read_poses
-from eagor.media.times import times_of
+from eagor.odometry.axes import AXES, odometry_of_file, settled, with_axes
+from eagor.odometry.files import FramePose, Poses, read_poses
+from eagor.odometry.times import times_of
 from eagor.sphere import world_R_body
 
 BEGIN = 1_650_000_000.0

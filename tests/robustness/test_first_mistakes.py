@@ -11,8 +11,8 @@ import pytest
 import eagor
 from eagor.errors import EagorError, ImageError, RotationError, TimeError
 from eagor.media.panorama import read_panorama, read_photograph, tone_mapped
-from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import PosedFrame, ahead
+from eagor.odometry.files import FramePose
 from eagor.perception.colour import ColourPerception
 from eagor.perception.views import Detector
 from eagor.sphere import world_R_body

@@ -21,9 +21,9 @@ from eagor.grids import FisheyeGrid
 from eagor.lab.worlds.painted import painted_room
 from eagor.media.containers import read_head, read_movie
 from eagor.media.metadata import GPANO, properties, read_metadata
-from eagor.media.motion import read_insta360
 from eagor.media.panorama import view
 from eagor.media.video import Video
+from eagor.odometry.imu import read_insta360
 from eagor.sphere import world_R_body
 
 # --- arguments -------------------------------------------------------------------------------------------------------

@@ -228,7 +228,7 @@ def latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
     from eagor.media.camera_sources import open_source
     from eagor.media.latency import check_turning, latency_between, steps_of
-    from eagor.media.pose_axes import odometry_of_file
+    from eagor.odometry.axes import odometry_of_file
 
     for name in ("rate", "seconds", "most"):
         if not (math.isfinite(value := getattr(options, name)) and value > 0):

@@ -216,8 +216,8 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
     from eagor.live.loop import Loop
     from eagor.live.threads import already_open
     from eagor.media.camera_sources import open_source
-    from eagor.media.odometry import poses_for
     from eagor.media.rig_videos import are_ordinary
+    from eagor.odometry.sources import poses_for
 
     source, queries = asked(options)
     spec = perception_for_all(queries, options.perception)

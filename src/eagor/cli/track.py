@@ -26,9 +26,9 @@ from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
     from eagor.media.footage import FrameCheck, Frames
-    from eagor.media.pose_files import FramePose
     from eagor.media.posed_frames import PosedFrame
     from eagor.media.rigs import Rig
+    from eagor.odometry.files import FramePose
     from eagor.perception import Perception
     from eagor.perception.footage import FollowedFrame, Method
     from eagor.perception.replay import ReplayPerception
@@ -175,7 +175,7 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     """
     from eagor.media.bags import is_bag
     from eagor.media.footage import LEAST_ROWS, is_video
-    from eagor.media.pose_files import read_poses
+    from eagor.odometry.files import read_poses
     from eagor.perception import rows_of
     from eagor.perception.replay import takes_pictures
 
@@ -311,9 +311,9 @@ def _check(options: Footage) -> FrameCheck:
 
 def _in_our_axes(options: Footage, source: Frames, poses: Sequence[FramePose]) -> Sequence[FramePose]:
     """The poses of a file as a camera with our axes has them."""
-    from eagor.media.pose_axes import settled
-    from eagor.media.pose_files import Poses
     from eagor.media.posed_frames import posed_by_file
+    from eagor.odometry.axes import settled
+    from eagor.odometry.files import Poses
 
     if not isinstance(poses, Poses):
         if options.axes != "auto":

@@ -34,7 +34,7 @@ from eagor.live.events import (
     Trouble,
 )
 from eagor.media import Pose
-from eagor.media.clocks import RelatedClock
+from eagor.odometry.clocks import ClockSync
 from eagor.tracking import DirectionTracker, Estimate, Surroundings, TrackerConfig
 
 __all__ = ["LiveCore", "LoopSettings", "RecentPoses", "deviation", "warm"]
@@ -178,8 +178,8 @@ class LiveCore:
 
     def __init__(self, settings: LoopSettings) -> None:
         self.config, self.queries, self.has_poses = settings.config, settings.queries, settings.poses
-        self._camera = RelatedClock("camera", settings.latency, SLOWEST)
-        self._odometry = RelatedClock("odometry")
+        self._camera = ClockSync("camera", settings.latency, SLOWEST)
+        self._odometry = ClockSync("odometry")
         self._tracker = DirectionTracker(settings.config)
         self.around = None if settings.around is None else Surroundings(settings.config)
         self._apart = settings.around or 0.0  # seconds between two works on it, at least
@@ -355,7 +355,7 @@ class LiveCore:
         return next((ours for its, ours in reversed(list(self._pictures)) if its == stamp), None)
 
     @staticmethod
-    def _related(clock: RelatedClock, stamp: float, arrival: float) -> tuple[float | None, str | None]:
+    def _related(clock: ClockSync, stamp: float, arrival: float) -> tuple[float | None, str | None]:
         try:
             return clock.take(stamp, arrival)
         except TimeError as error:

@@ -34,8 +34,8 @@ from eagor.live.threads import (
 )
 from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.media.camera_sources import open_source
-from eagor.media.odometry import poses_for
-from eagor.media.rotation import VisualOdometer
+from eagor.odometry.sources import poses_for
+from eagor.odometry.visual import VisualOdometer
 from eagor.perception import Perception, as_perception
 from eagor.tracking import Around, TrackerConfig
 

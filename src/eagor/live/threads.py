@@ -22,7 +22,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.live.events import Event, PoseCame, PosesLost, Trouble
 from eagor.live.inference import Failed, Inference, InferenceWorker, Looked, UnusableError
 from eagor.media import Frame, Pose
-from eagor.media.rotation import VisualOdometer
+from eagor.odometry.visual import VisualOdometer
 from eagor.sphere import heading
 from eagor.tracking import Around
 

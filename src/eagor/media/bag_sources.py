@@ -110,6 +110,10 @@ class BagCamera:
             taken = tuple(newest) if together else (received,)
             yield stamp, lens, partial(self._pictures.made, lens, taken)
 
+    def odometry(self, topic: str | None = None) -> BagPoses | None:
+        """The bag's poses of this camera; None if no `topic` is named and it has none."""
+        return bag_odometry(self.bag, topic, self.frame)
+
     def close(self) -> None:
         self._closed = True
 

@@ -31,8 +31,8 @@ from eagor.media.rig_videos import LensVideos, StitchedVideo, made_of, makers, o
 from eagor.media.rigs import Rig, read_rig, sizes_of
 from eagor.media.stitching import Panoramas
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
-from eagor.media.times import times_of
 from eagor.media.video import Video
+from eagor.odometry.times import times_of
 
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_source"]
 
@@ -203,7 +203,7 @@ class VideoCamera:
 class FolderCamera:
     """A `CameraSource` of folders of pictures, one per picture of the `rig`, in order of their names.
 
-    Stamps: the names, where all are times (`eagor.media.times`: 12.350.png); otherwise `rate` pictures per second
+    Stamps: the names, where all are times (`eagor.odometry.times`: 12.350.png); otherwise `rate` pictures per second
     (default: 1), from 0. Pictures that cannot be read or have another shape are left out, counted in `dropped`.
     """
 

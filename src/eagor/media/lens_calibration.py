@@ -19,14 +19,13 @@ import numpy as np
 
 from eagor.errors import ImageError
 from eagor.lenses import FisheyeLens
-from eagor.media.consensus import agreeing_rotation
 from eagor.media.defects import BLACK
-from eagor.media.features import Features, match
 from eagor.media.lens_fitting import Pairs, Points, gaps_of, pairs_of, points_of, solve, turns_of
 from eagor.media.panorama import checked_picture
 from eagor.media.rigs import Rig, sizes_of
 from eagor.media.stitching import Stitcher
-from eagor.media.two_views import Turn, turn_between
+from eagor.odometry.features import Features, match
+from eagor.odometry.two_views import RelativeRotation, estimate_relative_rotation
 from eagor.sphere import world_R_body
 
 __all__ = ["Calibrated", "Overlap", "calibrate", "first_rig", "overlap_of", "with_seam"]
@@ -128,13 +127,13 @@ def _placed(rig: Rig, points: Sequence[Points], any_field: bool) -> Rig:
     for fov in FIELDS if any_field else (None,):
         tried = rig if fov is None else _with_field(rig, fov)
         rays = [lens.unproject(*at.T) for lens, at in zip(tried.lenses, (a, b), strict=True)]
-        agreed = agreeing_rotation(rays[0], rays[1], np.random.default_rng(0)) if len(a) else None
-        if agreed is not None and agreed.log_chance < least:
-            best, least = (tried, rays), agreed.log_chance
+        agreed = estimate_relative_rotation(rays[0], rays[1], moves=False) if len(a) else None
+        if agreed is not None and agreed.log_nfa < least:
+            best, least = (tried, rays), agreed.log_nfa
     if best is None:
         return rig
     tried, rays = best
-    turn = turn_between(rays[0], rays[1], moves=False)
+    turn = estimate_relative_rotation(rays[0], rays[1], moves=False)
     if turn is None:
         return rig
     second = replace(tried.lenses[1], body_R_lens=turn.old_R_new @ tried.lenses[1].body_R_lens)
@@ -146,7 +145,7 @@ def _with_field(rig: Rig, fov: float) -> Rig:
     return Rig(rig.sizes, lenses)
 
 
-def _chained(turns: dict[tuple[int, int], Turn], count: int) -> tuple[np.ndarray, np.ndarray]:
+def _chained(turns: dict[tuple[int, int], RelativeRotation], count: int) -> tuple[np.ndarray, np.ndarray]:
     """Rotations ``(m, 3, 3)`` of the moments, in the axes of the first, and which they are, ``(m,)``.
 
     Each by way of the turns with the most pairs (a maximum spanning tree, grown from the moment with the most).

@@ -18,11 +18,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor.lenses import FisheyeLens, inverted
-from eagor.media.consensus import part_of_sphere
-from eagor.media.features import FIELD, Features, features_of, match
 from eagor.media.rigs import Rig
 from eagor.media.stitching import Stitcher
-from eagor.media.two_views import Turn, turn_between
+from eagor.odometry.features import FIELD, Features, Views, match
+from eagor.odometry.two_views import RelativeRotation, bin_index, estimate_relative_rotation
 
 __all__ = ["Pairs", "Points", "Solution", "gaps_of", "pairs_of", "points_of", "solve", "turns_of"]
 
@@ -97,7 +96,7 @@ def points_of(rig: Rig, moments: Sequence[Sequence[np.ndarray]], on_step: Callab
     for moment, pictures in enumerate(moments):
         for index, lens in enumerate(rig.lenses):
             shown, _ = stitcher.alone(index, *pictures)
-            features = features_of(shown, size)
+            features = Views.of(shown, size=size).features
             x, y, depth = lens.project(features.directions)
             inside = depth > RIM
             pixels = np.stack([x[inside], y[inside]], axis=1)
@@ -106,7 +105,7 @@ def points_of(rig: Rig, moments: Sequence[Sequence[np.ndarray]], on_step: Callab
     return found
 
 
-def turns_of(rig: Rig, points: Sequence[Points]) -> dict[tuple[int, int], Turn]:
+def turns_of(rig: Rig, points: Sequence[Points]) -> dict[tuple[int, int], RelativeRotation]:
     """How the camera turned between any two moments, where their points tell."""
     moments = sorted({each.moment for each in points})
     joined = {moment: _joined(rig, points, moment).features for moment in moments}
@@ -117,7 +116,8 @@ def turns_of(rig: Rig, points: Sequence[Points]) -> dict[tuple[int, int], Turn]:
         first, second = match(here, there)
         step = max(1, math.ceil(len(first) / SHORT))
         first, second = first[::step], second[::step]
-        turn = turn_between(here.directions[first], there.directions[second], moves=False) if len(first) else None
+        old, new = here.directions[first], there.directions[second]
+        turn = estimate_relative_rotation(old, new, moves=False) if len(first) else None
         if turn is not None:
             turns[i, j] = turn
     return turns
@@ -271,7 +271,7 @@ def _independent(lenses: list[FisheyeLens], pairs: Pairs) -> int:
     for index, lens in enumerate(lenses):
         mine = [pairs.pixels[:, side][pairs.lenses[:, side] == index] for side in (0, 1)]
         rays = _seen(lens, np.zeros(OWN), np.concatenate(mine))
-        count += len(np.unique(part_of_sphere(rays))) if len(rays) else 0
+        count += len(np.unique(bin_index(rays))) if len(rays) else 0
     return max(1, count)
 
 

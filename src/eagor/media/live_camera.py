@@ -19,11 +19,11 @@ import numpy as np
 from eagor._files import redacted
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.media import Frame
-from eagor.media.clocks import StreamClock
 from eagor.media.intrinsics import Camera
 from eagor.media.rig_videos import makers
 from eagor.media.rigs import Rig
 from eagor.media.video import to_rgb
+from eagor.odometry.clocks import StreamClock
 
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame

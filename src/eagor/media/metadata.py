@@ -21,7 +21,7 @@ import numpy as np
 from eagor._checks import ROUNDING, is_twice_as_wide
 from eagor.errors import FormatError, ImageError
 from eagor.media.containers import Head, Movie, Track, children, find, read_head, read_movie
-from eagor.media.motion import MotionTrack, read_camm, read_insta360
+from eagor.odometry.imu import MotionTrack, read_insta360
 from eagor.sphere import world_R_body
 
 __all__ = [
@@ -120,7 +120,6 @@ def _of_movie(path: str, movie: Movie, file: BinaryIO, wanted: bool) -> VideoMet
     motion, facts = None, ()
     raw = path.lower().endswith(UNSTITCHED)
     try:
-        motion, facts = read_camm(movie, file)
         trailer = read_insta360(file)
         if trailer is not None:
             raw = True

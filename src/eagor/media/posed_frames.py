@@ -22,8 +22,8 @@ from eagor.errors import EagorError, PoseError
 from eagor.media import Pose
 from eagor.media.footage import BagFrames, Frames, ImageFrames, Read
 from eagor.media.panorama import Picture
-from eagor.media.pose_files import BEYOND, FramePose, between, interpolated, pair, usable
-from eagor.media.times import times_of
+from eagor.odometry.files import BEYOND, FramePose, interpolated, pair, usable
+from eagor.odometry.times import times_of
 
 __all__ = ["PosedFrame", "ahead", "posed_by_file", "posed_by_imu", "posed_by_odometry", "posed_by_sight", "thinned"]
 
@@ -126,11 +126,11 @@ def posed_by_imu(source: Frames, motion: Any) -> Iterator[PosedFrame]:
 
 
 def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
-    """Frames with the orientations that the pictures themselves tell (`eagor.media.rotation`).
+    """Frames with the orientations that the pictures themselves tell (`eagor.odometry.visual`).
 
     `level`: the camera keeps its pictures level; only the heading turns.
     """
-    from eagor.media.rotation import VisualOdometer
+    from eagor.odometry.visual import VisualOdometer
 
     odometer, met = VisualOdometer(level=level), False
     upright = np.eye(3) if source.level_R_body is None else source.level_R_body
@@ -145,7 +145,7 @@ def posed_by_sight(source: Frames, level: bool) -> Iterator[PosedFrame]:
         turn = upright @ turned.world_R_body
         pose = FramePose(stamp, turn, None, frame)
         lost = turned.lost and met
-        yield PosedFrame(pose, frame, lambda found=found: found, lost=lost, spread=turned.spread)
+        yield PosedFrame(pose, frame, lambda found=found: found, lost=lost, spread=turned.std)
         met = True
 
 
@@ -188,7 +188,7 @@ def posed_by_odometry(
                 continue
         elif hole > HOLE:
             say(f"warning: {name}: {poses.topic} has no pose for {hole:.2f} s about it")
-        pose = between(last, ahead, stamp)
+        pose = interpolated([each for each in (last, ahead) if each is not None])(stamp)
         used += 1
         yield PosedFrame(FramePose(stamp, *pose, name), name, read)
     if within and used:

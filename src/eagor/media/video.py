@@ -69,7 +69,7 @@ class Video:
 
     `path`; `shape`: rows and columns of the pictures; `duration`: seconds, or None; `frame_rate`: mean, or None;
     `count`: about how many pictures will come, or None; `facts`: sentences about what the file says of itself;
-    `motion`: None, or the rotations that its motion track tells (`eagor.media.motion.MotionTrack`); `level_R_body`:
+    `motion`: None, or the rotations that its motion track tells (`eagor.odometry.imu.MotionTrack`); `level_R_body`:
     None, or the rotation ``(3, 3)`` that makes its pictures level, as the file says; `unseen`: None, or the mask of
     `shape` of what no picture shows; `told`: what the file says of an ordinary lens, for pictures of `shape`.
 

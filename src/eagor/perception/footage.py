@@ -24,8 +24,8 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media.defects import NeverSeen
 from eagor.media.footage import ShapeError
 from eagor.media.panorama import Picture
-from eagor.media.pose_files import FramePose
 from eagor.media.posed_frames import PosedFrame
+from eagor.odometry.files import FramePose
 from eagor.perception import NoEvidenceError, Perception
 from eagor.perception.records import Footage
 from eagor.perception.replay import ReplayPerception, look_if_recorded

@@ -27,8 +27,8 @@ from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
 from eagor.lab.worlds.render import Photograph
 from eagor.media import Frame
 from eagor.media.panorama import read_photograph
-from eagor.media.rotation import VisualOdometer
 from eagor.media.video import Video
+from eagor.odometry.visual import VisualOdometer
 from eagor.perception import knows_classes, load, rows_of
 from eagor.perception.replay import look_if_recorded
 from eagor.studio.caching import Kept, given_back

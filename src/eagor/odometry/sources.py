@@ -1,4 +1,4 @@
-"""How the camera turns and moves: `open_poses` for what ``--poses`` means.
+"""Poses by text: `open_poses` for what ``--poses`` means.
 
 Packages add sources of poses under the entry points ``eagor.poses``: a name, and a function ``(text, *, camera, domain,
 interface) -> PoseSource``, which gets the whole text, such as ``NAME:REST``.
@@ -6,34 +6,33 @@ interface) -> PoseSource``, which gets the whole text, such as ``NAME:REST``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from eagor import plugins
 from eagor._extras import need
 from eagor.errors import DeviceError
-from eagor.media import CameraSource, Pose, PoseSource
-from eagor.media.bag_sources import BagCamera, bag_odometry
-from eagor.media.pose_axes import odometry_of_file
+from eagor.odometry import Pose, PoseSource
+from eagor.odometry.axes import odometry_of_file
 
 if TYPE_CHECKING:
-    from eagor.media.motion import MotionTrack
-    from eagor.media.rotation import VisualOdometer
+    from eagor.odometry.visual import VisualOdometer
 
-__all__ = ["GivenPoses", "MotionPoses", "open_poses", "poses_for"]
+__all__ = ["GivenPoses", "open_poses", "poses_for"]
 
 GROUP = "eagor.poses"
 BUILT_IN = {"go2": "eagor.robots:go2_poses", "ros": "eagor.robots.ros:ros_poses"}
-BY_SIGHT = ("auto", "level")
-MOTION_RATE = 100.0  # poses per second that are taken from a motion track
+RATE = 100.0  # poses per second that are taken from a motion track
 
 
 class GivenPoses:
     """Poses that are there already, in order of time."""
 
-    def __init__(self, poses: Sequence[Pose]) -> None:
+    def __init__(self, poses: Iterable[Pose]) -> None:
         self._poses = tuple(poses)
 
     def __iter__(self) -> Iterator[Pose]:
@@ -43,52 +42,35 @@ class GivenPoses:
         """Nothing is held."""
 
 
-class MotionPoses:
-    """Orientations of a video's motion track, `MOTION_RATE` per second."""
-
-    def __init__(self, track: MotionTrack) -> None:
-        self.track = track
-
-    def __iter__(self) -> Iterator[Pose]:
-        count = int((self.track.end - self.track.start) * MOTION_RATE) + 1
-        for number in range(count):
-            stamp = self.track.start + number / MOTION_RATE
-            yield Pose(stamp, self.track.world_R_body(stamp))
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
 def open_poses(
     text: str = "auto",
-    source: CameraSource | None = None,
+    source: Any = None,
     *,
     axes: str = "auto",
     domain: int | None = None,
     interface: str | None = None,
-    again: Callable[[], CameraSource] | None = None,
+    again: Callable[[], Any] | None = None,
 ) -> PoseSource | VisualOdometer | None:
-    """The poses that `text` names, for the pictures of `source`; None for a camera that stands still.
+    """The poses that `text` names, for the pictures of `source`, a `CameraSource`; None for a camera that stands still.
 
     "auto": a bag's odometry or a video's IMU, where `source` has them, else what the pictures themselves tell (rotation
     only); "level": the same for a camera that keeps its pictures level; "still"; a file, whose `axes` are as of
-    `eagor.media.pose_axes.settled`; ``ros:/odom``, a topic of ROS 2 or of a bag; ``go2``, a robot's odometry, over the
+    `eagor.odometry.axes.settled`; ``ros:/odom``, a topic of ROS 2 or of a bag; ``go2``, a robot's odometry, over the
     DDS `domain` and network `interface`; or what another package brings. `again`: opens the source once more; a file of
     poses is then compared with its pictures.
 
     Raises `DeviceError` for live poses of a recording, and the other way round, and what the source raises.
     """
-    name = text.partition(":")[0]
-    if isinstance(source, BagCamera) and (text == "auto" or name == "ros"):
-        found = bag_odometry(source.bag, text.partition(":")[2] or None, source.frame)
-        if found is not None:
-            return found
-    motion = getattr(source, "motion", None)
+    name, _, rest = text.partition(":")
+    recorded, motion = getattr(source, "odometry", None), getattr(source, "motion", None)
+    if recorded is not None and (text == "auto" or name == "ros") and (found := recorded(rest or None)) is not None:
+        return found
     if text == "auto" and motion is not None:
-        return MotionPoses(motion)
-    if text in BY_SIGHT:
+        stamps = np.append(np.arange(motion.start, motion.end, 1 / RATE), motion.end)
+        return GivenPoses(Pose(stamp, motion.world_R_body(stamp)) for stamp in stamps.tolist())
+    if text in ("auto", "level"):
         need("the rotation from pictures", "photos", "cv2")
-        from eagor.media.rotation import VisualOdometer
+        from eagor.odometry.visual import VisualOdometer
 
         return VisualOdometer(level=text == "level")
     if text == "still":
@@ -105,10 +87,10 @@ def open_poses(
     if again is None:
         return GivenPoses(odometry_of_file(text, axes))
     with closing(again()) as pictures:
-        return GivenPoses(odometry_of_file(text, axes, lambda: pictures))
+        return GivenPoses(odometry_of_file(text, axes, pictures))
 
 
-def poses_for(text: str, source: CameraSource, **how: Any) -> Any:
+def poses_for(text: str, source: Any, **how: Any) -> Any:
     """As `open_poses`, or a function that does so, for poses that are live: who may not be there yet, or may go."""
     live = source.live and text.partition(":")[0] in plugins.known(GROUP, BUILT_IN)
     return partial(open_poses, text, source, **how) if live else open_poses(text, source, **how)
