@@ -12,20 +12,16 @@ the first sighting, less that of `frame`, paired by episode.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import common
 import numpy as np
 
 from eagor.lab.agents.methods import answer_at
 from eagor.lab.envs.episodes import EpisodeSpec, episode_specs
-from eagor.lab.eval import steps as parts
-from eagor.lab.eval.results import Result
 from eagor.lab.tasks.sim.play import Runner, StepInfo
 from eagor.metrics import angular_error_deg
 
 OURS, FRAME = "eagor", "frame"
-SHOWN = (parts.SEEN, parts.IN_SIGHT, parts.HIDDEN)
 
 
 def frame_errors(steps: list[StepInfo]) -> np.ndarray:
@@ -47,11 +43,11 @@ def errors(runner: Runner, name: str, spec: EpisodeSpec, steps: list[StepInfo]) 
     return np.array([float(angular_error_deg(answer, step.truth)) for answer, step in zip(answers, steps, strict=True)])
 
 
-def means(record: dict[str, Any], name: str) -> list[float]:
-    """A method's mean in each of `SHOWN`; NaN where the episode has no such step."""
-    result = Result(record, record["methods"][name])
-    found = (parts.error_in([result], part) for part in SHOWN)
-    return [math.nan if part is None else part.mean for part in found]
+def means(errors: np.ndarray, visible: list[bool]) -> list[float]:
+    """The mean after the first sighting, in sight, and hidden again; NaN where the episode has no such step."""
+    here, since = np.array(visible), np.logical_or.accumulate(visible)
+    kept = [errors[chosen & np.isfinite(errors)] for chosen in (since, here, since & ~here)]
+    return [float(part.mean()) if len(part) else math.nan for part in kept]
 
 
 def main() -> None:
@@ -64,9 +60,7 @@ def main() -> None:
         record = runner.run_episode(spec, [OURS], steps.append)
         visible = record["methods"][OURS]["trace"]["visible"]
         found = {name: errors(runner, name, spec, steps) for name in names}
-        traces = {name: {"error_deg": found[name].tolist(), "visible": visible} for name in names}
-        record["methods"] = {name: {"trace": trace} for name, trace in traces.items()}
-        rows.append([means(record, name) for name in names])
+        rows.append([means(found[name], visible) for name in names])
         seeds.append(spec.seed)
         if any(visible):
             pointed.append(float((found[FRAME][visible] < 15).mean()))

@@ -37,10 +37,9 @@ from scipy.stats import binomtest
 from eagor.grids import ErpGrid
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera
+from eagor.lab.tasks.hstar import Episode, View, level_of
 from eagor.lab.tasks.hstar.agents import HStarConfig, make_agent, open_detector
-from eagor.lab.tasks.hstar.bench import run_episode
-from eagor.lab.tasks.hstar.data import ANNOTATION, STARTS, Episode, read_episodes
-from eagor.lab.tasks.hstar.rules import View, level_of
+from eagor.lab.tasks.hstar.bench import ANNOTATION, STARTS, read_episodes, run_episode
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 from eagor.statistics import bootstrap_interval, calibration_error, reliability

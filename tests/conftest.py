@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from eagor.errors import MissingExtraError, ServerError, StorageError
-from eagor.perception.coco import COCO, install
+from eagor.perception.coco import install
 
 settings.register_profile("quick", settings.get_profile("ci"), max_examples=25)
 settings.register_profile(
@@ -68,6 +68,6 @@ def one_thread():
 def coco_model():
     """The file of the real detector, from the user's cache; it is installed there if it can be had."""
     try:
-        return install(COCO)
+        return install()
     except (ServerError, StorageError, MissingExtraError) as error:
         pytest.skip(f"the real detector cannot be had: {error}")

@@ -160,7 +160,7 @@ def judged(file, walks):
     specs = {(spec.scene, spec.episode): spec for spec in file_episode_specs("navigation", file, None, "habitat", None)}
     by_slot = {(walk["scene_id"], walk["episode"]): walk for walk in walks}
     assert by_slot.keys() == specs.keys()
-    env = MapFreeNavigationEnv(rules, panorama=None, instances=False, camera=Camera())
+    env = MapFreeNavigationEnv(rules, panorama=None, camera=Camera())
     turn = math.radians(env.camera.turn)
     ours = {STOP: (0.0, 0.0), FORWARD: (0.0, env.camera.step), 2: (turn, STANDS), 3: (-turn, STANDS)}
     for key, spec in specs.items():

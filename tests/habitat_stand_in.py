@@ -20,10 +20,10 @@ import numpy as np
 
 from eagor.errors import WorldError
 from eagor.lab.envs.places import load_place
-from eagor.lab.worlds import objectnav
+from eagor.lab.worlds import habitat, objectnav
 from eagor.lab.worlds.glb import import_glb
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.habitat import simulator, world
+from eagor.lab.worlds.habitat import world
 from eagor.lab.worlds.render import Renderer
 
 LIFT = 0.05  # metres: the mesh floats above the floor
@@ -275,11 +275,10 @@ def installed(monkeypatch):
     """The life of a fixture in which this is Habitat-Sim; at its end no simulator is open."""
     monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
     monkeypatch.setitem(sys.modules, "magnum", magnum())
-    monkeypatch.delenv("EAGOR_HABITAT_GPU", raising=False)
-    monkeypatch.setattr(simulator, "device_for", lambda source: -1)
+    monkeypatch.setattr(habitat, "device_for", lambda source: -1)
     monkeypatch.setattr(objectnav, "has_meshes", lambda: False)  # they are made in a process of its own
     yield
-    simulator.close_all()
+    habitat.close_all()
     world.open_scene.cache_clear()
     load_place.cache_clear()
     assert Simulator.opened == 0

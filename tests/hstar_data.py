@@ -64,7 +64,7 @@ def patient():
     """A model for the command line: turns right twice, then submits where it looks."""
 
     def reply(messages):
-        from eagor.lab.tasks.hstar.rules import succeeded
+        from eagor.lab.tasks.hstar import succeeded
         from eagor.perception.vlm import ChatReply
 
         said = messages[-1].text

@@ -6,7 +6,7 @@ import json
 from box_scenes import scene_of, shell, thing
 
 from eagor.lab.worlds.glb import export_glb, import_glb
-from eagor.lab.worlds.objectnav import Source, export_dataset
+from eagor.lab.worlds.objectnav import SceneSource, export_dataset
 
 
 def room(source="room"):
@@ -25,7 +25,7 @@ def exported(folder, episodes=4, names=("room",)):
     sources = []
     for number, name in enumerate(names):
         path = export_glb(room(name), folder / "made" / f"{name}.glb")
-        sources.append(Source(number, name, lambda path=path: import_glb(path)))
+        sources.append(SceneSource(number, name, lambda path=path: import_glb(path)))
     file, _ = export_dataset(sources, folder / "data", episodes=episodes, categories=("chair",))
     return file
 

@@ -10,17 +10,22 @@ import msgspec
 import numpy as np
 from PIL import Image
 
-from eagor.lab.tasks.osr.geometry import FILE, Body, Room, Spot, layout_from
-from eagor.lab.tasks.osr.scoring import (
+from eagor.lab.tasks.osr import (
     COUNTING,
     DIRECTION,
     DISTANCE,
     MAP,
+    NO_CANDIDATE,
+    NO_POSITION,
+    NOT_UNIQUE,
     Grid,
     Layout,
+    cells,
     direction_label,
-    distance_label,
+    ranked,
 )
+from eagor.lab.tasks.osr.bench import FILE, Body, Room
+from eagor.lab.tasks.osr.geometry import Spot, layout_from
 
 LEAST = 5  # categories: with fewer the benchmark does not ask about distances and directions
 NAME = "ReplicaPano-made-here"
@@ -70,6 +75,16 @@ def write_scene(
         turns.append({**turns[-1], "turn_id": 99, "answer": ""})
         entry = {"image_id": f"data/{folder.name}/rgb.png", "pre_prompt": "", "conversation": turns}
         (folder / f"{folder.name}_{kind}.json").write_text(json.dumps(entry))
+
+
+def distance_label(layout: Layout, category: str, choices: Sequence[str]) -> str:
+    """The published answer to "which of the choices is the closest to the category?": the first of the nearest."""
+    start = cells(layout, category)
+    if len(start) != 1:
+        return NOT_UNIQUE if start else NO_POSITION
+    ways = {choice: ranked(start[0], cells(layout, choice)) for choice in choices}
+    away = {choice: way[0][0] ** 2 + way[0][1] ** 2 for choice, way in ways.items() if way}
+    return min(away, key=lambda choice: away[choice], default=NO_CANDIDATE)
 
 
 def grid_of(layout: Layout, size: int = 10) -> Grid:

@@ -9,7 +9,7 @@ Each of the three has a check that ships with eagor; call it from your tests:
 
     check_perception(Brightness(), panorama, "brightest", roll=16)    # eagor.perception
     check_world(hall)                                                 # eagor.lab.worlds.checking
-    check_simulation(TURNTABLE, world="hall")                         # eagor.lab.tasks.sim.checking, once installed
+    check_simulation(TURNTABLE, world="hall")                         # eagor.lab.tasks.sim.play, once installed
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from eagor.harmonics import RealHarmonics
     from eagor.live.loop import Loop
     from eagor.media.camera_sources import open_source
-    from eagor.odometry.sources import open_poses
+    from eagor.media.odometry import open_poses
     from eagor.perception import load
     from eagor.perception.views import Detector
     from eagor.sphere import angular_distance, azimuth_elevation, direction
@@ -89,7 +89,7 @@ _HOME = {
     "harmonics": ("RealHarmonics",),
     "live.loop": ("Loop",),
     "media.camera_sources": ("open_source",),
-    "odometry.sources": ("open_poses",),
+    "media.odometry": ("open_poses",),
     "perception": ("load",),
     "perception.views": ("Detector",),
     "sphere": ("angular_distance", "azimuth_elevation", "direction"),

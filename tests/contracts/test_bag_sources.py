@@ -16,6 +16,7 @@ from eagor.media import Pose, check_camera
 from eagor.media import ros_messages as m
 from eagor.media.bag_sources import BagCamera, BagPoses
 from eagor.media.bags import BagWriter, pick
+from eagor.media.camera_sources import open_source
 from eagor.media.ros_frames import PoseReader, optical
 from eagor.sphere import world_R_body
 
@@ -46,10 +47,11 @@ def bag(tmp_path):
 
 def test_pictures_of_a_bag(bag):
     camera = BagCamera(bag)
-    assert (camera.topic, camera.frame, camera.count, camera.grid.shape) == ("/image", "x3_link", 10, (32, 64))
-    assert [frame.stamp for frame in camera] == pytest.approx([START + 0.48 + k for k in range(10)], abs=1e-6)
-    np.testing.assert_array_equal(next(iter(camera)).picture, np.roll(ROOM, 5, axis=1))
-    check_camera(BagCamera(bag, latency=0.1, rows=16))
+    assert (camera.topic, camera.frame, camera.count) == ("/image", "x3_link", 10)
+    frames = [*open_source(str(bag))]
+    assert [frame.stamp for frame in frames] == pytest.approx([START + 0.48 + k for k in range(10)], abs=1e-6)
+    np.testing.assert_array_equal(frames[0].picture, np.roll(ROOM, 5, axis=1))
+    check_camera(open_source(str(bag), latency=0.1, rows=16))
 
 
 @pytest.mark.parametrize("topic", ["/odom", "/imu/data", "/tf"])
@@ -130,12 +132,12 @@ def test_damaged_messages_are_left_out_and_counted(tmp_path):
                 odometry.pose.pose.orientation.w, image.encoding = 0.0, "16UC1"
             bag.write("/odom", m.ODOMETRY, odometry, START + k)
             bag.write("/image", m.IMAGE, image, START + k)
-    poses, camera = BagPoses(tmp_path / "bag"), BagCamera(tmp_path / "bag")
+    poses = BagPoses(tmp_path / "bag")
     with pytest.warns(UserWarning, match="a pose of /odom is left out: a quaternion"):
         assert len(list(poses)) == 8
-    with pytest.warns(UserWarning, match="a picture of /image is left out: an Image has the encoding '16UC1'"):
-        assert len(list(camera)) == 8
-    assert (poses.dropped, camera.dropped) == (2, 2)
+    problems = [frame.problem for frame in open_source(str(tmp_path / "bag")) if frame.picture is None]
+    assert len(problems) == poses.dropped == 2
+    assert all("an Image has the encoding '16UC1'" in problem for problem in problems)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +240,7 @@ def test_how_colours_without_names_are_read_is_said(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         bag.write("/image", m.IMAGE, made, START)
     with pytest.warns(UserWarning, match="/image: the encoding 8UC3 names no colours; it is read as bgr8"):
-        (frame,) = BagCamera(tmp_path / "bag")
+        (frame,) = open_source(str(tmp_path / "bag"))
     np.testing.assert_array_equal(frame.picture, ROOM)
 
 
@@ -263,5 +265,6 @@ def test_the_lens_of_an_ordinary_camera_is_told_beside_its_pictures(tmp_path):
         bag.write("/front/image_raw", m.IMAGE, m.image_message(np.zeros((30, 40, 3), np.uint8), START, ""), START)
     for told in (None, "/front/camera_info"):
         camera = BagCamera(tmp_path / "bag", info=told)
-        assert (camera.frame, camera.grid.shape) == ("lens", (30, 40))
-        assert camera.grid.hfov == pytest.approx(2 * math.atan(20 / 30))
+        (view,) = camera.views
+        assert (camera.frame, view.shape) == ("lens", (30, 40))
+        assert view.hfov == pytest.approx(2 * math.atan(20 / 30))

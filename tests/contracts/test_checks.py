@@ -4,7 +4,7 @@ import itertools
 import math
 import re
 import sys
-from dataclasses import field, make_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -19,7 +19,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.lab import worlds
 from eagor.lab.tasks import task as tasks
-from eagor.lab.tasks.sim.checking import check_simulation
+from eagor.lab.tasks.sim.play import check_simulation
 from eagor.lab.tasks.task import Sample, load
 from eagor.lab.worlds.checking import check_world
 from eagor.lab.worlds.painted import EYE, Room, paint, painted_room
@@ -230,7 +230,7 @@ TURNTABLE = example.TURNTABLE
 
 def env(**overrides):
     """The example's environment with some methods of its own."""
-    return type("Env", (example.TurntableEnv,), overrides)
+    return replace(TURNTABLE, environment=type("Env", (example.TurntableEnv,), overrides))
 
 
 def planned(**changes):
@@ -240,32 +240,18 @@ def planned(**changes):
         good = example.TurntableEnv.plan(self, spec)
         return replace(good, **{k: make(good) if callable(make) else make for k, make in changes.items()})
 
-    return replace(TURNTABLE, environment=env(plan=plan))
+    return env(plan=plan)
 
 
 def measured(change):
     return replace(TURNTABLE, measure=lambda played: change(example.measure(played)))
 
 
-def told(**changes):
-    """An environment whose truth is changed by functions of the good one."""
-
-    def info(self):
-        found = example.TurntableEnv._info(self)
-        found["truth"] |= {key: make(found["truth"]) for key, make in changes.items()}
-        return found
-
-    return replace(TURNTABLE, environment=env(_info=info))
-
-
-def column(**changes):
-    return replace(TURNTABLE, metrics=(replace(TURNTABLE.metrics[0], **changes), TURNTABLE.metrics[1]))
-
-
-SOFT = make_dataclass("Soft", [("steps", int, 8)])
-UNSET = make_dataclass("Unset", [("steps", int)], frozen=True)
-LISTED = make_dataclass("Listed", [("legs", list, field(default_factory=lambda: [1, 2]))], frozen=True)
-BOUNDLESS = make_dataclass("Boundless", [("far", float, math.inf)], frozen=True)
+def sideways(self):
+    """The truth in the world's axes."""
+    found = example.TurntableEnv._info(self)
+    found["truth"]["direction"] = found["truth"]["world_R_body"] @ found["truth"]["direction"]
+    return found
 
 
 def wandering():
@@ -275,25 +261,20 @@ def wandering():
         self.body.xy = self.body.xy + 0.01 * next(turn)
         return example.TurntableEnv.step(self, action)
 
-    return replace(TURNTABLE, environment=env(step=step))
+    return env(step=step)
 
 
-def obeying():
-    def step(self, action):
-        found = example.TurntableEnv.step(self, action)
-        if float(action[0]) > 0:
-            self._move_to(self.body.xy, self.body.yaw + 0.5)
-            return (self._observation(), *found[1:4], self._info())
-        return found
-
-    return replace(TURNTABLE, environment=env(step=step))
+def obeying(self, action):
+    found = example.TurntableEnv.step(self, action)
+    if float(action[0]) > 0:
+        self._move_to(self.body.xy, self.body.yaw + 0.5)
+        return (self._observation(), *found[1:4], self._info())
+    return found
 
 
-def stepping(change, **more):
-    """What a step returns is changed by a function of it."""
-    return replace(
-        TURNTABLE, environment=env(step=lambda self, action: change(*example.TurntableEnv.step(self, action)), **more)
-    )
+def endless(self, action):
+    observation, reward, _, _, info = example.TurntableEnv.step(self, action)
+    return observation, reward, False, False, info
 
 
 def blank(self):
@@ -308,68 +289,30 @@ def forgetful():
 
 
 BROKEN_TASKS = {
-    "no task": ("turntable", "is a str; wanted an eagor.lab.tasks.sim.task.SimTask"),
-    "a name with a space": (replace(TURNTABLE, name="Turn table"), "wanted lower-case letters and digits"),
-    "no column": (replace(TURNTABLE, metrics=()), "wanted at least one"),
-    "a column twice": (replace(TURNTABLE, metrics=TURNTABLE.metrics[:1] * 2), "each key once"),
-    "no headline": (replace(TURNTABLE, headline="score"), "wanted one of its metrics, error, last"),
-    "better is less": (column(better="less"), "wanted 'low', 'high' or None"),
-    "rules that change": (replace(TURNTABLE, rules=SOFT), "wanted a frozen dataclass"),
-    "rules without a default": (replace(TURNTABLE, rules=UNSET), "wanted a default for each"),
-    "rules in lists": (replace(TURNTABLE, rules=LISTED), "which JSON turns into"),
-    "rules that are no JSON": (replace(TURNTABLE, rules=BOUNDLESS), "has rules that JSON cannot write"),
-    "no episode": (replace(TURNTABLE, environment=env(plan=lambda self, spec: (spec, 1))), "plans a tuple"),
     "another episode each time": (forgetful(), "draw everything from spec.rng"),
-    "of another spec": (planned(spec=lambda e: replace(e.spec, number=77)), "wanted spec=spec"),
+    "of another spec": (planned(spec=lambda e: replace(e.spec, number=77)), "draw everything from spec.rng"),
     "the same episode for all": (
-        replace(TURNTABLE, environment=env(plan=lambda self, spec: replace(
-            example.TurntableEnv.plan(self, replace(spec, index=0)), spec=spec))),
+        env(plan=lambda self, spec: replace(example.TurntableEnv.plan(self, replace(spec, index=0)), spec=spec)),
         "plans the same episode for specs",
     ),
-    "NumPy in an episode": (planned(stratum={"colour": "red", "size": np.float32(1)}), "float.x., not NumPy's"),
-    "inside a wall": (planned(start=(-0.05, 1.0)), "wanted a point on which the body can stand"),
-    "unknown words": (planned(query="grand piano"), "asks for something that is not in the scene"),
-    "targets that are not meant": (planned(targets=(0,)), "wanted the same: place.nameable"),
-    "a way that is drawn anew": (wandering(), "draw from episode.spec.rng"),
-    "a way that answers bend": (obeying(), "wanted the same for all answers"),
-    "a direction that is no unit vector": (told(direction=lambda t: 2 * t["direction"]), "wanted a unit vector"),
-    "a distance of 0": (told(distance=lambda t: 0.0), "wanted metres above 0"),
-    "the direction in the world": (
-        told(direction=lambda t: t["world_R_body"] @ t["direction"]),
-        r"from the nearest pixel that shows it",
-    ),
-    "no end": (
-        stepping(lambda observation, reward, over, cut, info: (observation, reward, False, False, info), _frame=blank),
-        "has not ended after",
-    ),
-    "no reward": (
-        stepping(lambda observation, _, *rest: (observation, math.nan, *rest)),
-        "wanted a finite number",
-    ),
-    "figures that are arrays": (measured(lambda m: m | {"more": np.ones(2)}), "wanted a finite number, or None"),
+    "a way that is drawn anew": (wandering(), "another path when the same episode is played again"),
+    "a way that answers bend": (env(step=obeying), "another path when other answers are given"),
+    "the direction in the world": (env(_info=sideways), "from the nearest pixel that shows it"),
+    "no end": (env(step=endless, _frame=blank), "has not ended after"),
     "a figure that is NaN": (measured(lambda m: m | {"last": math.nan}), "wanted a finite number, or None"),
     "a figure that is missing": (measured(lambda m: {"error": m["error"]}), "wanted also last, which its table shows"),
-    "a share of degrees": (
-        replace(measured(lambda m: m | {"error": m["error"] + 0.5}), metrics=column(share=True).metrics),
-        "wanted 0 or 1 per episode",
+    "better the other way round": (
+        replace(TURNTABLE, metrics=(replace(TURNTABLE.metrics[0], better="high"), TURNTABLE.metrics[1])),
+        "though high is better",
     ),
-    "better the other way round": (column(better="high"), "wanted the reverse"),
-    "a stratum that is not told": (replace(TURNTABLE, strata={"size": "Size"}), "wanted those keys in Episode.stratum"),
-}  # fmt: skip
+    "a stratum that is not told": (replace(TURNTABLE, strata={"size": "Size"}), "which Episode.stratum lacks"),
+}
 
 
 @pytest.mark.parametrize(("task", "says"), BROKEN_TASKS.values(), ids=BROKEN_TASKS)
 def test_the_check_of_tasks_finds(task, says):
-    with pytest.raises(AssertionError, match=says) as raised:
+    with pytest.raises(AssertionError, match=says):
         check_simulation(task, world="hall")
-    assert "anted" in str(raised.value), "it says what was wanted"
-
-
-def test_a_walked_task_wants_the_figures_that_reports_read():
-    navigation = load("navigation")
-    broken = replace(navigation, measure=lambda played: {"success": 1.0, "spl": 1.0, "steps": 3, "soft_spl": 1.0})
-    with pytest.raises(AssertionError, match="wanted also coverage, mae"):
-        check_simulation(broken, seed=3, settings={"max_steps": 80})
 
 
 def test_a_task_that_cannot_be_looked_up_says_what_there_is(monkeypatch):

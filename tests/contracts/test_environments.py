@@ -17,6 +17,7 @@ import eagor.lab.tasks
 from eagor.errors import EagorError, WorldError
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.rules import (
+    RATIO,
     Camera,
     NavigationRules,
     NoiseModel,
@@ -67,7 +68,7 @@ def test_navigation_starts_facing_away_and_scores_as_habitat_does():
         assert abs(math.remainder(azimuth - math.pi, 2 * math.pi)) <= math.radians(20) + 1e-9
         rules = NavigationRules()
         assert rules.nearest <= episode.shortest <= rules.farthest
-        assert episode.stratum["ratio"] <= rules.ratio
+        assert episode.stratum["ratio"] <= RATIO
         assert info["distance_to_goal"] == pytest.approx(episode.shortest)
         walked, place = 0.0, env.unwrapped.body.xy.copy()
         over = False
@@ -190,20 +191,19 @@ def test_running_the_same_spec_twice_gives_the_same_record(task, names):
 @pytest.mark.parametrize(
     ("kind", "rules", "says"),
     [
-        (Camera, {"height": math.nan}, "Camera: height = nan; wanted metres above 0"),
-        (Camera, {"seconds": math.inf}, "seconds = inf; wanted a number above 0"),
-        (Camera, {"hfov": 171.0}, "hfov = 171.0; wanted degrees: 10 to 170, or 360"),
-        (NoiseModel, {"sway": -2.0}, "NoiseModel: sway = -2.0; wanted a number from 0 on"),
-        (NoiseModel, {"latency": 0.5}, "latency = 0.5; wanted a whole number from 0 on"),
-        (NavigationRules, {"stop": "halt"}, "stop = 'halt'; wanted reach or call"),
-        (NavigationRules, {"sliding": "no"}, "sliding = 'no'; wanted true or false"),
+        (Camera, {"height": math.nan}, "Camera.*Expected `float` > 0"),
+        (Camera, {"seconds": math.inf}, "Camera.*Expected `float` <= 1"),
+        (NoiseModel, {"latency": 0.5}, "NoiseModel.*Expected `int`"),
+        (NavigationRules, {"stop": "halt"}, "NavigationRules.*Invalid enum value"),
+        (NavigationRules, {"sliding": "no"}, "NavigationRules.*Expected `bool`"),
         (NavigationRules, {"nearest": 9.0}, "farthest = 8.0; wanted no less than nearest = 9.0"),
-        (WaypointRules, {"leg_steps": True}, "WaypointRules: leg_steps = True; wanted a whole number"),
-        (WaypointRules, {"turns": ((0.0, 45.0),) * 3}, "turns = .*; wanted 4 pairs"),
-        (WaypointRules, {"turns": ((0.0, 45.0),) * 3 + ((90.0, 45.0),)}, "wanted 4 pairs .* ascending"),
-        (TrackingRules, {"steps": 10**400}, "steps = 1000.*; wanted a whole number"),
-        (TrackingRules, {"gone": (0.4, 1.6)}, "wanted two shares .* from 0 to 1"),
-        (TrackingRules, {"gone": (0.0, 0.5)}, "wanted the ball present at step 1 of 60"),
+        (
+            TrackingRules,
+            {"gone": (0.4, 1.6)},
+            "TrackingRules.*Expected `float` <= 1.0",
+        ),
+        (TrackingRules, {"gone": (0.0, 0.5)}, "wanted an ascending pair, with the ball present at step 1 of 60"),
+        (TrackingRules, {"gone": (0.5, 0.4)}, "wanted an ascending pair"),
     ],
 )
 def test_rules_that_nothing_can_be_played_under_are_refused(kind, rules, says):
@@ -216,11 +216,10 @@ def test_rules_that_nothing_can_be_played_under_are_refused(kind, rules, says):
 @pytest.mark.parametrize(
     ("task", "rules"),
     [
-        ("tracking", TrackingRules(steps=2, seen=0, lost_above=180)),
+        ("tracking", TrackingRules(steps=2)),
         ("tracking", TrackingRules(steps=3, gone=(0.5, 1.0))),
-        ("tracking", TrackingRules(steps=3, gone=(0.0, 0.0), seen=1)),
-        ("navigation", NavigationRules(max_steps=1, nearest=0, ratio=1, winding_above=0, facing_away=180)),
-        ("waypoint", WaypointRules(leg_steps=1, turns=((0, 180),) * 4, occluded=(0, 1))),
+        ("navigation", NavigationRules(max_steps=1, nearest=0)),
+        ("waypoint", WaypointRules(leg_steps=1)),
     ],
 )
 def test_rules_at_their_bounds_can_be_written_read_and_played(task, rules):

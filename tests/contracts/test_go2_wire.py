@@ -17,7 +17,7 @@ pytest.importorskip("rosbags")
 
 from eagor.errors import DeviceError
 from eagor.media import PoseSource
-from eagor.odometry.sources import open_poses
+from eagor.media.odometry import open_poses
 from eagor.robots import Go2Poses
 from eagor.robots.dds import Link, free_domain, raw
 from eagor.robots.go2 import sport

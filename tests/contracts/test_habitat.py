@@ -21,14 +21,11 @@ from eagor.lab.envs.places import load_place
 from eagor.lab.worlds.checking import check_world
 from eagor.lab.worlds.glb import export_glb
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.habitat import simulator
-from eagor.lab.worlds.habitat.simulator import close_all
+from eagor.lab.worlds.habitat import HOW_TO_GET, close_all
 
 pytestmark = [
     pytest.mark.habitat,
-    pytest.mark.skipif(
-        find_spec("habitat_sim") is None, reason=f"Habitat-Sim is not installed; {simulator.HOW_TO_GET}"
-    ),
+    pytest.mark.skipif(find_spec("habitat_sim") is None, reason=f"Habitat-Sim is not installed; {HOW_TO_GET}"),
     pytest.mark.filterwarnings("default::DeprecationWarning"),  # its own, and those of its bindings
 ]
 HERE = (2.0, 2.9, 1.25)
@@ -152,9 +149,9 @@ def lifted(metres):
 
 def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
     upstairs = load_place(f"habitat:{export_glb(lifted(1.5), tmp_path / 'upstairs.glb')}", 0, 0.18)
-    upstairs.ground.pathfinder.save_nav_mesh(str(tmp_path / "upstairs.navmesh"))
+    upstairs.ground.pathfinder.save_nav_mesh(str(flat.with_suffix(".navmesh")))
     with pytest.raises(WorldError, match="no floor within"):
-        worlds.load(f"habitat:{flat}?navmesh={tmp_path / 'upstairs.navmesh'}")(0)
+        worlds.load(f"habitat:{flat}")(0)
 
 
 def test_scenes_take_turns_in_one_process(flat, bare, tmp_path):

@@ -13,7 +13,7 @@ from box_scenes import scene_of, shell, thing
 from eagor.errors import WorldError
 from eagor.lab.worlds.glb import import_glb
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.objectnav import Source, check_scene, export_dataset, make_goals, read_episodes, roomy_ground
+from eagor.lab.worlds.objectnav import SceneSource, check_scene, export_dataset, make_goals, read_episodes, roomy_ground
 from eagor.lab.worlds.render import Renderer
 from eagor.lab.worlds.scene import Room
 
@@ -39,7 +39,7 @@ def furnished(source="room"):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("habitat") / "data"
-    sources = [Source(7, "first", furnished), Source(12, "second", lambda: furnished("other"))]
+    sources = [SceneSource(7, "first", furnished), SceneSource(12, "second", lambda: furnished("other"))]
     file, found = export_dataset(sources, path, episodes=9)
     assert [each["episodes"] for each in found] == [9, 9]
     return path, file, found
@@ -65,7 +65,7 @@ def test_everything_lies_where_hm3d_has_it(folder):
 def test_the_same_call_gives_the_same_bytes(folder, tmp_path):
     path, _, _ = folder
     export_dataset(
-        [Source(7, "first", furnished), Source(12, "second", lambda: furnished("other"))],
+        [SceneSource(7, "first", furnished), SceneSource(12, "second", lambda: furnished("other"))],
         tmp_path / "again",
         episodes=9,
     )

@@ -17,18 +17,20 @@ from eagor.errors import EagorError, WorldError
 from eagor.grids import ErpGrid
 from eagor.lab import worlds
 from eagor.lab.envs.places import load_place
-from eagor.lab.tasks.sim.checking import check_simulation
+from eagor.lab.tasks.sim.play import check_simulation
 from eagor.lab.tasks.task import load as load_task
+from eagor.lab.worlds import habitat as adapter
 from eagor.lab.worlds.checking import check_world
 from eagor.lab.worlds.glb import export_glb
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.habitat import simulator, world
-from eagor.lab.worlds.habitat.navmesh import main_storey
-from eagor.lab.worlds.habitat.simulator import (
+from eagor.lab.worlds.habitat import (
+    Frames,
     Source,
     device_for,  # itself: the stand-in puts another one into the module
     euclidean,
+    world,
 )
+from eagor.lab.worlds.habitat.navmesh import main_storey
 from eagor.lab.worlds.habitat.world import parse
 from eagor.lab.worlds.render import Renderer
 from eagor.sphere import world_R_body
@@ -117,7 +119,7 @@ def test_depth_along_the_axes_of_a_cube_becomes_range():
     assert np.isinf(euclidean(np.zeros((4, 8), dtype=np.float32))).all(), "0 is no hit"
 
 
-def test_things_are_named_by_a_file_of_boxes_or_by_nodes(flat, tmp_path):
+def test_things_are_named_by_a_semantic_json_or_by_nodes(flat, tmp_path):
     bare = tmp_path / "flat.glb"
     bare.write_bytes(flat.read_bytes())
     stage = json.loads(flat.with_suffix(".stage_config.json").read_text())
@@ -125,16 +127,17 @@ def test_things_are_named_by_a_file_of_boxes_or_by_nodes(flat, tmp_path):
     named = worlds.load(f"habitat:{bare}")(0)
     assert named.facts["things"] == "nodes of flat.glb"
     assert "chair" in {thing.category for thing in named.instances}
-    boxes = tmp_path / "mine.json"
-    box = {"category": "Red_Chair", "low": [1.2, 0.0, -4.35], "high": [1.65, 0.9, -3.9]}
-    boxes.write_text(json.dumps({"format": "eagor boxes 1", "boxes": [box | {"colour": "red"}]}))
-    (thing,) = worlds.load(f"habitat:{bare}?boxes={boxes}")(0).instances
-    assert (thing.category, thing.colour) == ("red chair", "red")
-    np.testing.assert_allclose([thing.low, thing.high], [[1.2, 3.9, 0], [1.65, 4.35, 0.9]])
-    boxes.write_text(json.dumps({"format": "eagor boxes 1", "boxes": [box | {"high": [0, 0, 0]}]}))
-    world.open_scene.cache_clear()
-    with pytest.raises(WorldError, match="cannot be used"):
-        worlds.load(f"habitat:{bare}?boxes={boxes}")(0)
+    names = tmp_path / "mine.semantic.json"
+    box = {"category": "chair", "low": [1.2, 3.9, 3.0], "high": [1.65, 4.35, 3.9]}
+    for change, says in (({}, None), ({"high": [0, 0, 0]}, "a box from"), ({"colour": "mauve"}, "none of black")):
+        names.write_text(json.dumps({"format": "eagor semantic 1", "instances": [box | change]}))
+        if says is None:
+            ((thing,), _, _, source) = world.things_of(None, None, names, Frames(3.0), dict)
+            assert (thing.category, thing.colour, source) == ("chair", None, "boxes of mine.semantic.json")
+            np.testing.assert_allclose([thing.low, thing.high], [[1.2, 3.9, 0.0], [1.65, 4.35, 0.9]])
+        else:
+            with pytest.raises(WorldError, match=f"cannot be used .*{says}"):
+                world.things_of(None, None, names, Frames(3.0), dict)
 
 
 def test_a_scene_on_its_side_is_found_and_put_upright(flat, tmp_path):
@@ -273,11 +276,11 @@ def _copy(file, folder):
 def test_the_probe_tells_why_a_process_ended(monkeypatch, tmp_path, module, device, says):
     if module is None:
         monkeypatch.delitem(sys.modules, "habitat_sim")
-        monkeypatch.setattr(simulator, "find_spec", lambda name: None)
+        monkeypatch.setattr(adapter, "find_spec", lambda name: None)
     else:
         (tmp_path / "habitat_sim.py").write_text(module)
         monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delenv(simulator.PROBED, raising=False)
+    device_for.cache_clear()
     with pytest.raises(EagorError, match=says) as raised:
         device_for(Source("scene.glb", gpu=device))
     assert "\n" not in str(raised.value)

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.errors import WorldError
+from eagor.lab.worlds.habitat import Frames
 from eagor.lab.worlds.habitat.navmesh import HELD, SHORT, HabitatNavMesh, Storey
-from eagor.lab.worlds.habitat.simulator import Frames
 
 WALL = 1.0  # our x of the edge of the mesh
 

@@ -15,15 +15,15 @@ from PIL import Image
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.lab.agents.models import load_chat
-from eagor.lab.tasks.hstar import data
-from eagor.lab.tasks.hstar.agents import VlmAgent, open_detector, open_perception
-from eagor.lab.tasks.hstar.bench import CAUSES, HOS, HPS, cause_of, run_episode
-from eagor.lab.tasks.hstar.data import head_of, open_panorama, phrase_of, read_episodes, tag_of, thing_of
-from eagor.lab.tasks.hstar.rules import View, parse_action, render_view, system_text, turn_text
+from eagor.lab.tasks.hstar import View, open_panorama, parse_action, render_view, system_text, turn_text
+from eagor.lab.tasks.hstar.agents import VlmAgent, open_detector
+from eagor.lab.tasks.hstar.bench import CAUSES, HOS, HPS, cause_of, read_episodes, run_episode, tag_of
+from eagor.lab.tasks.published import head_of, phrase_of, thing_of
 from eagor.lab.tasks.task import check_task, configure
+from eagor.perception import load
 from eagor.perception.endpoint.server import ServedChat
 from eagor.perception.partial import look_at_view
-from eagor.perception.vlm import IMAGE, Message
+from eagor.perception.vlm import IMAGE
 
 MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
 
@@ -67,9 +67,8 @@ def test_what_is_missing_in_the_annotations_is_filled_in_or_told(tmp_path):
     assert found["hall/0/0"].level_name == "medium"  # 10 of its 30 degrees are in the first view
     assert found["shop/0/0"].level_name == "easy"
     assert found["hall/0/180"].level_name == "hard"
-    told = data.info(folder)
-    assert (told["without_initial_yaw"], told["without_level"], told["not_2_to_1"]) == (4, 4, 2)
-    assert told["windows_across_yaw_0"] == 1
+    told = HOS.info(folder)
+    assert (told["without_initial_yaw"], told["without_level"], told["windows_across_yaw_0"]) == (4, 4, 1)
 
 
 def test_paths_have_no_pitch_and_no_place_among_objects(tmp_path):
@@ -89,10 +88,9 @@ def test_what_cannot_be_read_is_refused_with_its_name(tmp_path):
     folder = hstar_data.write(tmp_path)
     annotation = folder / "hos_bench" / "hall" / "annotation.json"
     for text, words in (
-        ("{", "is not JSON"),
-        ("{}", "is not a list"),
-        ('[{"task": "Find it", "yaw": [1]}]', "entry 0.*two angles"),
-        ('[{"yaw": [1, 2], "pitch": [1, 2]}]', "entry 0.*task"),
+        ("{", "is no list of targets"),
+        ('[{"task": "Find it", "yaw": [1]}]', r"two\n? ?angles.*yaw"),
+        ('[{"yaw": [1, 2], "pitch": [1, 2]}]', "missing required field `task`"),
     ):
         annotation.write_text(text)
         with pytest.raises(FormatError, match=words):
@@ -101,11 +99,10 @@ def test_what_cannot_be_read_is_refused_with_its_name(tmp_path):
     (folder / "hos_bench" / "hall" / "pano.png").write_bytes(b"no picture")
     with pytest.raises(ImageError, match=r"pano\.png"):
         open_panorama(next(e for e in read_episodes(folder, "hos") if e.scene == "hall").panorama)
-    assert data.info(folder)["unreadable"] == ["hall"]
     (tmp_path / "packed").mkdir()
     (tmp_path / "packed" / "hos_bench.zip").write_bytes(b"PK")
     for packed in (tmp_path / "packed", tmp_path / "packed" / "hos_bench.zip"):
-        with pytest.raises(FormatError, match=r"no scene.*hos_bench\.zip .*unpack"):
+        with pytest.raises(FormatError, match=r"no scene.*hos_bench\.zip has to be unpacked"):
             read_episodes(packed, "hos")
 
 
@@ -117,11 +114,11 @@ def test_other_endings_are_skipped_as_published_and_told(tmp_path):
         assert {episode.scene for episode in read_episodes(folder, "hos")} == {"shop"}
         (hall / f"pano.{ending}").rename(hall / "pano.png")
     (hall / "pano.png").rename(hall / "pano.PNG")
-    assert ["hall" in each for each in data.info(folder)["skipped"]] == [True]
+    assert ["hall" in each for each in HOS.info(folder)["skipped"]] == [True]
     shutil.rmtree(folder / "hos_bench")
     hall.mkdir(parents=True)
     (hall / "annotation.json").write_text("[]")
-    with pytest.raises(FormatError, match=r"lower case .*hall has annotation\.json, but no such picture"):
+    with pytest.raises(FormatError, match=r"lower case.*hall has annotation\.json, but no such picture"):
         read_episodes(folder, "hos")
 
 
@@ -134,7 +131,6 @@ def test_a_picture_is_turned_by_its_orientation_tag_even_onto_its_side(tmp_path)
     whole.transpose(Image.Transpose.ROTATE_90).save(folder / "hos_bench" / "hall" / "pano.png", exif=tag)
     episode = next(each for each in read_episodes(folder, "hos") if each.scene == "hall")
     assert np.array_equal(open_panorama(episode.panorama), np.asarray(whole))
-    assert data.info(folder)["widths"] == [400, 400]
 
 
 def test_a_perception_is_not_shown_the_cross(tmp_path):
@@ -142,7 +138,7 @@ def test_a_perception_is_not_shown_the_cross(tmp_path):
         hstar_data.write(tmp_path, targets={"hall": {"red": ([170.0, 190.0], [-5.0, 5.0])}}), "hos"
     )[0]
     asked = msgspec.structs.replace(episode, item=episode.item | {"task": "Find the green square"})
-    perception = open_perception("colour")
+    perception = load("colour")
     view = View(0.0, 0.0)
     drawn = render_view(open_panorama(asked.panorama), 0.0, 0.0, 54)
     ahead = PerspectiveGrid(54, drawn.shape[1], math.radians(100))
@@ -154,12 +150,8 @@ def test_a_perception_is_not_shown_the_cross(tmp_path):
 # The contract
 
 
-@pytest.mark.parametrize("agent", ["oracle", "random", "constant"])
-def test_the_contract_holds(tmp_path, agent):
-    found = check_task(HOS, data=str(hstar_data.write(tmp_path)), agent=agent)
-    assert len(found) == 16
-    if agent == "oracle":
-        assert all(record["score"] == 1 for record in found)
+def test_the_contract_holds(tmp_path):
+    assert len(check_task(HOS, data=str(hstar_data.write(tmp_path)), agent="random")) == 16
 
 
 def test_the_contract_holds_for_paths(tmp_path):
@@ -185,15 +177,8 @@ def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
         ({"agent": "vlm", "model": "hstar_data:missing"}, "missing"),
         ({"scoring": "kind"}, "official, strict"),
         ({"turns": 0}, "turns = 0: Expected `int` >= 1 .views at most"),
-        ({"turns": 2.7}, "turns = 2.7: Expected `int`"),
-        ({"turns": True}, "turns = True: Expected `int`"),
         ({"sure": 0.0}, "sure = 0.0: Expected `float` > 0.0"),
         ({"elsewhere": 0.0}, "elsewhere = 0.0: Expected `float` > 0.0 .share of eagor's prior"),
-        ({"sure": "nan"}, "sure = 'nan': Expected `float` > 0.0"),
-        ({"resolution": 17}, "resolution = 17: Expected `int` >= 18"),
-        ({"resolution": 10**9}, "resolution = 1000000000: Expected `int` <= 8640"),
-        ({"seed": -1}, "seed = -1: Expected `int` >= 0"),
-        ({"seed": 2.5}, "seed = 2.5"),
         ({"agent": "vlm", "model": "llava:latest"}, "or llava:latest@http://localhost:11434 for a model on a server"),
         (
             {"agent": "vlm", "model": "hstar_data:panorama"},
@@ -205,7 +190,7 @@ def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
             config(folder, **more)
 
 
-@pytest.mark.parametrize("agent", ["eagor", "sweep", "grid", "centroid", "cent-circ"])
+@pytest.mark.parametrize("agent", ["eagor", "sweep", "grid", "centroid"])
 def test_agents_that_look_find_everything_with_an_ideal_eye(tmp_path, agent):
     found = played(hstar_data.write(tmp_path), agent=agent, perception="truth:ideal", scoring="strict")
     assert np.mean([record["score"] for record in found]) >= 0.9
@@ -300,7 +285,7 @@ def test_a_model_turns_is_told_where_it_looks_and_submits(tmp_path):
         "hm",
         "<answer>submit(55,-3)</answer>",
     )
-    record = run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 90), "strict")
+    record = run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, 5, 90), "strict")
     assert (record["score"], record["views"], record["reason"]) == (1.0, 3, "submitted")
     assert [step["action"] for step in record["steps"]] == ["rotate(50,0)", None, "submit(55,-3)"]
     assert [step["valid"] for step in record["steps"]] == [True, False, True]
@@ -318,27 +303,24 @@ def test_a_model_turns_is_told_where_it_looks_and_submits(tmp_path):
 def test_a_model_that_never_submits_runs_out_of_turns_or_of_form(tmp_path):
     for text, reason in (("<answer>rotate(10,0)</answer>", "budget"), ("no idea", "format")):
         chat = hstar_data.Scripted(*[text] * 10)
-        record = run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", 5, 36))
+        record = run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, 5, 36))
         assert (record["score"], record["views"], record["reason"], record["cause"]) == (0.0, 10, reason, reason)
 
 
-@pytest.mark.parametrize(("window", "most"), [(1, 2), (2, 4), (5, 10)])
-def test_the_model_is_shown_a_window_of_the_conversation(tmp_path, window, most):
+def test_the_model_is_shown_a_window_of_the_conversation(tmp_path):
     chat = hstar_data.Scripted(*["<answer>rotate(10,0)</answer>"] * 10)
-    run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, "free_think", window, 36))
-    assert max(map(len, chat.seen)) == most  # the system message and 2 * window - 1 others
+    run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, 2, 36))
+    assert max(map(len, chat.seen)) == 4  # the system message and 2 * window - 1 others
     assert all(messages[0].role == "system" and messages[-1].role == "user" for messages in chat.seen)
 
 
-@pytest.mark.parametrize("form", ["free_think", "no_think", "grounding"])
 @pytest.mark.parametrize("kind", ["hos", "hps"])
-def test_prompts_say_what_the_protocol_dictates(kind, form):
-    text = system_text(kind, form)
+def test_prompts_say_what_the_protocol_dictates(kind):
+    text = system_text(kind)
     for part in ("rotate(yaw:int,pitch:int)", "submit(yaw:int,pitch:int)", "<answer>", "green cross"):
         assert part in text
-    example = text.rpartition("e.g. ")[2]
-    assert str(parse_action(example, form).action) == "rotate(-45,0)"
-    assert turn_text("Find it", form, View(0.0, 0.0), None).startswith(
+    assert str(parse_action(text.rpartition("e.g. ")[2]).action) == "rotate(-45,0)"
+    assert turn_text("Find it", View(0.0, 0.0), None).startswith(
         f"[initial observation]:\n{IMAGE}\nHuman Instruction: Find it\n"
     )
 
@@ -356,21 +338,3 @@ def test_models_are_named_in_one_line():
     ):
         with pytest.raises(EagorError, match=words):
             load_chat(spec)
-    assert Message("user", "x").images == ()
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"temperature": -0.1}, "ServedChat: temperature = -0.1; wanted 0 or more"),
-        ({"max_tokens": 0}, "max_tokens = 0; wanted a whole number, 1 or more"),
-        ({"quality": 101}, "quality = 101; wanted a whole number from 0 to 100"),
-    ],
-)
-def test_a_served_model_refuses_what_makes_no_sense(options, says):
-    with pytest.raises(EagorError, match=says):
-        ServedChat("m", **options)
-    pytest.importorskip("openai")
-    ((name, value),) = options.items()
-    with pytest.raises(EagorError, match=says):
-        load_chat(f"m@http://a?{name}={value}")

@@ -179,9 +179,9 @@ def test_base_commands_work(answers):
         assert answers[command][0] == 0, answers[command]
     found = json.loads(answers[BASE["doctor"]][1])
     assert found["healthy"]
-    assert set(found["optional"].values()) == {None}
-    assert [each for each in found["install"] if how_to_install("sim") in each]
-    assert found["perceptions"]["scout"] == "wants gymnasium, jinja2, trimesh, onnxruntime (the extra 'sim')"
+    assert {found["packages"][name] for packages in EXTRAS.values() for name in packages} == {None}
+    assert found["perceptions"]["scout"] == f"gymnasium, jinja2, trimesh, onnxruntime: {how_to_install('sim')}"
+    assert found["extras"]["sim"] == [found["perceptions"]["scout"]]
     assert found["tasks"]["navigation"] == f"a simulated task needs gymnasium: {how_to_install('sim')}"
     assert abs(json.loads(answers[BASE["locate"]][1])["azimuth_deg"] + 23.4) < 3
     assert len(answers[BASE["track"]][1].splitlines()) >= 2
@@ -221,31 +221,25 @@ def test_the_line_names_what_is_absent_and_how_to_install_it():
     [
         ('{{"url": "file://{folder}", "dir_info": {{}}}}', "pip install '{folder}[sim]'"),
         ('{{"url": "file://{folder}", "dir_info": {{"editable": true}}}}', "pip install -e '{folder}[sim]'"),
+        ('{{"url": "file://{folder}/eagor.whl", "archive_info": {{}}}}', "pip install '{folder}/eagor.whl[sim]'"),
         ('{{"url": "file://{folder}/gone", "dir_info": {{}}}}', None),
         ('{{"url": "https://example.org/eagor", "dir_info": {{}}}}', None),
-        ('{{"url": "file://{folder}", "archive_info": {{}}}}', None),  # a wheel
         ("[]", None),
         ("no JSON", None),
         (None, None),  # from a registry
     ],
 )
-def test_how_to_install_names_the_clone_if_it_is_known_and_there(tmp_path, monkeypatch, noted, command):
+def test_how_to_install_names_the_clone_or_the_wheel_if_it_is_known_and_there(tmp_path, monkeypatch, noted, command):
     folder = tmp_path / "my clone"
     folder.mkdir()
-    (folder / "pyproject.toml").touch()
+    (folder / "eagor.whl").touch()
     url = str(folder).replace(" ", "%20")
     text = None if noted is None else noted.format(folder=url)
     monkeypatch.setattr(_extras, "distribution", lambda _: SimpleNamespace(read_text=lambda _: text))
-    wanted = "in a clone of eagor, pip install '.[sim]'" if command is None else command.format(folder=folder)
-    assert how_to_install("sim") == wanted
-
-
-def test_without_metadata_it_says_what_works_in_any_clone(monkeypatch):
-    def distribution(name):
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setattr(_extras, "distribution", distribution)
-    assert how_to_install("photos") == "in a clone of eagor, pip install '.[photos]'"
+    if command is None:
+        assert how_to_install("sim").startswith("pip install 'FILE[sim]', FILE being the wheel or the clone of eagor")
+    else:
+        assert how_to_install("sim") == command.format(folder=folder)
 
 
 def test_no_text_names_a_package_of_a_registry():

@@ -73,8 +73,7 @@ def test_an_exported_network_finds_what_its_library_finds(name, make, tmp_path):
     (wanted,) = processor.post_process_object_detection(
         SimpleNamespace(logits=logits, pred_boxes=places), threshold=0.1, target_sizes=torch.tensor([[SIDE, SIDE]])
     )
-    detect = OnnxDetector(path, LABELS, threshold=0.1)
-    assert detect.layout == name
+    detect = OnnxDetector(path, LABELS, threshold=0.1, layout=name)
     boxes, scores, labels = detect(picture, "")
     mine = {(label, *box.round(2)): score for box, score, label in zip(boxes, scores, labels, strict=True)}
     assert len(wanted["scores"]) >= 3

@@ -13,11 +13,11 @@ import osr_data
 import pytest
 
 from eagor.errors import EagorError, FormatError
-from eagor.lab.tasks.osr.bench import Eagor, Reply, Vlm, record_of
+from eagor.lab.tasks.osr import DIRECTION, MAP
+from eagor.lab.tasks.osr.bench import Eagor, Reply, Vlm, record_of, seen_layout
 from eagor.lab.tasks.osr.data import SUFFIXES
 from eagor.lab.tasks.osr.data import load as load_scenes
-from eagor.lab.tasks.osr.geometry import BeliefDetector, Detection, SceneLayout, place
-from eagor.lab.tasks.osr.scoring import DIRECTION, MAP
+from eagor.lab.tasks.osr.geometry import Detection, SceneLayout, place
 from eagor.lab.tasks.task import check_task, configure, load
 from eagor.perception.vlm import IMAGE, ChatReply, Message
 
@@ -45,13 +45,6 @@ def figure(records: Sequence[dict[str, Any]], key: str) -> float | None:
     read = next(metric.read for metric in load("osr").metrics if metric.key == key)
     values = [value for record in records if (value := read(record)) is not None]
     return float(np.mean(values)) if values else None
-
-
-@pytest.mark.parametrize("agent", ["constant", "oracle"])
-def test_the_contract_holds(data: Path, agent: str) -> None:
-    records = check_task(load("osr"), data=str(data), agent=agent)
-    if agent == "oracle":
-        assert {record["score"] for record in records} == {1.0}
 
 
 @pytest.mark.skipif(not SAMPLES.exists(), reason="the shared benchmark samples are not here")
@@ -156,7 +149,7 @@ def test_a_belief_sees_what_a_detector_boxes_and_ranges_it_by_its_foot(data: Pat
         return Evidence.from_boxes(np.array(boxes), grid, stamp=stamp)
 
     (scene,) = load_scenes(data, "qa")
-    agent = Eagor(BeliefDetector(detector))
+    agent = Eagor(lambda scene: seen_layout(detector, 1.5, lambda evidence: evidence, scene))
     around = agent.around(scene)
     assert sorted(each.thing.name for each in around.placed) == sorted(n for n, where in PLACES.items() for _ in where)
     for each in around.placed:
@@ -169,7 +162,7 @@ def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
     (scene,) = load_scenes(data, "qa")
     twice = tuple(Detection(name, 0.3 + k, -0.3, foot=-0.4) for k, name in enumerate(["tv", "tv", "sofa", "sofa"]))
     for things in ((), twice, twice[:1]):
-        agent = Eagor(lambda scene, names, things=things: SceneLayout(place(things, 1.5)))
+        agent = Eagor(lambda scene, things=things: SceneLayout(place(things, 1.5)))
         for question in scene.questions:
             reply = agent(scene, question)
             if question.skill == DIRECTION and not {"tv", "sofa"} >= set(question.names):
@@ -182,12 +175,8 @@ def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
     [
         ({"agent": "eagor"}, "needs a perception"),
         ({"agent": "vlm"}, "asks a model"),
-        ({"agent": "nobody"}, "it has eagor"),
         ({"agent": "constant", "labels": "mine"}, "wanted official, corrected, both"),
         ({"agent": "constant", "camera_height": -1}, "camera_height = -1: Expected `float` > 0"),
-        ({"agent": "constant", "camera_height": "nan"}, "camera_height = 'nan': Expected `float` > 0"),
-        ({"agent": "constant", "camera_height": float("inf")}, "camera_height = inf"),
-        ({"agent": "constant", "seed": -1}, "seed = -1: Expected `int` >= 0"),
         ({"agent": "eagor", "perception": "truth:blurred"}, "takes no options"),
     ],
 )
@@ -222,7 +211,7 @@ def test_info_counts(data: Path) -> None:
     found = load("osr").info(data)
     assert set(found["files"]) == set(SUFFIXES)
     assert found["files"]["qa"]["empty_labels_skipped"] == 1
-    assert (found["pictures"], found["with_true_places"]) == ({"128 x 64": 1}, 1)
+    assert (found["pictures"], found["pictures_missing"]) == (1, 0)
 
 
 def test_turns_without_numbers_and_counts_that_are_numbers_are_read(tmp_path: Path) -> None:

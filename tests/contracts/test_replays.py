@@ -44,14 +44,14 @@ VIEW = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60
         (line(image=VIEW | {"centre": [320, 240]}), "has hfov_deg and centre; wanted one of them"),
         (line(image=VIEW | {"hfov_deg": None, "focal": [9, 9]}), "centre is missing; wanted two numbers"),
         (line(image=VIEW | {"hfov_deg": None, "focal": [-9, 9], "centre": [1, 1]}), r"has focal \(-9.*above 0"),
-        (line(image=VIEW | {"distortion": [0.0] * 9}), "wanted up to eight numbers"),
-        (line(boxes=[{"bbox": [1, 2, 30, 40]}]), r"'bbox' is no key of an item of boxes; did you mean box"),
-        (line(boxes=[{"box": [1, 2, 30, 40], "confidence": 1}]), "'confidence' is no key of an item of boxes"),
+        (line(image=VIEW | {"distortion": [0.0] * 9}), r"image.distortion is .*; wanted `array` of length <= 8"),
+        (line(boxes=[{"bbox": [1, 2, 30, 40]}]), r"'bbox' is no key of boxes\[0\]; did you mean box\?.*not x, y"),
+        (line(boxes=[{"box": [1, 2, 30, 40], "confidence": 1}]), r"'confidence' is no key of boxes\[0\]"),
         (line(boxes=None, points=[{"azimuth": 3, "elevation_deg": 5}]), "did you mean azimuth_deg"),
         (line(boxes=None, response={"rows": 1, "columns": 1, "values": [0]}), "'columns' is no key of response"),
         (line(boxes=[{"box": [1, 2, 30, 40], "score": 7.5}]), 'score is 7.5.*"scores": "logit".*percentages by 100'),
-        (line(scores="logits"), "scores is 'logits'; wanted \"probability\""),
-        (line(look=1.5), "look is 1.5; wanted text or a whole number"),
+        (line(scores="logits"), "scores is 'logits'; Invalid enum value"),
+        (line(look=1.5), r"look is 1.5; wanted `int \| str"),
         (line(image=VIEW | {"qw": 1}), "qx is missing"),
         (line(image=VIEW | {"qw": 1, "qx": 1, "qy": 0, "qz": 0}), r"length of qw, qx, qy, qz is 1\.4142; wanted 1"),
         (line(image=VIEW | {"qw": 1, "qx": 0, "qy": 0, "qz": 0, "pitch_up_deg": 3}), "not both"),
@@ -182,18 +182,14 @@ def test_what_was_looked_for_and_never_seen_is_no_fault(tmp_path):
     assert "none fits 'fridge'" in ReplayPerception(path).used("fridge", 1)
 
 
-def test_a_file_that_never_ends_is_refused(tmp_path, monkeypatch):
+def test_a_file_that_never_ends_is_refused(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     for path in ("/dev/zero", pipe):
-        with pytest.raises(FormatError, match="it is a device or a pipe"):
+        with pytest.raises(FormatError, match="is a pipe or a device"):
             read_records(path)
-    monkeypatch.setattr("eagor.perception.json_files.MOST_BYTES", 50)
-    (path := tmp_path / "long.jsonl").write_text(line() + "\n")
-    with pytest.raises(FormatError, match=r"has more than .* MiB; .*split it"):
-        read_records(path)
+    (path := tmp_path / "looks.jsonl").write_text(line() + "\n")
     (link := tmp_path / "link.jsonl").symlink_to(path)
-    monkeypatch.undo()
     assert len(read_records(link)) == 1
 
 

@@ -376,7 +376,7 @@ def test_clocks_that_have_nothing_in_common(tmp_path, capsys):
             bag.write("/odom", m.ODOMETRY, m.odometry_message(Pose(START + k, turn, place)), START + k)
     code, _, err = track(capsys, tmp_path / "bag", "red")
     assert code == 2
-    assert "no picture of /image has a pose of /odom, which tells those from 1700000000.125 to" in err
+    assert "no picture has a pose of /odom, which tells those from 1700000000.125 to 1700000003.125 s" in err
     assert "the pictures begin at 50.000 s. Are both stamped by one clock?" in err
 
 
@@ -386,7 +386,7 @@ def test_a_bag_is_played_as_a_live_camera(tmp_path, capsys, topic, poses):
     assert main(["live", f"{bag}{topic}", "red", "--fast", "--json", *poses]) == 0
     out, err = capsys.readouterr()
     answers = [json.loads(line) for line in out.splitlines()]
-    assert len(answers) > 20
+    assert len(answers) == 12
     assert "12 looks, " in err
     last = answers[-1]
     truth, _ = bearing(ROOM.balls[0], camera_at(0.25 * (COUNT - 1))[1], camera_at(0.25 * (COUNT - 1))[0])

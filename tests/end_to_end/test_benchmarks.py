@@ -12,7 +12,6 @@ from processes import alive, sessions_of, wait_for
 
 from eagor.errors import EagorError
 from eagor.lab.eval import log
-from eagor.lab.eval.page import Curve, Series, line_chart
 from eagor.lab.eval.results import label_of, made, summarise
 from eagor.lab.eval.runner import Outcome, Unit, run
 from eagor.lab.eval.tables import as_text, failed_lines, main_table
@@ -82,7 +81,7 @@ def test_errors_are_told_apart_from_failures(folder, tmp_path):
 
 def test_scores_by_other_rules_and_of_predictions(folder, runs, tmp_path):
     place, _, ours = runs
-    strict = answer("score", place / "ours", "--scoring", "strict")
+    strict = answer("score", place / "ours", "--set", "scoring=strict")
     assert strict["overall"] == ours["strict"]
     lines = [
         {"case": r["case"], "submit": [r["answer"]["yaw"], r["answer"]["pitch"]]} for r in log.read(place / "oracle")
@@ -118,7 +117,7 @@ def test_what_was_scored_over_a_named_folder_is_comparable_wherever_it_was_named
 ):
     place, _, ours = runs
     monkeypatch.chdir(folder.parent)
-    answer("score", place / "ours", "--data", folder.name, "--scoring", "strict", "--out", tmp_path / "strict")
+    answer("score", place / "ours", "--data", folder.name, "--set", "scoring=strict", "--out", tmp_path / "strict")
     found = answer("compare", place / "ours", tmp_path / "strict")
     assert found["settings"] == {"scoring": ["official", "strict"]}
     assert found["figures"]["overall"]["b"] == ours["strict"]
@@ -128,7 +127,13 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     place, _, ours = runs
     assert answer("report", place / "ours", place / "oracle", "--out", tmp_path)["report"].endswith("report.html")
     page = (tmp_path / "report.html").read_text()
-    for part in ("Success by turn", "Reliability", "Why cases failed", "Qwen2.5-VL-7B + EAGOR, published", "oracle"):
+    for part in (
+        "Success by turn",
+        "calibration error",
+        "Why cases failed",
+        "Qwen2.5-VL-7B + EAGOR, published",
+        "oracle",
+    ):
         assert part in page
     assert "http" not in page.replace("http://www.w3.org", "")
     assert f"{ours['overall']:.2f}" in (tmp_path / "tables.md").read_text()
@@ -138,7 +143,6 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
         "- Run: eagor · truth:miss=0.5",
         "- Run: oracle",
     ]
-    assert (tmp_path / "tables.csv").read_text().count("\n") == 1 + 2 * 7
     found = answer("compare", place / "oracle", place / "ours")
     overall = found["figures"]["overall"]
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
@@ -176,26 +180,9 @@ def test_few_clusters_are_said(monkeypatch):
         assert "Only 3 clusters: intervals that resample so few are too narrow." in text
 
 
-def test_each_point_of_a_reliability_chart_has_its_mark():
-    def marks(points):
-        x, none = tuple(k / (points - 1) for k in range(points)), (None,) * points
-        line = Series("ours", Curve(x, x, none, none, (1,) * points), "eagor")
-        return line_chart([line], "Reliability", "stated", "found", (0.0, 1.0)).count("<use")
-
-    assert marks(9) - marks(5) == 4  # beside those of the ticks and of the legend
-
-
-def test_a_legend_of_long_names_has_one_column_and_models_go_without_their_address():
-    def height(*names):
-        lines = [
-            Series(name, Curve((0.0, 1.0), (0.0, 1.0), (None,) * 2, (None,) * 2, (1, 1)), "eagor") for name in names
-        ]
-        return float(line_chart(lines, "Success", "turn", "success").split('viewBox="0 0 ')[1].split('"')[0].split()[1])
-
-    long = [f"vlm · endpoint:Qwen/Qwen2.5-VL-{size}B-Instruct" for size in (3, 7, 72)]
-    assert height(*long) - height("a", "b", "c") == pytest.approx(32, abs=1)  # two more lines of the legend
+def test_models_go_without_their_address():
     model = "endpoint:Qwen/Qwen2.5-VL-7B-Instruct@http://127.0.0.1:8000/v1?max_tokens=9"
-    assert label_of({"agent": "vlm", "model": model}) == long[1]
+    assert label_of({"agent": "vlm", "model": model}) == "vlm · endpoint:Qwen/Qwen2.5-VL-7B-Instruct"
     assert label_of({"agent": "eagor", "perception": "truth:miss=0.5"}) == "eagor · truth:miss=0.5"
 
 
@@ -223,7 +210,6 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--episodes", "2"), "takes no --episodes"),
         (("run", "osr", "--data", "x", "--agent", "oracle", "--walking"), "takes no --walking"),
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--shard", "2"), "I/N"),
-        (("run", "hstar-hos", "--data", "x", "--labels", "both"), "takes no --labels"),
         (("compare", "nowhere", "nowhere"), "no run.json"),
     ],
 )

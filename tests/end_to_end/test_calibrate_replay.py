@@ -145,11 +145,11 @@ GOOD = {"stamp": 1.0, "query": "chair", "targets": [{"azimuth_deg": 1, "elevatio
     ("bad", "says"),
     [
         (GOOD | {"query": ""}, "query is ''"),
-        (GOOD | {"targets": None}, r"targets is missing; .*\[\] if the thing is absent"),
-        (GOOD | {"targets": [{"azimuth_deg": 1}]}, "elevation_deg is missing"),
+        (GOOD | {"targets": None}, "targets is missing in a line of true directions"),
+        (GOOD | {"targets": [{"azimuth_deg": 1}]}, r"elevation_deg is missing in targets\[0\]"),
         (
             GOOD | {"targets": [{"azimuth": 1, "elevation_deg": 2}]},
-            "'azimuth' is no key of an item of targets; did you mean",
+            r"'azimuth' is no key of targets\[0\]; did you mean azimuth_deg",
         ),
         (GOOD | {"target": []}, "'target' is no key of a line of true directions; did you mean targets"),
         (GOOD, r"is a second line for 'chair' at 1 s"),

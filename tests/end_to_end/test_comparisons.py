@@ -10,7 +10,7 @@ import synthetic_runs
 
 from eagor.lab.envs.episodes import episode_specs
 from eagor.lab.eval import log
-from eagor.lab.eval.replay import runner_of, spec_in
+from eagor.lab.eval.episodes import runner_of, spec_in
 from eagor.lab.eval.results import read
 from eagor.lab.tasks import task
 from eagor.lab.tasks.sim.tracking import TRACKING

@@ -12,7 +12,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import av
 import numpy as np
@@ -24,9 +23,10 @@ from scipy.spatial import cKDTree
 from eagor.cli import main
 from eagor.grids import ErpGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
+from eagor.media import Frame, Pose
+from eagor.media.odometry import GivenPoses
 from eagor.media.panorama import turn
-from eagor.media.posed_frames import posed_by_file
-from eagor.odometry.files import FramePose
+from eagor.media.posed_frames import PosedFrames
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]
@@ -465,9 +465,9 @@ def test_a_path_need_not_be_ascii(tmp_path, answers):
 
 def test_a_log_of_many_poses_is_known_from_its_beginning():
     """Two minutes at 200 a second, more than a tracker remembers."""
-    poses = [FramePose(k / 200, world_R_body(math.radians(k / 100)), None, None) for k in range(24_000)]
-    frames = [(stamp, str(stamp), lambda: None) for stamp in (0.5025, 60.0, 119.0)]
-    steps = [*posed_by_file(SimpleNamespace(frames=lambda: iter(frames)), poses, Path("log.csv"))]
-    seen = [step.pose for step in steps if step.frame]
-    for pose, (stamp, _, _) in zip(seen, frames, strict=True):
-        assert np.allclose(pose.world_R_body, world_R_body(math.radians(2 * stamp)), atol=1e-9)
+    poses = [Pose(k / 200, world_R_body(math.radians(k / 100))) for k in range(24_000)]
+    frames = [Frame(stamp, None, str(stamp)) for stamp in (0.5025, 60.0, 119.0)]
+    for step in PosedFrames(frames, GivenPoses(poses)):  # type: ignore[arg-type]
+        truth = world_R_body(math.radians(2 * step.frame.stamp))
+        assert step.pose is not None
+        assert np.allclose(step.pose.world_R_body, truth, atol=1e-9)

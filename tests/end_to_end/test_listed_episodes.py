@@ -13,7 +13,7 @@ from eagor.lab.envs.episodes import FileEpisodeSpec, file_episode_specs, plan_li
 from eagor.lab.envs.places import load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.eval import log
-from eagor.lab.eval.replay import spec_in
+from eagor.lab.eval.episodes import spec_in
 from eagor.lab.eval.results import read
 from eagor.lab.worlds.glb import ON_MESH
 from eagor.lab.worlds.objectnav import read_episodes
@@ -84,14 +84,6 @@ def test_each_measure_is_that_of_the_recorded_path(run, file):
         assert found["spl"] == pytest.approx(won * efficiency, abs=1e-6)
         assert found["soft_spl"] == pytest.approx(max(0, 1 - left / shortest) * efficiency, abs=1e-4)
         assert not won or (path[-1] == path[-2]).all(), "it ends where stop was called, which moves nothing"
-
-
-def test_an_episode_is_played_again_for_the_viewer(run, tmp_path):
-    pytest.importorskip("rerun")
-    out, _ = run
-    words = ("bench", "failures", out, "--method", "eagor", "--episode", "room-1", "--rerun", tmp_path / "log.rrd")
-    assert eagor(*words).returncode == 0
-    assert (tmp_path / "log.rrd").stat().st_size > 1000
 
 
 def test_other_rules_of_success_are_taken_and_said(file, tmp_path):

@@ -90,30 +90,6 @@ def test_the_viewer_shows_it(followed):
     assert len(np.unique(left.reshape(-1, 3), axis=0)) > 1000  # a panorama, not a plain ground
 
 
-def test_episodes_of_a_run_are_played_again_with_the_same_figures(tmp_path, capsys):
-    run, log = tmp_path / "run", tmp_path / "worst.rrd"
-    words = ["bench", "run", "tracking", "--perception", "truth", "--episodes", "2", "--seed", "3", "--set", "steps=10"]
-    assert main([*words, "--methods", "eagor", "vmf", "--out", str(run)]) == 0
-    assert main(["bench", "failures", str(run), "--episode", "3-1", "--rerun", str(log)]) == 0
-    records = [json.loads(line) for path in run.rglob("*.jsonl") for line in path.read_text().splitlines()]
-    (record,) = (each for each in records if each.get("episode", {}).get("id") == "3-1")
-    found = read(log)
-    (name,) = (key for key in found if key.startswith("/plots/angles/") and "azimuth" in key and "scalars" in key)
-    azimuths = [float(value[0]) for _, value in found[name]]
-    said = record["methods"]["eagor"]["trace"]["azimuth_deg"]
-    assert len(azimuths) == len(said)
-    off = [abs((a - b + 180) % 360 - 180) for a, b in zip(azimuths, said, strict=True) if not np.isnan(a)]
-    assert len(off) > len(said) // 2
-    assert max(off) < 0.01
-    capsys.readouterr()
-    assert main(["bench", "failures", str(run), "--episode", "9-9", "--rerun", str(log)]) == 2
-    assert "no case '9-9'; it has 3-" in capsys.readouterr().err
-    assert main(["bench", "failures", str(run), "--method", "vmf", "--rerun", str(log)]) == 2
-    assert "vmf keeps no belief" in capsys.readouterr().err
-    assert main(["bench", "failures", str(run), "--episode", "3-1"]) == 2
-    assert "give that, too" in capsys.readouterr().err
-
-
 def estimate(stamp: float):
     tracker = DirectionTracker()
     tracker.add_pose(stamp, world_R_body(0.3))

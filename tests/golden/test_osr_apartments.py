@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +13,10 @@ import pytest
 
 from eagor.lab.envs.places import APARTMENT, load_place
 from eagor.lab.envs.rules import Camera
-from eagor.lab.tasks.osr.bench import Eagor, Reply, record_of
+from eagor.lab.tasks.osr import DIRECTION
+from eagor.lab.tasks.osr.bench import Eagor, Reply, record_of, true_layout
 from eagor.lab.tasks.osr.data import Question, Scene, load
-from eagor.lab.tasks.osr.geometry import SceneLayout, Spot, true_layout
-from eagor.lab.tasks.osr.scoring import DIRECTION
+from eagor.lab.tasks.osr.geometry import SceneLayout, Spot
 from eagor.lab.tasks.task import configure
 from eagor.lab.tasks.task import load as load_task
 from eagor.sphere import world_R_body
@@ -64,9 +64,9 @@ def scores(data: Path, agent: Callable[[Scene, Question], Reply], tag: str) -> l
     return [record["score"] for record in records if tag in ("", *record["tags"])]
 
 
-def on_a_circle(scene: Scene, names: Sequence[str]) -> SceneLayout:
+def on_a_circle(scene: Scene) -> SceneLayout:
     """All that bearings tell: every thing at the same range."""
-    placed = true_layout(scene, names).placed
+    placed = true_layout(scene).placed
     return SceneLayout([replace(each, xy=tuple(np.divide(each.xy, math.hypot(*each.xy)))) for each in placed])
 
 

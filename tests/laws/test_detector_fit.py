@@ -24,7 +24,7 @@ from eagor.lab.eval.detector_fit import (
     fit_detector,
     fitted_curve,
     fitted_model,
-    log_scores,
+    log_score,
     scatter,
 )
 from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, segments
@@ -181,10 +181,8 @@ def test_a_score_curve_never_falls_and_few_scores_say_little():
 def test_the_fit_mends_looks_that_it_has_not_seen():
     looks = looks_of(np.random.default_rng(2), alarms=3.0, habit=(9.0, 1.0), spread=0.03)
     judged = fit_detector(looks, resamples=0).held_out
-    assert judged.log_density[1] > judged.log_density[0] + 0.5
-    assert judged.log_presence[1] > judged.log_presence[0]
-    assert judged.interval[0] > 0
-    assert judged.interval[0] <= judged.gain <= judged.interval[1]
+    assert 0 < judged.low <= judged.gain <= judged.high
+    assert judged.gain > 0.5
 
 
 def test_what_is_held_out_has_no_part_in_the_fit_that_it_judges():
@@ -195,8 +193,8 @@ def test_what_is_held_out_has_no_part_in_the_fit_that_it_judges():
     alone = []
     for group in "012":
         model = fitted_model([look for look in looks if look.group != group], BASE)
-        alone += [log_scores(look, model)[1] for look in looks if look.group == group]
-    assert fit_detector(looks, resamples=0).held_out.log_presence[1] == pytest.approx(np.mean(alone))
+        alone += [log_score(look, model) - log_score(look, BASE) for look in looks if look.group == group]
+    assert fit_detector(looks, resamples=0).held_out.gain == pytest.approx(np.mean(alone))
 
 
 def test_one_target_is_assigned_as_the_model_says():
@@ -281,7 +279,6 @@ def test_an_absent_thing_tells_of_false_alarms_only():
     assert "detection_share" not in found.intervals
     assert found.model.false_alarms_per_look == pytest.approx(1, abs=0.05)
     assert found.model.spread == pytest.approx(BASE.spread, rel=1e-2)
-    assert found.held_out.log_density is None
     posed = [LabelledLook(look.evidence, [], look.stamp, "", np.eye(3)) for look in looks]
     lasting = fitted_model(posed, BASE)
     assert lasting.look_alikes > expected_look_alikes(BASE), "the same two places, again and again"

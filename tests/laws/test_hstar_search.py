@@ -9,22 +9,10 @@ from hypothesis import strategies as st
 
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
-from eagor.lab.tasks.hstar import agents
-from eagor.lab.tasks.hstar.agents import (
-    ALARM,
-    CELLS,
-    HIT,
-    LENS,
-    PITCHES,
-    YAWS,
-    Search,
-    SimulatedDetector,
-    _information,
-    _shown_by,
-    prior_of,
-    stated,
-)
-from eagor.lab.tasks.hstar.rules import View, inside, submit_succeeds
+from eagor.lab.agents.steering import next_heading
+from eagor.lab.tasks.hstar import View, inside, search, submit_succeeds
+from eagor.lab.tasks.hstar.agents import LENS, EagorAgent, SimulatedDetector, ViewEvidence
+from eagor.lab.tasks.hstar.search import ALARM, CELLS, HIT, PITCHES, YAWS, Search, _shown_by, prior_of, stated
 from eagor.perception.truth import Noise
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
@@ -37,12 +25,12 @@ def empty(floor=0.02):
 @given(st.lists(poses, min_size=1, max_size=5))
 @settings(max_examples=10)
 def test_what_was_not_looked_at_keeps_its_odds_and_what_was_loses(views):
-    search = Search.begin("hos")
+    state = Search.begin("hos")
     for yaw, pitch in views:
         view = View(float(yaw), float(pitch))
-        search = search.update(empty(), view.world_R_view, view)
-    ratio = search.probability / search.prior
-    unseen = search.shown == 0
+        state = state.update(empty(), view.world_R_view, view)
+    ratio = state.probability / state.prior
+    unseen = state.shown == 0
     assert unseen.any()
     np.testing.assert_allclose(ratio[unseen], ratio[unseen].max(), rtol=1e-9)
     # Well inside every view there is less left than outside.
@@ -60,7 +48,7 @@ def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, t
     p = rng.dirichlet(np.full(CELLS.height * CELLS.width, 0.05)).reshape(CELLS.shape)
     new = rng.uniform(0.2, 1.0, CELLS.shape)
     hit, alarm = HIT, ALARM
-    found = _information(p, new, _shown_by(View(0.0, float(pitch)))[1])[turn]
+    found = search._information(p, new, pitch)[turn]
     shown = np.roll(_shown_by(View(0.0, float(pitch)))[1], int(YAWS[turn]) // 5, axis=1).reshape(-1)
     seen = np.flatnonzero(shown)
     share = hit * shown * new.reshape(-1)
@@ -80,8 +68,8 @@ def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, t
 
 @pytest.mark.parametrize("elsewhere", [0.05, 0.3, 1.0])
 def test_the_prior_is_even_by_the_share_elsewhere(elsewhere, monkeypatch):
-    monkeypatch.setattr(agents, "TILT", 5.0)
-    monkeypatch.setattr(agents, "HEIGHT", 80.0)
+    monkeypatch.setattr(search, "TILT", 5.0)
+    monkeypatch.setattr(search, "HEIGHT", 80.0)
     even = CELLS.weights / CELLS.weights.sum()
     prior = prior_of("hos", elsewhere)
     assert prior.sum() == pytest.approx(1)
@@ -106,14 +94,14 @@ def test_one_clear_look_outweighs_what_was_not_looked_at(pitch, size):
 
 
 def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(monkeypatch):
-    monkeypatch.setattr(agents, "REPEATS", 0.5)
+    monkeypatch.setattr(search, "REPEATS", 0.5)
     here, away = View(0.0, 0.0), View(180.0, 0.0)
 
     def fall(*views):
-        search = Search.begin("hos")
+        state = Search.begin("hos")
         for view in views:
-            search = search.update(empty(), view.world_R_view, view)
-        return -float(search.belief.log_ratio(CELLS)[18, 36])  # straight ahead
+            state = state.update(empty(), view.world_R_view, view)
+        return -float(state.belief.log_ratio(CELLS)[18, 36])  # straight ahead
 
     once = fall(here)
     assert fall(here, here) == pytest.approx(1.5 * once, rel=0.05)
@@ -126,8 +114,8 @@ def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief
     said = [stated(share) for share in shares]
     assert all(0 < p < 1 for p in said)
     assert (np.diff(said) >= 0).all()
-    monkeypatch.setattr(agents, "SHIFT", 0.0)
-    monkeypatch.setattr(agents, "SLOPE", 1.0)
+    monkeypatch.setattr(search, "SHIFT", 0.0)
+    monkeypatch.setattr(search, "SLOPE", 1.0)
     assert [stated(share) for share in shares[1:-1]] == pytest.approx(shares[1:-1])
 
 
@@ -159,16 +147,65 @@ def test_a_false_alarm_that_lasts_stays_where_it_is_in_the_world():
 
 def test_paths_are_answered_by_yaw_alone():
     detector = SimulatedDetector((100.0, 106.0), None, Noise.ideal(), 0)
-    search, view = Search.begin("hps"), View(90.0, 0.0)
+    state, view = Search.begin("hps"), View(90.0, 0.0)
     for _ in range(3):
-        search = search.update(detector(view).evidence, view.world_R_view, view)
-    answer = search.answer()
+        state = state.update(detector(view).evidence, view.world_R_view, view)
+    answer = state.answer()
     assert answer.pitch == 0
     assert abs(answer.yaw - 103) <= 5
 
 
 def test_a_prior_at_its_ends_still_tells_where_to_look():
     for elsewhere in (1e-12, 1.0):
-        search = Search.begin("hos", elsewhere)
-        assert np.isfinite(search.tells()).all()
-        assert 0 <= search.answer().probability <= 1
+        state = Search.begin("hos", elsewhere)
+        assert np.isfinite(state.tells()).all()
+        assert 0 <= state.answer().probability <= 1
+
+
+# The next view
+
+
+@given(st.lists(st.floats(0, 1), min_size=2, max_size=12), st.floats(-180, 180))
+def test_it_faces_what_tells_most_and_of_equal_ones_the_nearest(nats, facing):
+    azimuths = np.arange(len(nats)) * 2 * math.pi / len(nats)
+    headings = np.column_stack([azimuths, np.zeros(len(nats))])
+    chosen = next_heading(headings, np.array(nats), np.radians([facing, 0.0]))
+    angles = [abs(math.degrees(math.remainder(azimuth - math.radians(facing), 2 * math.pi))) for azimuth in azimuths]
+    worth = [value - 1e-5 * angle for value, angle in zip(nats, angles, strict=True)]
+    best = next(index for index, heading in enumerate(headings) if (heading == chosen).all())
+    assert worth[best] == pytest.approx(max(worth), abs=1e-8)
+
+
+def test_elevation_costs_as_azimuth_does():
+    headings = np.radians([[40, 0], [0, 30]])
+    assert np.degrees(next_heading(headings, np.ones(2), np.zeros(2))).round(6).tolist() == [0, 30]
+
+
+def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
+    """Its rotations are whole degrees: what it meant to look at counts as looked at where it starts between them."""
+    agent = EagorAgent(Search.begin("hos"), lambda view: ViewEvidence(empty(), view.world_R_view))
+    view, seen = View(17.4, 3.0), set()
+    for _ in range(6):
+        view = view.after(agent(view, False).action)
+        seen.add((round(view.yaw), round(view.pitch)))
+    assert len(seen) >= 5
+    assert agent(view, True).action.kind == "submit"
+
+
+@given(st.integers(0, 2**16), st.sampled_from([0.0, 45.0, 17.4, 359.5]), st.sampled_from(["hos", "hps"]))
+@settings(max_examples=8)
+def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_nearest(seed, start, kind):
+    """In H*Bench's degrees, yaw to the right: a degree less to turn is worth 1e-5 nats."""
+    detector = SimulatedDetector((200.0, 208.0), (-20.0, -12.0), Noise.parse("ideal,miss=0.4,false_alarm=0.3"), seed)
+    agent = EagorAgent(Search.begin(kind), detector, sure=1.0)
+    view = View(start, 0.0)
+    for _ in range(6):
+        now, view = view, view.after(agent(view, False).action)
+
+        def off(view):
+            return np.abs((YAWS - view.yaw + 180) % 360 - 180) + np.abs(np.array(PITCHES)[:, None] - view.pitch)
+
+        taken = off(view)
+        assert taken.min() <= 0.5 + 1e-9, "rotations are whole degrees"
+        worth = agent.search.tells() - 1e-5 * off(now).reshape(-1)
+        assert worth[taken.argmin()] >= worth.max() - 1e-9

@@ -12,18 +12,19 @@ from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.lenses import PinholeLens
-from eagor.media.footage import FrameCheck, ShapeError, VideoFrames
+from eagor.live.core import LiveCore, LoopSettings
+from eagor.live.in_turn import ByFrame, answers_in_turn
+from eagor.live.inference import Inference
+from eagor.media import Frame, Pose
+from eagor.media.camera_sources import open_source
+from eagor.media.footage import FrameCheck, ShapeError
 from eagor.media.intrinsics import Camera, Told, camera_of, ordinary_grid, told_by_photograph, told_by_video
 from eagor.media.panorama import Picture, cut, turn
 from eagor.media.posed_frames import PosedFrame
-from eagor.media.rig_videos import open_video
 from eagor.media.rigs import Rig
-from eagor.odometry.files import FramePose
 from eagor.perception.colour import ColourPerception
-from eagor.perception.footage import follow
 from eagor.perception.things import ViewBox, things
 from eagor.sphere import angular_distance, world_R_body
-from eagor.tracking import TrackerConfig
 from eagor.tracking.checkpoint import packed, unpacked
 
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]
@@ -42,8 +43,22 @@ def journey(yaws, grid, looks=math.inf):
     """Frames a second apart, of which the first are looked at; without a grid, panoramas."""
     for k, yaw in enumerate(yaws):
         pose = world_R_body(yaw)
-        picture = Picture(turn(ROOM, pose.T)) if grid is None else Picture(shown(grid, pose), grid=grid)
-        yield PosedFrame(FramePose(float(k), pose, None, f"{k}"), f"{k}", lambda picture=picture: picture, k < looks)
+        picture = turn(ROOM, pose.T) if grid is None else shown(grid, pose)
+        yield PosedFrame(Frame(float(k), picture, f"{k}", grid), Pose(float(k), pose), looked=k < looks)
+
+
+def follow(frames, perception, query):
+    """The answer at each frame."""
+    found, core = [], LiveCore(LoopSettings((query,), exact=True))
+    by_frame = ByFrame(found.append)
+
+    def take(event):
+        answers = core.take(event)
+        by_frame.take(event, answers)
+        return answers
+
+    list(answers_in_turn(frames, core, Inference(perception), take))
+    return found
 
 
 @pytest.mark.parametrize(
@@ -54,9 +69,7 @@ def test_what_a_camera_does_not_look_at_changes_nothing(grid, calibration):
     """Looks away from what was seen are as good as none, but for the places that they rule out."""
     yaws = [AHEAD + 0.1 * k for k in range(-2, 3)] + [AHEAD + math.pi + 0.05 * k for k in range(6)]
     perception = ColourPerception(calibration=calibration)
-    away, none = (
-        [each for each in follow(journey(yaws, grid, looks), perception, "red", TrackerConfig())] for looks in (99, 5)
-    )
+    away, none = (follow(journey(yaws, grid, looks), perception, "red") for looks in (99, 5))
     assert all(each.problem is None and each.grid is grid for each in away)
     for yaw, one, other in zip(yaws[5:], away[5:], none[5:], strict=True):
         assert angular_distance(world_R_body(yaw) @ one.estimate.direction, RED) < math.radians(3)
@@ -69,7 +82,7 @@ def test_the_unseen_keeps_its_proportions():
     behind = cells[cells[:, 0] < -0.5]
     for calibration in (None, Calibration()):
         frames = journey(yaws, GRIDS[1])
-        found = [*follow(frames, ColourPerception(calibration=calibration), "purple", TrackerConfig())]
+        found = follow(frames, ColourPerception(calibration=calibration), "purple")
         last = found[-1].estimate.log_density(behind @ world_R_body(yaws[-1]))
         assert np.ptp(last) < (0.01 if calibration is None else 0.1)  # a field of degree 15 leaks a little
 
@@ -77,7 +90,7 @@ def test_the_unseen_keeps_its_proportions():
 @pytest.mark.parametrize("grid", GRIDS, ids=["ideal", "calibrated"])
 def test_the_direction_is_that_of_panoramas(grid):
     yaws = [AHEAD + 0.1 * k for k in range(-1, 2)]
-    both = [list(follow(journey(yaws, each), ColourPerception(), "red", TrackerConfig())) for each in (grid, None)]
+    both = [follow(journey(yaws, each), ColourPerception(), "red") for each in (grid, None)]
     for ordinary, panorama in zip(*both, strict=True):
         off = angular_distance(ordinary.estimate.direction, panorama.estimate.direction)
         assert off < math.radians(3.2)  # the lower edge of the picture cuts the ball
@@ -168,8 +181,7 @@ def test_a_video_that_changes_its_size(tmp_path):
     for chosen, ends in (((0, 1), False), ((0, 2), True)):
         whole = tmp_path / "whole.mjpeg"
         whole.write_bytes(b"".join(files[k].read_bytes() for k in chosen))
-        source = VideoFrames(open_video([whole]), FrameCheck(camera=Camera(hfov=1.2)))
-        read = (each().grid.shape for _, _, each in source.frames())
+        read = (frame.grid.shape for frame in open_source(str(whole), camera=Camera(hfov=1.2)))
         if not ends:
             assert [*read] == [(240, 320)] * 8
             continue

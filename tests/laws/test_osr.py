@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from osr_data import grid_of
 from strategies import at_most
@@ -18,9 +18,20 @@ from eagor.errors import FormatError
 from eagor.evidence import Evidence
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
-from eagor.lab.tasks.osr import direction_label, distance_label, geometry, score, score_map, scoring, swapped
+from eagor.lab.tasks import osr
+from eagor.lab.tasks.osr import (
+    COUNTING,
+    MAP,
+    SIZE,
+    bench,
+    direction_label,
+    geometry,
+    is_tied,
+    score,
+    score_map,
+    swapped,
+)
 from eagor.lab.tasks.osr.geometry import MARGIN, Detection, direction_between, layout_from, place
-from eagor.lab.tasks.osr.scoring import COUNTING, DIRECTIONS, ERRORS, MAP, SIZE, is_tied
 
 CELLS = st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)).map(list), min_size=1, max_size=3)
 LAYOUTS = st.fixed_dictionaries({"a": CELLS.map(lambda cells: cells[:1]), "b": CELLS, "c": CELLS})
@@ -42,37 +53,22 @@ def test_a_mirrored_layout_exchanges_left_and_right(layout: dict[str, list[list[
 def turned(layout: dict[str, list[list[int]]], quarters: int) -> dict[str, list[list[int]]]:
     """The layout turned clockwise by this many quarters."""
     for _ in range(quarters):
-        layout = scoring.turned(layout)
+        layout = osr.turned(layout)
     return layout
-
-
-@given(LAYOUTS, st.integers(1, 3))
-def test_a_turned_layout_has_the_same_labels(layout: dict[str, list[list[int]]], quarters: int) -> None:
-    if is_tied(layout, "a", "b") or is_tied(layout, "a", "c"):
-        return
-    other = turned(layout, quarters)
-    assert direction_label(other, "a", "b", "c") == direction_label(layout, "a", "b", "c")
 
 
 def test_the_errors_are_said_in_the_published_order() -> None:
     layout = {"a": [[0, 0]], "b": [[1, 1], [2, 2]]}
-    assert direction_label(layout, "z", "a", "b") == scoring.NO_POSITION
-    assert direction_label(layout, "b", "z", "a") == scoring.NOT_UNIQUE
-    assert direction_label(layout, "a", "b", "z") == scoring.NO_OBJECT
-    assert distance_label(layout, "a", ["y", "z"]) == scoring.NO_CANDIDATE
-    assert scoring.steps(layout, "a", "z", "b") == scoring.NO_OBJECT
+    assert direction_label(layout, "z", "a", "b") == osr.NO_POSITION
+    assert direction_label(layout, "b", "z", "a") == osr.NOT_UNIQUE
+    assert direction_label(layout, "a", "b", "z") == osr.NO_OBJECT
+    assert osr.steps(layout, "a", "z", "b") == osr.NO_OBJECT
 
 
 @pytest.mark.parametrize("cell", [[1], [1, 2, 3], [1.5, 2], ["1", 2], [True, 2]])
 def test_a_cell_that_is_none_is_an_error(cell: list[object]) -> None:
     with pytest.raises(FormatError, match=r"wanted \[row, column\]"):
         direction_label({"a": [cell], "b": [[0, 0]], "c": [[1, 1]]}, "a", "b", "c")  # type: ignore[dict-item]
-
-
-@pytest.mark.parametrize("answer", [*DIRECTIONS, *ERRORS])
-def test_exchanging_twice_changes_nothing(answer: str) -> None:
-    assert swapped(swapped(answer)) == answer
-    assert (swapped(answer) != answer) == (answer in DIRECTIONS and answer.split()[-1] in ("Left", "Right"))
 
 
 # --- scores ---
@@ -103,7 +99,7 @@ NAMED = st.dictionaries(st.sampled_from("abcde"), CELLS, min_size=1, max_size=4)
 def test_the_published_f1_lies_between_the_least_and_the_most(layout: dict, said: dict) -> None:
     reply = json.dumps({name: [[column, row] for row, column in where] for name, where in said.items()})
     found = score_map(grid_of(layout), reply)
-    there, first = scoring.layout_of(grid_of(layout)), scoring.layout_of(grid_of(said))
+    there, first = osr.layout_of(grid_of(layout)), osr.layout_of(grid_of(said))
     # As published: the totals are those at the last category that both have, in an order that depends on hash seeds.
     by_order = []
     for order in itertools.permutations(sorted({*layout} | {*said})):
@@ -134,16 +130,15 @@ def matched(true: list, named: list) -> int:
     ways = [list(zip(short, chosen, strict=True)) for chosen in itertools.permutations(long, len(short))]
     away = [[math.dist(a, b) for a, b in way] for way in ways]
     least = min(map(sum, away))
-    return next(sum(d <= 2 for d in way) for way in away if sum(way) <= least + 1e-12)
+    (found, *others) = {sum(d <= 2 for d in way) for way in away if sum(way) <= least + 1e-12}
+    assume(not others)  # of equally short pairings any may be taken
+    return found
 
 
 @pytest.mark.parametrize("reply", ["", "no map", "}{", '{"a": 3}', '{"a": [[1]]}', '{"a": [[0.5, 1]]}', "{]}"])
 def test_a_reply_without_a_map_scores_nothing(reply: str) -> None:
-    assert scoring.read_map(reply) is None
+    assert osr.read_map(reply) is None
     assert score_map(grid_of({"a": [[1, 1]]}), reply).f1 == 0
-
-
-# --- questions ---
 
 
 # --- geometry ---
@@ -168,13 +163,6 @@ def test_the_height_of_the_camera_scales_the_room_and_changes_no_answer(
         direction_between(P.xy, [O.xy], [Q.xy]) for P, O, Q in (place(things, height) for height in (0.01, 0.02))
     }  # so low that nothing is deeper than its outline says
     assert len(answers) == 1
-
-
-def test_who_faces_ahead_has_the_left_on_the_left() -> None:
-    me, ahead, left, behind = (0.0, 0.0), (2.0, 0.0), (0.5, 2.0), (-1.0, -1.0)
-    assert direction_between(me, [ahead], [left]) == "Front Left"
-    assert direction_between(me, [ahead], [behind]) == "Back Right"
-    assert direction_between(me, [behind, ahead], [left]) == "Back Right"  # the nearest is behind
 
 
 def test_what_hangs_is_put_behind_what_stands() -> None:
@@ -240,16 +228,9 @@ def test_what_is_not_there_is_not_sighted_and_two_are_two() -> None:
 
 @pytest.mark.parametrize("room", ['{"objects": [{"name": "x"}]}', '{"objects": [], "camera": 0}', "{", "[]"])
 def test_a_file_that_is_no_room_is_an_error(tmp_path, room: str) -> None:
-    (tmp_path / geometry.FILE).write_text(room)
+    (tmp_path / bench.FILE).write_text(room)
     with pytest.raises(FormatError, match="is not a room"):
-        geometry.read_room(tmp_path)
-
-
-def test_exact_feet_give_back_the_places() -> None:
-    middles = np.random.default_rng(3).uniform(-3, 3, (12, 2)).tolist()
-    room = geometry.Room([geometry.Body(f"n{k}", (x, y), 0.4) for k, (x, y) in enumerate(middles)])
-    for (x, y), found in zip(middles, place(geometry.true_detections(room), HEIGHT), strict=True):
-        assert found.xy == pytest.approx((y, -x))  # the file's x is to the right, its y ahead
+        bench.read_room(tmp_path)
 
 
 def test_on_a_map_with_north_up_west_is_left_of_north() -> None:

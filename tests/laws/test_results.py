@@ -1,8 +1,6 @@
 """What must hold for the figures of any run, and for the differences between two."""
 
 import copy
-import csv
-import io
 import json
 from functools import cache
 from types import SimpleNamespace
@@ -164,9 +162,9 @@ def test_shares_have_the_interval_of_a_share_of_whole_apartments(navigation):
 )
 def test_intervals_are_those_of_the_cluster_bootstrap(rows):
     groups, values = zip(*rows, strict=True)
-    (low,), (high,) = mean_intervals(np.array(values)[:, None], groups)
+    found = mean_intervals(np.array(values)[:, None], groups)[:, 0].tolist()
     wanted = bootstrap_interval(values, np.random.default_rng(SEED), groups=groups, resamples=RESAMPLES)
-    assert [low, high] == pytest.approx([wanted.low, wanted.high], abs=1e-9)
+    assert found == pytest.approx([wanted.low, wanted.high], abs=1e-9)
 
 
 def test_the_seeds_of_one_scene_are_one_group():
@@ -209,8 +207,6 @@ def test_marks_say_who_is_worse_and_the_best_is_as_shown():
     summary["differences"]["vmf"]["L4"] |= {"difference": -1.0, "p_holm": 0.01}
     assert tables.mark(summary, "vmf", low) == "+"
     assert any(line.startswith("† worse, ‡ better than eagor") for line in tables.as_text(found, summary))
-    note = next(note for note in tables.main_table(found.task, summary).notes if "is behind beyond chance" in note)
-    assert f"L4: {tables.shown(summary['methods']['eagor']['L4'], low)} against vmf" in note
 
 
 def test_figures_as_text():
@@ -225,21 +221,6 @@ def test_records_of_another_task_and_two_of_one_sample_are_refused():
     twice = runs.waypoint(apartments=1, each=1)
     with pytest.raises(EagorError, match="two results"):
         summarise(run_of([*twice, *copy.deepcopy(twice)]))
-
-
-def test_csv_has_a_row_for_every_cell_with_the_same_numbers(run):
-    found, summary = run
-    rows = list(csv.DictReader(io.StringIO(tables.csv_of(found.task, summary))))
-    assert tuple(rows[0]) == tables.FIELDS
-    whole = [row for row in rows if not row["stratum"]]
-    assert len(whole) == sum(len(row) for row in summary["methods"].values())
-    for row in whole:
-        value = summary["methods"][row["method"]][row["column"]]
-        assert row["value"] == ("" if value is None else str(value))
-        assert row["n"] == str(summary["counts"][row["method"]][row["column"]])
-    assert {row["stratum"] for row in rows} == {""} | {
-        f"{title}: {label}" for title, labels in summary["strata"].items() for label in labels
-    }
 
 
 def test_published_figures_are_those_that_were_printed():

@@ -141,7 +141,6 @@ def test_what_is_not_there_is_refused_with_what_is_near(word, names):
         assert shown.endswith("and none spelt like it")
     assert "google/owlv2" in text
     assert "endpoint:MODEL@ADDRESS" in text
-    assert "docs/models.md" in text
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def test_the_contract_holds_over_the_samples(agent, right):
 
 
 def test_what_is_no_such_data_says_so(tmp_path):
-    with pytest.raises(FormatError, match=r"no readable test\.json"):
+    with pytest.raises(FormatError, match=r"test\.json is not EAGLE-360"):
         EAGLE360.info(tmp_path)
     (tmp_path / "test.json").write_text('[{"panoramic_image": "a.jpg", "metadata": {"azimuth_degrees": 900}}]')
     with pytest.raises(FormatError, match="azimuth_degrees"):
@@ -87,16 +87,15 @@ def lamp(tmp_path):
     return tmp_path
 
 
-def played(lamp, monkeypatch, **values):
-    task = EAGLE360
-    config = configure(task, {"data": str(lamp), **values})
-    (sample,) = task.samples(config)
-    return task.runner(config)(sample.payload), task, sample, config
+def played(lamp, **values):
+    config = configure(EAGLE360, {"data": str(lamp), **values})
+    (sample,) = EAGLE360.samples(config)
+    return EAGLE360.runner(config)(sample.payload), sample, config
 
 
 def test_the_belief_looks_at_the_whole_first_and_then_closer(lamp, monkeypatch):
-    monkeypatch.setattr("eagor.lab.tasks.eagle360.shared", lambda spec: Brightest())
-    record, *_ = played(lamp, monkeypatch, agent="eagor", perception="brightest")
+    monkeypatch.setattr("eagor.lab.agents.models.shared", lambda spec: Brightest())
+    record, *_ = played(lamp, agent="eagor", perception="brightest")
     assert record["score"] == 1.0
     first, *closer = record["steps"]
     assert "view" not in first
@@ -105,7 +104,7 @@ def test_the_belief_looks_at_the_whole_first_and_then_closer(lamp, monkeypatch):
     assert min(widths) <= 50
     assert abs(closer[0]["view"][0] - 50) < 5
     assert abs(closer[0]["view"][1] - 20) < 5
-    alone, *_ = played(lamp, monkeypatch, agent="global", perception="brightest")
+    alone, *_ = played(lamp, agent="global", perception="brightest")
     assert (alone["views"], alone["score"]) == (0, 1.0)
 
 
@@ -121,15 +120,14 @@ def test_a_model_looks_with_the_published_tool_and_then_answers(lamp, monkeypatc
             "<think>here</think> <answer>The object is located at:\n- Azimuth: 51°\n- Elevation: 19°</answer>"
         )
 
-    monkeypatch.setattr("eagor.lab.tasks.eagle360.shared_chat", lambda spec: chat)
     monkeypatch.setattr("eagor.lab.agents.models.shared_chat", lambda spec: chat)
-    record, task, sample, config = played(lamp, monkeypatch, agent="vlm", model="somebody")
+    record, sample, config = played(lamp, agent="vlm", model="somebody")
     assert (record["score"], record["views"], record["answer"]) == (1.0, 2, {"azimuth": 51.0, "elevation": 19.0})
     assert [len(message.images) for message in shown[-1]] == [0, 1, 0, 0, 0, 1], "the panorama and the latest view"
     middle = shown[-1][-1].images[0][236:276, 236:276]
     assert middle.mean() > 200, "the view is of what was asked for"
-    assert task.score(sample, {"text": record["steps"][-1]["raw"]}, config)["score"] == 1.0
-    assert task.score(sample, {"azimuth": -50, "elevation": 20}, config)["cause"] == "elsewhere"
-    assert task.score(sample, {"text": "no idea"}, config)["cause"] == "no_answer"
+    assert EAGLE360.score(sample, {"text": record["steps"][-1]["raw"]}, config)["score"] == 1.0
+    assert EAGLE360.score(sample, {"azimuth": -50, "elevation": 20}, config)["cause"] == "elsewhere"
+    assert EAGLE360.score(sample, {"text": "no idea"}, config)["cause"] == "no_answer"
     with pytest.raises(FormatError, match="wanted azimuth and elevation, or text"):
-        task.score(sample, {"where": 1}, config)
+        EAGLE360.score(sample, {"where": 1}, config)

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from osr_data import distance_label
 
-from eagor.lab.tasks.osr import direction_label, distance_label, score
+from eagor.lab.tasks.osr import COUNTING, DIRECTION, DISTANCE, MAP, direction_label, layout_of, score
 from eagor.lab.tasks.osr.data import SUFFIXES, load
-from eagor.lab.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, layout_of
 
 SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 pytestmark = pytest.mark.skipif(not SAMPLES.exists(), reason="the shared benchmark samples are not here")

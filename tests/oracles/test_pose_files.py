@@ -13,9 +13,12 @@ from scipy.spatial.transform import Rotation
 from eagor.errors import EagorError, PoseError
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, paint
+from eagor.media.camera_sources import open_footage
+from eagor.media.odometry import GivenPoses, open_poses
 from eagor.media.panorama import Picture, cut
 from eagor.media.panorama import turn as turned
-from eagor.odometry.axes import AXES, odometry_of_file, settled, with_axes
+from eagor.media.posed_frames import PosedFrames
+from eagor.odometry.axes import AXES, settled, with_axes
 from eagor.odometry.files import FramePose, Poses, read_poses
 from eagor.odometry.times import times_of
 from eagor.sphere import world_R_body
@@ -238,8 +241,8 @@ def test_axes_that_nothing_tells_are_asked_for(tmp_path, right, shots):
     assert re.search("wanted --axes .*optical .x right, y down, z ahead", said)
     np.testing.assert_allclose(found_in(shots, tmp_path / "p.txt", "--axes", "optical"), right, atol=1.5)
     with pytest.raises(PoseError, match="--axes"):
-        odometry_of_file(tmp_path / "p.txt")
-    assert len(odometry_of_file(tmp_path / "p.txt", "optical")) == 5
+        open_poses(str(tmp_path / "p.txt"))
+    assert len([*open_poses(str(tmp_path / "p.txt"), axes="optical")]) == 5
     (tmp_path / "q.csv").write_text(text("stamp,x,y,z,qx,qy,qz,qw", ",", in_axes("optical", True)))
     done = eagor("track", grey, "red", "--poses", tmp_path / "q.csv", "--perception", "colour")
     assert "--axes optical reads them so" in done.stderr
@@ -254,14 +257,9 @@ def test_a_camera_that_tumbles_with_our_axes_is_read_as_it_stands(tmp_path):
     for k, turn in enumerate(turns):
         Image.fromarray(paint(Room(), (0.0, 0.0, 1.3), turn, 128, 256)).save(tmp_path / f"{k}.png")
     read = read_poses(tmp_path / "p.csv")
-    from eagor.media.footage import FrameCheck, images
-    from eagor.media.posed_frames import posed_by_file
-
-    source = images([tmp_path], 1.0, FrameCheck())
-    found = settled(
-        read, "auto", "p.csv", lambda: ((at.pose, at.read) for at in posed_by_file(source, read, "p.csv")), said.append
-    )
-    assert found is read
+    found = open_poses(str(tmp_path / "p.csv"), open_footage([tmp_path]), say=said.append)
+    assert isinstance(found, GivenPoses)
+    np.testing.assert_array_equal([pose.world_R_body for pose in found], [pose.world_R_body for pose in read])
     assert not said
 
 
@@ -357,32 +355,28 @@ def test_a_camera_that_stands_or_sees_nothing_contradicts_nothing(sweep, camera)
 def test_pictures_named_by_time_take_poses_between_others(tmp_path, shots):
     dense = [f"{BEGIN + 0.05 * i - 0.01},{20 - 11 * (0.05 * i - 0.01) / 0.4},0,0" for i in range(34)]
     (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *dense]))
-    seen = [each.pose for each in odometry_like(shots, tmp_path / "p.csv") if each.frame]
+    seen = [each.pose for each in posed(shots, tmp_path / "p.csv")]
     assert [pose.stamp for pose in seen] == pytest.approx(STAMPS)
     for k, pose in enumerate(seen):
         np.testing.assert_allclose(pose.world_R_body, world_R_body(np.radians(20 - 11 * k)), atol=1e-6)
     (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *dense[8:]]))
     with pytest.warns(UserWarning, match="1 of 5 pictures are left out"):
-        list(odometry_like(shots, tmp_path / "p.csv"))
+        posed(shots, tmp_path / "p.csv")
 
 
-def odometry_like(folder, path):
-    from eagor.media.footage import FrameCheck, images
-    from eagor.media.posed_frames import posed_by_file
-
-    return posed_by_file(images([folder], 1.0, FrameCheck()), read_poses(path), path)
+def posed(folder, path):
+    source = open_footage([folder])
+    return [*PosedFrames(source, open_poses(str(path), source))]
 
 
 @pytest.mark.parametrize("frame", ["C:\\log\\{}", "\\\\host\\share\\{}", "shots/{}", "..\\shots/{}"])
 def test_frames_are_found_by_the_last_part_of_any_path(tmp_path, shots, frame):
     lines = [f"{k},{20 - 11 * k},0,0,{frame.format(path.name)}" for k, path in enumerate(sorted(shots.iterdir()))]
     (tmp_path / "p.csv").write_text("\r\n".join(["stamp,yaw_deg,pitch_deg,roll_deg,frame", *lines]))
-    assert [each.frame for each in odometry_like(shots, tmp_path / "p.csv")] == [
-        p.name for p in sorted(shots.iterdir())
-    ]
+    assert [each.frame.name for each in posed(shots, tmp_path / "p.csv")] == [p.name for p in sorted(shots.iterdir())]
 
 
 def test_pictures_that_colmap_could_not_place_are_left_out(tmp_path, shots):
     (tmp_path / "images.txt").write_text(images_txt(in_axes("optical")[1:]))
     with pytest.warns(UserWarning, match="has no pose for 1650000000.000000.png, 1 of 5 pictures: left out"):
-        assert len(list(odometry_like(shots, tmp_path / "images.txt"))) == 4
+        assert len(posed(shots, tmp_path / "images.txt")) == 4

@@ -18,7 +18,7 @@ from PIL import Image
 from processes import limited
 
 from eagor.errors import ImageError, WorldError
-from eagor.lab.tasks.hstar.data import open_panorama
+from eagor.lab.tasks.hstar import open_panorama
 from eagor.lab.worlds.glb import import_glb
 from eagor.lab.worlds.objectnav import read_episodes
 from eagor.media.panorama import read_panorama

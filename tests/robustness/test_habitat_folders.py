@@ -12,7 +12,7 @@ from eagor.errors import StorageError, WorldError
 from eagor.lab.eval import log
 from eagor.lab.worlds import objectnav
 from eagor.lab.worlds.glb import export_glb
-from eagor.lab.worlds.objectnav import Source, export_dataset
+from eagor.lab.worlds.objectnav import SceneSource, export_dataset
 
 # --- export ---
 
@@ -71,7 +71,7 @@ def test_whatever_stops_an_export_leaves_nothing(tmp_path, monkeypatch, stopped)
 
     monkeypatch.setattr(objectnav, "write_episodes", stop)
     with pytest.raises(stopped):
-        export_dataset([Source(0, "room", room)], tmp_path / "data", categories=("bed",), episodes=1)
+        export_dataset([SceneSource(0, "room", room)], tmp_path / "data", categories=("bed",), episodes=1)
     assert list(tmp_path.iterdir()) == []
 
 

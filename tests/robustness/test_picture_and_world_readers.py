@@ -14,7 +14,7 @@ from mutations import as_text, damaged, glb, png, reads, trees
 from PIL import Image
 from strategies import HOSTILE
 
-from eagor.lab.tasks.hstar.data import open_panorama
+from eagor.lab.tasks.hstar import open_panorama
 from eagor.lab.worlds.glb import export_glb, import_glb
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.objectnav import read_episodes

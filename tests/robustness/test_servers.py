@@ -267,10 +267,12 @@ def test_a_password_in_an_address_is_used_and_not_shown(tmp_path):
         assert server.requests[0].headers["authorization"] == "Basic YW5uYTpodW50ZXIyLTA4MTU="
     told = json.dumps(dict(evidence.source or {})) + repr(perception)
     assert f"http://***@{host}?token=***" in told
-    log.begin(tmp_path / "run", {"perception": f"endpoint:qwen@http://anna:hunter2-0815@{host}"})
+    with log.Log(tmp_path / "run") as book:
+        book.begin({"perception": f"endpoint:qwen@http://anna:hunter2-0815@{host}"})
     with log.Log(tmp_path / "run") as kept:
         kept.append({"key": "a", "attempt": 1, "status": "failed", "error": "tok-4711-x, hunter2-0815"})
-    log.begin(tmp_path / "run", {"perception": f"endpoint:qwen@http://anna:hunter2-0815@{host}"})  # the same run
+    with log.Log(tmp_path / "run") as book:
+        book.begin({"perception": f"endpoint:qwen@http://anna:hunter2-0815@{host}"})  # the same run
     told += "".join(path.read_text() for path in (tmp_path / "run").iterdir())
     for secret in ("hunter2-0815", "tok-4711-x", "YW5uYTpodW50ZXIyLTA4MTU="):
         assert secret not in told

@@ -16,10 +16,10 @@ from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.lab.eval import log
 from eagor.lab.eval.labelled_looks import read_truth
-from eagor.lab.eval.predictions import _predicted
+from eagor.lab.eval.predictions import predicted
 from eagor.odometry.files import read_poses
 from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibrated, read_labelled
-from eagor.perception.onnx import read_labels
+from eagor.perception.onnx.labels import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
 from eagor.perception.transformers.language import read_heads
 from eagor.sphere import world_R_body
@@ -206,7 +206,8 @@ def test_descriptions_of_runs(folder, blob):
     (folder / "run.json").write_bytes(blob)
     found = reads(lambda: log.description(folder), "run.json")
     assert found is None or isinstance(found, dict)
-    reads(lambda: log.begin(folder, RUN), str(folder))
+    with log.Log(folder) as book:
+        reads(lambda: book.begin(RUN), str(folder))
 
 
 @HOSTILE
@@ -214,7 +215,7 @@ def test_descriptions_of_runs(folder, blob):
 def test_predictions(folder, blob):
     path = folder / "predictions.jsonl"
     path.write_bytes(blob)
-    found = reads(lambda: _predicted(path, ["a/0/0", "b/0/0"]), "predictions.jsonl", also=("line ", "cannot"))
+    found = reads(lambda: predicted(path, ["a/0/0", "b/0/0"]), "predictions.jsonl", also=("line ", "cannot"))
     assert found is None or set(found) <= {"a/0/0", "b/0/0"}
 
 

@@ -97,7 +97,7 @@ def _run(arguments: list[str]) -> int:
         return 0
     try:
         command = _parse(joined(arguments))
-    except SystemExit as stop:  # tyro has printed a text: help, or a mistake that we cannot explain
+    except SystemExit as stop:  # tyro has printed help
         return stop.code if isinstance(stop.code, int) else 2
     command: Any = getattr(command, "action", command)  # `bench run` is an action of `bench`
     return getattr(sys.modules[type(command).__module__], command.runs)(command)
@@ -129,10 +129,10 @@ def joined(arguments: list[str]) -> list[str]:
 
 
 def _parse(arguments: list[str]):
-    """The command with its options. Raises `UsageError`, or `SystemExit` after a text of tyro's own."""
+    """The command with its options. Raises `UsageError`, or `SystemExit` after help."""
     import tyro
 
-    from eagor.cli.commands import Command, mistake
+    from eagor.cli.commands import Command
 
     said = io.StringIO()
     try:
@@ -145,10 +145,21 @@ def _parse(arguments: list[str]):
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
             )
     except SystemExit as stop:
-        if stop.code and (line := mistake(arguments)) is not None:
-            raise terminal.UsageError(line) from None
+        if stop.code:
+            raise terminal.UsageError(_mistake(said.getvalue())) from None
         print(said.getvalue(), end="", file=sys.stderr)
         raise
+
+
+def _mistake(box: str) -> str:
+    """What tyro says in a box, as a line: what is wrong, and the nearest option that there is."""
+    lines = [line.strip("\u2502| ") for line in box.splitlines()]
+    rule = "-+\u2500\u256d\u256e\u2570\u256f"  # the box; its first line has a title
+    parts = " ".join("\n" if line.lstrip(rule) == "" or line[-1] in rule else line for line in lines).split("\n")
+    told = [part.strip() for part in parts if part.strip()]
+    wrong = told[0 if "\u256d" in box else 1]  # without a box the title comes first
+    near = lines[lines.index("Perhaps you meant:") + 1].split()[0] if "Perhaps you meant:" in lines else ""
+    return f"{wrong}{f'; did you mean {near}?' if near else ''}; eagor --help describes all"
 
 
 def _completion(arguments: Sequence[str]) -> str:

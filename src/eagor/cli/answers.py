@@ -23,8 +23,8 @@ from eagor.errors import StorageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.perception.footage import FollowedFrame, HiddenParts
-    from eagor.perception.replay import ReplayPerception
+    from eagor.live.in_turn import Followed
+    from eagor.perception.recordings import HiddenParts, RecordedLooks
     from eagor.tracking import ThingSeen
     from eagor.tracking.config import TrackerConfig
     from eagor.tracking.estimate import Estimate
@@ -39,15 +39,20 @@ SHORT = {
 }  # fmt: skip
 
 
-def header(rivals: Sequence[str] = ()) -> str:
-    """The names of the columns; `rivals` are the other methods to compare with, in the order of `line`."""
+def header(rivals: Sequence[str] = (), several: bool = False) -> str:
+    """The names of the columns, in the order of `line`.
+
+    `rivals` are the other methods to compare with; of `several` queries each line has its own.
+    """
+    last = "  query" if several else ""
     if not rivals:
-        return f"{'stamp':>10}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'distance 90%':>14}{'modes':>7}  status"
+        ours = f"{'stamp':>10}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'distance 90%':>14}{'modes':>7}"
+        return f"{ours}  {'status':{9 if several else 0}}{last}"
     ours = f"{'stamp':>9}{'azimuth':>8}{'elev':>6}{'cone':>6} {'status':9}"
-    return (ours + "".join(f" {SHORT.get(name, name)[:CELL]:>{CELL}}" for name in rivals)).rstrip()
+    return (ours + "".join(f" {SHORT.get(name, name)[:CELL]:>{CELL}}" for name in rivals)).rstrip() + last
 
 
-def line(frame: FollowedFrame, begins: float = 0.0) -> str:
+def line(frame: Followed, begins: float = 0.0, several: bool = False) -> str:
     """One frame as a line under `header`, its stamp counted from `begins`. "-" is what is not known.
 
     With other methods the distance and the number of candidates are left out.
@@ -59,9 +64,11 @@ def line(frame: FollowedFrame, begins: float = 0.0) -> str:
     cone = "-" if e.direction is None else signed(e.credible_angle)[1:]
     if not frame.others:
         far = far_in_words(e) or "-"
-        return f"{stamp:10.3f}{azimuth:>9}{elevation:>11}{cone:>10}{far:>14}{len(e.modes):>7}  {e.status}"
+        ours = f"{stamp:10.3f}{azimuth:>9}{elevation:>11}{cone:>10}{far:>14}{len(e.modes):>7}"
+        return f"{ours}  {e.status:9}  {frame.query}" if several else f"{ours}  {e.status}"
     ours = f"{stamp:9.3f}{azimuth:>8}{elevation:>6}{cone:>6} {e.status:9}"
-    return ours + "".join(f" {_cell(direction):>{CELL}}" for direction in frame.others.values())
+    ours += "".join(f" {_cell(direction):>{CELL}}" for direction in frame.others.values())
+    return f"{ours}  {frame.query}" if several else ours
 
 
 def in_words(e: Estimate, query: str, seconds: float) -> str:
@@ -190,18 +197,18 @@ _OF_PICTURES = ("video", "fps", "page", "picture", "rerun")
 _OF_ONE = ("out", "compare")
 
 
-def recorded(options: Common, places: Sequence[Path]) -> ReplayPerception | None:
+def recorded(options: Common, places: Sequence[Path]) -> RecordedLooks | None:
     """The file of looks that the one place is; None for footage.
 
     Raises `UsageError` for options that only footage has a use for, `FormatError` for a file that is none.
     """
     if len(places) != 1 or places[0].suffix.lower() != ".jsonl":
         return None
-    from eagor.perception.footage import about
+    from eagor.perception.recordings import RecordedLooks
     from eagor.perception.replay import ReplayPerception
 
-    replay = ReplayPerception(places[0])
-    of = about(replay).of
+    looks = RecordedLooks(ReplayPerception(places[0]))
+    of = looks.about.of
     if wrong := given(options, _OF_FOOTAGE):
         raise UsageError(f"--{wrong[0].replace('_', '-')} is for footage; {places[0]} has its looks and poses")
     if wrong := given(options, _OF_PICTURES):
@@ -210,18 +217,18 @@ def recorded(options: Common, places: Sequence[Path]) -> ReplayPerception | None
             f"--{name} needs pictures, and {places[0]} holds none; draw over the footage with the same answers: eagor "
             f"track {of} QUERY --perception replay:{places[0]} --{name} ..."
         )
-    return replay
+    return looks
 
 
-def list_seen(options: Common, replay: ReplayPerception, config: TrackerConfig, hidden: HiddenParts, modes: int) -> int:
+def list_seen(options: Common, looks: RecordedLooks, config: TrackerConfig, hidden: HiddenParts, modes: int) -> int:
     """Print what was seen where, the surest first; returns the exit code."""
-    from eagor.perception.footage import about, asked_for, things_seen
+    from eagor.perception.recordings import asked_for, things_seen
 
     if wrong := given(options, _OF_ONE):
-        raise UsageError(f"--{wrong[0]} is for one question: eagor track {replay.name} QUERY --{wrong[0]}")
-    footage, queries = about(replay), asked_for(replay)
+        raise UsageError(f"--{wrong[0]} is for one question: eagor track {looks.replay.name} QUERY --{wrong[0]}")
+    footage, queries = looks.about, asked_for(looks.replay)
     with terminal.progress("adding up", len(queries), shown=not options.json) as advance:
-        found = things_seen(replay, config, hidden, advance)
+        found = things_seen(looks, config, hidden, advance)
     if options.json:
         about_it = {"of": footage.of, "perception": footage.perception, "poses": footage.poses}
         terminal.emit(about_it | {"things": entries(found, modes)})

@@ -9,21 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli import terminal
-from eagor.cli.options import (
-    Common,
-    DataOfRun,
-    Detector,
-    Flag,
-    ForceRun,
-    Labels,
-    Rows,
-    Scoring,
-    TaskOfRun,
-    Whole,
-    bare,
-    given,
-    pairs_of,
-)
+from eagor.cli.options import Common, DataOfRun, Detector, Flag, ForceRun, Rows, TaskOfRun, Whole, bare, given, pairs_of
 from eagor.cli.results import BenchCompare, BenchFailures, BenchReport
 from eagor.errors import EagorError, FormatError
 
@@ -61,16 +47,12 @@ class BenchRun(Common):
         "Benchmarks: the model of the agent vlm: FOLDER or hub name on this machine, or MODEL@ADDRESS on a server; "
         "options after ?."
     )
-    scoring: Scoring = None
-    labels: Labels = None
     limit: Annotated[int | None, bare("N")] = None
     """Benchmarks: only the first N cases."""
     shard: Annotated[str | None, bare("I/N")] = None
-    """Benchmarks: every N-th case from the I-th on, for several machines, which may share one --out."""
+    """Benchmarks: every N-th case from the I-th on, for several machines."""
     engine: Literal["processes", "threads", "ray"] = "processes"
-    """Kind of --workers: processes; threads, for perceptions and models on servers; ray, for a Ray cluster."""
-    address: Annotated[str | None, bare("ADDRESS")] = None
-    """Address of the Ray cluster (default: RAY_ADDRESS, else this machine)."""
+    """Kind of --workers: processes; threads, for models on servers; ray, for a Ray cluster (RAY_ADDRESS)."""
     methods: Annotated[tuple[str, ...], bare("NAME ...")] = ()
     (
         "The methods (default: all eight, and for a vision-language model plain, its own answer); variants such as "
@@ -101,12 +83,10 @@ class BenchRun(Common):
     )
     walking: Flag = False
     """The camera bobs and sways, and the odometry drifts."""
-    latency: Whole = 0
-    """Delay of responses in steps."""
     set: Annotated[tuple[str, ...], bare("RULE=VALUE ...")] = ()
     (
-        "Rules to change, such as success_distance=0.5 max_steps=200 stop=call sliding=false. Benchmarks: other "
-        "options, such as sure=0.8."
+        "Rules to change, such as success_distance=0.5 max_steps=200 stop=call latency=2. Benchmarks: other options, "
+        "such as sure=0.8 scoring=strict labels=both."
     )
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
     """apartment, an installed world, or a GLB file."""
@@ -123,7 +103,7 @@ class BenchRun(Common):
 class BenchList(Common):
     """List simulated tasks and benchmarks, with their agents and options."""
 
-    runs: ClassVar[str] = "listed"
+    runs: ClassVar[str] = "list_tasks"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,8 +116,6 @@ class BenchInfo(Common):
     """The folder (all benchmarks that can read it tell of it), or a benchmark whose folder is --data."""
     data: Annotated[Path | None, bare("DIR")] = None
     """The folder, where TASK is named first."""
-    task: Annotated[str | None, bare("NAME")] = None
-    """The benchmark, as TASK."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,10 +132,8 @@ class BenchScore(Common):
     )
     task: TaskOfRun = None
     data: DataOfRun = None
-    scoring: Scoring = None
-    labels: Labels = None
     set: Annotated[tuple[str, ...], bare("OPTION=VALUE ...")] = ()
-    """Other options of the benchmark."""
+    """Options of the benchmark, such as scoring=strict."""
     out: Annotated[Path | None, bare("RUN")] = None
     """Save the records as a run, for report, compare and failures."""
 
@@ -181,13 +157,12 @@ class Bench:
 
 
 PERCEPTION = "scout"
-FLAGS = ("scoring", "labels")  # fields of some tasks' configs that have a flag of their own
-GIVEN = (  # fields that have a flag of the same name
+GIVEN = (  # fields of tasks' configs that have a flag of the same name
     "perception", "data", "agent", "model", "methods", "episodes", "episodes_file", "scenes", "seed", "world", "rows",
 )  # fmt: skip
 
 
-def listed(options: BenchList) -> int:
+def list_tasks(options: BenchList) -> int:
     """``eagor bench list``."""
     from eagor.lab import worlds
 
@@ -197,20 +172,17 @@ def listed(options: BenchList) -> int:
         return terminal.OK
     print("Simulated, no data needed (eagor bench run TASK)")
     simulated = {name: entry for name, entry in found.items() if "agents" not in entry}
-    terminal.columns(
-        {name: entry.get("what", f"not available ({entry.get('unavailable')})") for name, entry in simulated.items()}
-    )
-    print(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file\n")
+    for entry in simulated.values():
+        entry["what"] = entry.get("what") or f"not available ({entry['unavailable']})"
+    terminal.columns({name: entry["what"] for name, entry in simulated.items()})
+    print(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file")
     for name, entry in found.items():
-        if name in simulated:
-            continue
-        print(f"{name}  {entry['title']} (eagor bench run {name} --data DIR)\n  agents")
-        terminal.columns(entry["agents"])
-        print("  options (--scoring, --labels, others with --set OPTION=VALUE)")
-        terminal.columns(
-            {key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()}
-        )
-        print()
+        if name not in simulated:
+            print(f"\n{name}  {entry['title']} (eagor bench run {name} --data DIR)\n  agents")
+            terminal.columns(entry["agents"])
+            print("  options (--set OPTION=VALUE)")
+            defaults = {key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()}
+            terminal.columns(defaults)
     return terminal.OK
 
 
@@ -223,54 +195,52 @@ def _known() -> dict[str, str]:
     return {name: f"cannot be imported ({why[name]})" if name in why else "" for name in tasks.known()}
 
 
+def _load(name: str, broken: str) -> Any:
+    """A task of `_known`. Raises `EagorError`."""
+    from eagor.lab.tasks.task import load
+
+    if broken:
+        raise EagorError(broken)
+    return load(name)
+
+
 def _described(name: str, broken: str) -> dict[str, Any]:
     """What ``eagor bench list --json`` says of a task."""
     import msgspec
 
     from eagor.lab import worlds
-    from eagor.lab.tasks.task import choices_of, description_of, load
+    from eagor.lab.tasks.task import choices_of, description_of
 
     try:
-        if broken:
-            raise EagorError(broken)
-        task = load(name)
+        task = _load(name, broken)
     except Exception as error:  # a broken plugin may raise anything
         return {"unavailable": str(error) if isinstance(error, EagorError) else repr(error)}
-    own = [
-        field for field in msgspec.structs.fields(task.Config) if description_of(field.type) and field.name not in GIVEN
-    ]
+    data = {"kind": "published data", "agents": dict(task.agents)} if hasattr(task, "agents") else None
     return {
         "title": task.title,
         "what": task.what,
-        **(
-            {"kind": "published data", "agents": dict(task.agents)}  # type: ignore[attr-defined]
-            if hasattr(task, "agents")
-            else {"kind": "simulated", "worlds": sorted(worlds.known())}
-        ),
+        **(data or {"kind": "simulated", "worlds": sorted(worlds.known())}),
         "options": {
             field.name: {
                 "default": None if field.default is msgspec.NODEFAULT else field.default,
                 "what": description_of(field.type),
                 "choices": list(choices_of(field.type)),
             }
-            for field in own
+            for field in msgspec.structs.fields(task.Config)
+            if description_of(field.type) and field.name not in GIVEN
         },
     }
 
 
 def info(options: BenchInfo) -> int:
     """``eagor bench info``."""
-    from eagor.lab.tasks.task import load
-
     found: dict[str, dict[str, Any]] = {}
     refused: dict[str, list[str]] = {}
-    task_named, data = (options.task, Path(options.place)) if options.data is None else (options.place, options.data)
-    for name, broken in ({task_named: ""} if task_named else _known()).items():
+    known, data = (_known(), Path(options.place)) if options.data is None else ({options.place: ""}, options.data)
+    for name, broken in known.items():
         try:
-            if broken:
-                raise EagorError(broken)
-            task = load(name)
-            content = task.info(data) if hasattr(task, "info") else None  # type: ignore[attr-defined]
+            task = _load(name, broken)
+            content = task.info(data) if hasattr(task, "info") else None
         except EagorError as error:
             refused.setdefault(str(error), []).append(name)
             continue
@@ -295,10 +265,11 @@ def run(options: BenchRun) -> int:
     task = load(options.task)
     if options.workers < 1:
         raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
-    if options.address is not None and options.engine != "ray":
-        raise terminal.UsageError(f"--address {options.address} needs a Ray cluster; add --engine ray")
-    config = configure(task, _values(options, task), _changes(options))  # wrong ones are said before the run begins
-    units, settings = runner.units_of(task, config, options.limit, _shard(options.shard)), settings_of(config)
+    part, slash, parts = (options.shard or "1/1").partition("/")
+    if not (slash and part.isdecimal() and parts.isdecimal()):
+        raise terminal.UsageError(f"--shard {options.shard}; wanted I/N, such as 1/4")
+    config = configure(task, _values(options, task), pairs_of(options.set))  # wrong ones are said before the run begins
+    units, settings = runner.units_of(task, config, options.limit, (int(part), int(parts))), settings_of(config)
     out = options.out or Path("runs") / _folder(settings)
     terminal.log(f"{task.name}: {len(units)} units of work; records go to {out}")
     with terminal.progress(task.name, len(units)) as advance:
@@ -308,8 +279,7 @@ def run(options: BenchRun) -> int:
             if record["status"] == "failed":
                 terminal.warning(f"{record['key']} could not be run: {record['error']}")
 
-        names = "workers", "retry_failed", "engine", "address"
-        how = {name: getattr(options, name) for name in names}
+        how = {name: getattr(options, name) for name in ("workers", "retry_failed", "engine")}
         try:
             outcome = runner.run(units, WORK, settings, out, on_done=done, **how)
         except KeyboardInterrupt:
@@ -323,53 +293,39 @@ def run(options: BenchRun) -> int:
 
 def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     """The settings of a run by field. Raises `UsageError` for an option that the task does not have."""
-    from eagor.cli.checks import calibrated, check_looks, checked_rows
+    from eagor.cli.checks import calibrated, check_looks, checked_number
 
     fields = task.Config.__struct_fields__
     simulated = "methods" in fields
-    more = ("ablations", "walking", "latency", "detector") if not simulated else ()
-    if wrong := given(options, [name for name in (*GIVEN, *FLAGS) if name not in fields] + [*more]):
+    more = () if simulated else ("ablations", "walking", "detector")
+    if wrong := given(options, [*(name for name in GIVEN if name not in fields), *more]):
         raise terminal.UsageError(f"{task.name} takes no --{wrong[0].replace('_', '-')}")
     values = {name: getattr(options, name) for name in GIVEN if name in fields}
     values |= {name: str(value) for name, value in values.items() if isinstance(value, Path)}
+    perception = options.perception or (PERCEPTION if simulated else "")
+    made = calibrated(perception, options.calibration, options.detector, options.force)
+    values["calibrated"] = made.as_json() if made else None
     if not simulated:
         if "data" in fields and options.data is None:
             raise terminal.UsageError(f"{task.name} needs its published files; give their folder with --data")
-        if options.calibration:
-            made = calibrated(str(options.perception), options.calibration, None, options.force)
-            values["calibrated"] = made.as_json() if made else None
         return values
     from eagor.lab.agents.methods import default_methods
     from eagor.lab.envs.rules import NoiseModel
     from eagor.lab.tasks.sim.task import split_methods, variants
 
-    checked_rows(options.rows)
+    checked_number(options.rows, "--rows")
     if options.scenes is not None and options.episodes_file is None:
         raise terminal.UsageError("--scenes is the folder of the scenes of --episodes-file, which is not given")
     if options.seed is not None and options.episodes_file is not None:
         raise terminal.UsageError("--seed chooses apartments, and --episodes-file says which are played; leave one out")
     if options.engine == "threads":
         raise terminal.UsageError("--engine threads is for models on servers; use processes or ray for simulated tasks")
-    perception = options.perception or PERCEPTION
     check_looks(perception)
     methods = split_methods(options.methods) or list(default_methods(perception))
     if options.ablations:
         methods += [name for name in variants(task) if name not in methods]  # type: ignore[arg-type]
-    made = calibrated(perception, options.calibration, options.detector, options.force)
-    return values | {
-        "perception": perception,
-        "methods": methods,
-        "disturbances": (NoiseModel.walking if options.walking else NoiseModel)(latency=options.latency),
-        "calibrated": made.as_json() if made else None,
-    }
-
-
-def _changes(options: BenchRun | BenchScore) -> dict[str, str]:
-    flags = {name: getattr(options, name) for name in FLAGS if getattr(options, name) is not None}
-    changes = pairs_of(options.set)
-    if twice := sorted(flags.keys() & changes.keys()):
-        raise terminal.UsageError(f"{twice[0]} is given twice, as --{twice[0]} and with --set")
-    return flags | changes
+    disturbances = NoiseModel.walking() if options.walking else NoiseModel()
+    return values | {"perception": perception, "methods": methods, "disturbances": disturbances}
 
 
 def _folder(settings: dict[str, Any]) -> str:
@@ -378,33 +334,17 @@ def _folder(settings: dict[str, Any]) -> str:
 
     who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
     file = Path(settings.get("episodes_file") or "").name.partition(".")[0]
-    parts = (
-        settings["task"],
-        settings.get("agent"),
-        short_name(who) if who else "",
-        file or str(settings.get("seed", "")),
-    )
-    return "-".join(part for part in parts if part)
-
-
-def _shard(text: str | None) -> tuple[int, int]:
-    if text is None:
-        return 1, 1
-    part, slash, parts = text.partition("/")
-    if not (slash and part.isdecimal() and parts.isdecimal()):
-        raise terminal.UsageError(f"--shard {text}; wanted I/N, such as 1/4")
-    return int(part), int(parts)
+    parts = settings["task"], settings.get("agent"), short_name(who) if who else "", file or settings.get("seed", "")
+    return "-".join(str(part) for part in parts if part not in ("", None))
 
 
 def score(options: BenchScore) -> int:
     """``eagor bench score``."""
-    from eagor.lab.eval import predictions
+    from eagor.lab.eval.predictions import keep, score_predictions
 
-    made, count, missing = predictions.score_predictions(
-        options.predictions, options.task, options.data, _changes(options)
-    )
+    made, count, missing = score_predictions(options.predictions, options.task, options.data, pairs_of(options.set))
     if options.out:
-        predictions.keep(made, options.out)
+        keep(made, options.out)
     if missing:
         terminal.warning(f"{missing} of {count} cases have no prediction; the figures cover the others")
     code = _summarised(made, options.out, options.json, {"missing": missing})

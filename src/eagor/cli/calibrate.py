@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import Positional, arg
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_looks, check_not_read, checked_out, checked_rows
+from eagor.cli.checks import check_looks, check_not_read, checked_number, checked_out
 from eagor.cli.options import Common, Rows, Whole, bare, given
 from eagor.errors import EagorError, PoseError
 
 if TYPE_CHECKING:
     from eagor.lab.eval.detector_fit import DetectorFit
     from eagor.lab.eval.labelled_looks import Pose
-    from eagor.perception.calibrated import Calibrated, Labelled
+    from eagor.perception.calibrated import Labelled
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,44 +54,32 @@ class Calibrate(Common):
     seed: Whole = 100
     """The first apartment; 0 to 1999 are for development."""
     trials: Whole = 96
-    """Number of settings to try."""
+    """Number of settings to try, for response maps."""
     workers: Whole = 1
     """Number of processes."""
     rows: Rows = None
 
 
-# Options that only some of what can be calibrated take.
-RESPONSES, HEADS = ("trials", "workers"), ("labels", "take")
-EPISODES = ("episodes", "seed", "rows")  # responses and heads
 REPLAY = ("replay", "truth", "poses")
-REPORTED = (
-    "habit", "false_alarms_per_look", "look_alikes", "look_alike_habit", "spread", "spread_of_size", "offset",
-    "offset_of_size",
-)  # fmt: skip
+ONLY = {"responses": ("trials", "workers"), "heads": ("labels", "take")}  # options that no other takes
 
 
 def calibrate(options: Calibrate) -> int:
     """Run the command; returns its exit code."""
-    if options.what not in ("responses", "heads"):
+    if options.what not in ONLY:
         raise terminal.UsageError(
             f"WHAT {options.what!r}: wanted responses or heads; or labelled looks, as --replay FILE --truth FILE"
         )
-    of_heads = options.what == "heads"
-    other, others = ("responses", RESPONSES) if of_heads else ("heads", HEADS)
-    _refuse(options, others, f"is for eagor calibrate {other}")
+    other = "responses" if options.what == "heads" else "heads"
+    if wrong := given(options, ONLY[other]):
+        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} is for eagor calibrate {other}")
     if given(options, REPLAY):
         return replay(options)
-    checked_rows(options.rows)
+    checked_number(options.rows, "--rows")
     for name in ("episodes", "trials", "workers", "take"):
         if getattr(options, name) < 1:
             raise terminal.UsageError(f"--{name} {getattr(options, name)}; wanted 1 or more")
-    return heads(options) if of_heads else responses(options)
-
-
-def _refuse(options: Calibrate, names: Sequence[str], why: str) -> None:
-    """Raise `UsageError` if one of these options is given."""
-    if wrong := given(options, names):
-        raise terminal.UsageError(f"--{wrong[0]} {getattr(options, wrong[0])} {why}")
+    return heads(options) if options.what == "heads" else responses(options)
 
 
 def responses(options: Calibrate) -> int:
@@ -112,12 +99,23 @@ def responses(options: Calibrate) -> int:
         recordings = record_episodes(
             perception, options.episodes, options.seed, options.rows, advance, terminal.warning
         )
-    terminal.log(f"{len(recordings)} episodes; trying {options.trials} settings, {DRAWS} at a time")
+    terminal.log(f"{len(recordings)} episodes; of response maps {options.trials} settings are tried, {DRAWS} at a time")
     with terminal.progress("fitting", options.trials) as advance:
         # Each round writes its best result, so that a fit that is stopped early is not lost.
         best = fit(perception, recordings, options.trials, options.workers, advance, lambda at: at.write(out))
     best.write(out)
-    return _finish(options, best.as_json(), out, partial(print_scores, best))
+    stored, by = best.as_json(), best.found_by
+    reading = ", ".join(f"{name} {value}" for name, value in (stored.get("detector") or stored["calibration"]).items())
+    judges = f"On the other half of the apartments ({len(by['judged by'])}), means with 95 % intervals:"
+    lines = [f"{perception}: {reading}", judges]
+    for name in by["after"]:
+        before, after = (_interval(*by[side][name]) for side in ("before", "after"))
+        lines.append(f"  {name}: {before} before, {after} after")
+    return _finish(options, stored, out, lines)
+
+
+def _interval(mean: float, *ends: float | None) -> str:
+    return f"{mean:.2f}" + ("" if None in ends else " [{:.2f} {:.2f}]".format(*ends))
 
 
 def replay(options: Calibrate) -> int:
@@ -128,7 +126,8 @@ def replay(options: Calibrate) -> int:
     from eagor.perception.calibrated import Calibrated
     from eagor.perception.replay import ReplayPerception
 
-    _refuse(options, ("perception", *HEADS, *RESPONSES, *EPISODES), "has no meaning with --replay and --truth")
+    if wrong := given(options, ("perception", "take", "labels", "trials", "workers", "episodes", "seed", "rows")):
+        raise terminal.UsageError(f"--{wrong[0]} has no meaning with --replay and --truth")
     if options.what == "heads" or options.replay is None or options.truth is None:
         raise terminal.UsageError("--replay FILE and --truth FILE belong together, and not to eagor calibrate heads")
     out = checked_out(options.out or Path("calibration-replay.json"))
@@ -144,19 +143,17 @@ def replay(options: Calibrate) -> int:
         terminal.warning(f"{len(left_out)} of {len(truths)} lines of {options.truth} have no look of their own")
     with terminal.progress("fitting", RESAMPLES) as advance:
         result = fit_detector(looks, on_step=advance)
-    found_by = {key: value for key, value in result.as_json().items() if key != "detector"} | {"version": __version__}
-    fitted = Calibrated("replay", None, found_by=found_by, detector=result.model)
+    fitted = Calibrated("replay", None, found_by=result.as_json() | {"version": __version__}, detector=result.model)
     fitted.write(out)
-    return _finish(options, fitted.as_json() | {"left_out": len(left_out)}, out, partial(print_fit, result))
+    return _finish(options, fitted.as_json() | {"left_out": len(left_out)}, out, fit_in_words(result))
 
 
-def _finish(options: Calibrate, result: dict[str, Any], out: Path, show: Callable[[], None]) -> int:
+def _finish(options: Calibrate, result: dict[str, Any], out: Path, lines: list[str]) -> int:
     """Give the result of a calibration that is in `out`: as JSON, or in words."""
     if options.json:
         terminal.emit(result | {"out": str(out)})
     else:
-        show()
-        print(f"Written to {out}; other commands take it as --calibration {out}")
+        terminal.say(*lines, f"Written to {out}; other commands take it as --calibration {out}")
     return terminal.OK
 
 
@@ -179,46 +176,43 @@ def _poses(path: str) -> Callable[[float], Pose]:
     return at
 
 
-def print_fit(result: DetectorFit) -> None:
+def fit_in_words(result: DetectorFit) -> list[str]:
     """A fitted detector model, with its intervals and its worth."""
-    print(
+    model, intervals = result.model, result.intervals
+    lines = [
         f"{result.looks} looks in {terminal.many(result.groups, 'group')}: {result.targets} targets in view, "
-        f"{result.detections} detections ({result.matched:.0f} right, {result.false_alarms:.0f} false alarms)"
-    )
-    model, rows = result.model, []
-    for name in REPORTED:
-        value, ends = getattr(model, name), result.intervals.get("detection_share" if name == "habit" else name, ())
-        scale, unit = (math.degrees(1), " deg") if name in ("spread", "offset") else (1, "")
-        values = value if isinstance(value, tuple) else () if value is None else (value,)
-        numbers, interval = (" ".join(f"{scale * each:.3g}" for each in some) for some in (values, ends))
-        text = f"{numbers}{unit}" if values else "not known"
-        text += f", mean {model.habits.mean:.2g}" if name == "habit" else ""
-        rows.append((name.replace("_", " "), text, f"[{interval}]" if interval else ""))
-    rows += [
-        (f"score {score:.2f}", f"{ratio:.3g}", "times likelier of the thing than of a false alarm")
-        for score, ratio in model.score_ratios or ()
+        f"{result.detections} detections ({result.matched:.0f} right, {result.detections - result.matched:.0f} false "
+        "alarms)"
     ]
-    terminal.table(rows)
-    if "look_alikes" not in result.intervals:
-        print("Without poses (--poses) nothing is known of look-alikes and of the offset: they are as they were")
+    shares = {"habit": model.habit, "look_alike_habit": model.look_alike_habit}
+    numbers = {**shares, **{name: (getattr(model, name),) for name in intervals if name != "detection_share"}}
+    for name, values in numbers.items():
+        scale, unit = (math.degrees(1), " deg") if name in ("spread", "offset") else (1.0, "")
+        ends = intervals.get("detection_share" if name == "habit" else name, ())
+        found, interval = (" ".join(f"{scale * each:.3g}" for each in some) for some in (values, ends))
+        mean = f", mean {model.habits.mean:.2g}" if name == "habit" else ""
+        lines.append(f"  {name.replace('_', ' ')}: {found}{unit}{mean}{f' [{interval}]' if interval else ''}")
+    ratios = ", ".join(f"{ratio:.3g} at {score:.2f}" for score, ratio in model.score_ratios or ())
+    lines += [f"  a score is so many times likelier of the thing than of a false alarm: {ratios}"] if ratios else []
+    if "look_alikes" not in intervals:
+        lines.append("Without poses (--poses) nothing is known of look-alikes and of the offset: they are as they were")
     if result.groups == 1:
-        print("All looks are of one group: the intervals say nothing of other recordings. Give more, with a group each")
+        lines.append("All looks are of one group: the intervals say nothing of other recordings. Give more groups")
     if (judged := result.held_out) is None:
-        print("One look is not enough to judge the fit")
-        return
-    print("Mean over looks that the fit had not seen, with the default model and with this one:")
-    pairs = {"log density at the truth": judged.log_density, "log probability of presence": judged.log_presence}
-    rows = [(name, *(f"{value:.3f}" for value in pair), "") for name, pair in pairs.items() if pair is not None]
-    low, high = judged.interval
-    terminal.table([*rows, ("gain of both, per look", "", f"{judged.gain:.3f}", f"[{low:.3f} {high:.3f}]")])
-    if low <= 0:
+        return [*lines, "One look is not enough to judge the fit"]
+    lines.append(
+        "On looks that the fit had not seen, log density and log probability of presence together gain "
+        f"{judged.gain:.3f} [{judged.low:.3f} {judged.high:.3f}] per look over the default model"
+    )
+    if judged.low <= 0:
         terminal.warning("the fit is not surely better than the default model on looks that it has not seen")
+    return lines
 
 
 def heads(options: Calibrate) -> int:
     """``eagor calibrate heads``."""
     from eagor.media.panorama import read_panorama
-    from eagor.perception import is_model, load, short_name
+    from eagor.perception import is_model, load, rows_of, short_name
     from eagor.perception.calibrated import labelled_lines, read_labelled
 
     name = options.perception or "scout"
@@ -233,7 +227,6 @@ def heads(options: Calibrate) -> int:
         raise terminal.UsageError(f"{perception.family.title} has no attention heads; wanted a language model")
     if options.labels is None:
         from eagor.lab.eval.labelled_looks import apartment_labels
-        from eagor.perception import rows_of
 
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))
     else:
@@ -266,19 +259,3 @@ def _counted(examples: Iterator[Labelled], advance: Callable[[], None]) -> Itera
     for example in examples:
         yield example
         advance()
-
-
-def print_scores(best: Calibrated) -> None:
-    """A fitted calibration, with its scores before and after."""
-    stored = best.as_json()
-    reading = stored.get("detector") or stored["calibration"]
-    print(f"{best.perception}: " + ", ".join(f"{name} {value}" for name, value in reading.items()))
-    print("  " + ", ".join(f"{name} {value}" for name, value in best.forgetting.items()))
-    print(f"On the other half of the apartments ({len(best.found_by['judged by'])}), means with 95 % intervals:")
-    before, after = best.found_by["before"], best.found_by["after"]
-    terminal.table([("", "before", "after"), *((name, _cell(before[name]), _cell(after[name])) for name in after)])
-
-
-def _cell(values: list[float | None]) -> str:
-    mean, *ends = values
-    return f"{mean:.2f}" + ("" if None in ends else " [{:.2f} {:.2f}]".format(*ends))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from tyro.conf import Positional, arg, subcommand
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_not_read, checked_out, checked_picture, checked_rows, keep_picture, rig_of
+from eagor.cli.checks import check_not_read, checked_number, checked_out, checked_picture, keep_picture, rig_of
 from eagor.cli.options import Common, Flag, bare
 from eagor.errors import DeviceError, ImageError
 
@@ -185,7 +185,7 @@ def view(options: CameraView) -> int:
         if path is not None:
             check_not_read(path, option, inputs)
             checked_picture(path)
-    checked_rows(options.rows)
+    checked_number(options.rows, "--rows")
     rig = rig_of(options.rig)
     pictures = list(next(_film(inputs, rig, options.stamp))) if is_video(inputs, True) else _read(options.picture)
     if rig is None:
@@ -228,21 +228,23 @@ def latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
     from eagor.media.camera_sources import open_source
     from eagor.media.latency import check_turning, latency_between, steps_of
-    from eagor.odometry.axes import odometry_of_file
+    from eagor.media.odometry import open_poses
 
     for name in ("rate", "seconds", "most"):
         if not (math.isfinite(value := getattr(options, name)) and value > 0):
             raise terminal.UsageError(f"--{name} {value:g}; wanted a number above 0")
+    given: Any = open_poses(str(options.poses))
+    poses = [*given]
     source = open_source(options.source, rig=options.rig, rate=options.rate, rows=512, stitched=True)
     try:
         if not source.live:
-            check_turning(odometry_of_file(options.poses))  # what is wrong with it is told before the work
+            check_turning(poses)  # what is wrong with it is told before the work
         else:
             terminal.log(f"looking for {options.seconds:g} s: turn the camera left and right, briskly")
         steps = steps_of(_for_a_while(source, options.seconds), level=options.level)
     finally:
         source.close()
-    found = latency_between(steps, odometry_of_file(options.poses), most=options.most)
+    found = latency_between(steps, poses, most=options.most)
     low, high = found.interval
     if options.json:
         told = {"latency_s": found.seconds, "low_s": low, "high_s": high, "correlation": found.correlation}

@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from eagor.cli.terminal import RunError, UsageError, log, warning
 from eagor.errors import EagorError, ImageError, QueryError
@@ -28,64 +28,33 @@ if TYPE_CHECKING:
     from eagor.perception.calibrated import Calibrated
     from eagor.tracking.config import TrackerConfig
 
-MAX_DEGREE = 63
-LEAST_ROWS = 8
-MOST_DRIFT = 90  # degrees
 SHARED = ("coco", "onnx")  # perceptions that look at several views at the same time, one core each
+SECONDS, RATE = "seconds above 0", "a number per second above 0"
+LIMITS = {  # least, most, and what is wanted
+    "--degree": (1, 63, "1 to 63 (15 resolves about 12 degrees)"), "--rows": (8, math.inf, "8 or more"),
+    "--modes": (1, math.inf, "1 or more"), "--drift": (0, 90, "degrees from 0 to 90"),
+    "--latency": (0, math.inf, "seconds, 0 or more"), "--seconds": (math.ulp(0), math.inf, SECONDS),
+    "--patience": (math.ulp(0), math.inf, SECONDS), "--rate": (math.ulp(0), math.inf, RATE),
+    "--fps": (math.ulp(0), math.inf, RATE),
+}  # fmt: skip
+
+_Number = TypeVar("_Number", int, float, "int | None", "float | None")
 
 
 # --- numbers and words ---------------------------------------------------------------------------------------------
 
 
-def checked_degree(degree: int) -> int:
-    """``--degree``."""
-    if not 1 <= degree <= MAX_DEGREE:
-        raise UsageError(f"--degree {degree}; wanted 1 to {MAX_DEGREE} (15 resolves about 12 degrees)")
-    return degree
-
-
-def checked_rows(rows: int | None) -> int | None:
-    """``--rows`` of panoramas; None is the perception's own number."""
-    if rows is not None and rows < LEAST_ROWS:
-        raise UsageError(f"--rows {rows}; wanted {LEAST_ROWS} or more")
-    return rows
-
-
-def checked_modes(modes: int) -> int:
-    """``--modes``."""
-    if modes < 1:
-        raise UsageError(f"--modes {modes}; wanted 1 or more")
-    return modes
+def checked_number(value: _Number, option: str) -> _Number:
+    """`value` of `option`; None is an option that was left out. Raises `UsageError` outside of `LIMITS`."""
+    least, most, wanted = LIMITS[option]
+    if value is not None and not (least <= value <= most and value < math.inf):
+        raise UsageError(f"{option} {value:g}; wanted {wanted}")
+    return value
 
 
 def checked_drift(drift: float | None) -> float | None:
     """``--drift``, in radians."""
-    if drift is None:
-        return None
-    if not 0 <= drift <= MOST_DRIFT:
-        raise UsageError(f"--drift {drift:g}; wanted degrees from 0 to {MOST_DRIFT}")
-    return math.radians(drift)
-
-
-def checked_seconds(seconds: float | None, option: str = "--seconds") -> float | None:
-    """A time that is longer than nothing; None is no limit."""
-    if seconds is not None and not 0 < seconds < math.inf:
-        raise UsageError(f"{option} {seconds:g}; wanted seconds above 0")
-    return seconds
-
-
-def checked_rate(rate: float | None, option: str = "--rate") -> float | None:
-    """A number per second that is more than nothing; None is the usual one."""
-    if rate is not None and not 0 < rate < math.inf:
-        raise UsageError(f"{option} {rate:g}; wanted a number per second above 0")
-    return rate
-
-
-def checked_latency(latency: float) -> float:
-    """``--latency``."""
-    if not 0 <= latency < math.inf:
-        raise UsageError(f"--latency {latency:g}; wanted seconds, 0 or more")
-    return latency
+    return None if drift is None else math.radians(checked_number(drift, "--drift"))
 
 
 def checked_query(query: str) -> str:
@@ -106,35 +75,26 @@ def checked_queries(words: Sequence[str]) -> list[str]:
 # --- places to write to --------------------------------------------------------------------------------------------
 
 
+def checked_out(path: Path, option: str = "--out", *, folder: bool = False) -> Path:
+    """`path` of an output file or `folder`, if it can probably be written; folders above it are made, not here."""
+    there = next(place for place in (path.absolute(), *path.absolute().parents) if os.path.exists(place))
+    fits = there.is_dir() if folder else there.is_dir() != path.exists()
+    if not fits or not os.access(there, os.W_OK):
+        what = "a folder" if folder else "a file in a folder"
+        raise UsageError(f"{option} {path} cannot be written ({there} is in the way); name {what} that can")
+    return path
+
+
 def checked_picture(path: Path, option: str = "--picture") -> Path:
-    """`path` of a picture: it has a picture's suffix, and its folder can be written to."""
+    """`path` of a picture, likewise; it has a picture's suffix."""
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
         raise UsageError(f"{option} {path}: wanted a file name that ends in .png, .jpg or .webp")
-    if not path.absolute().parent.is_dir():
-        raise UsageError(f"{option} {path}: there is no folder {path.absolute().parent}; make it first")
     return checked_out(path, option)
-
-
-def checked_out(path: Path, option: str = "--out") -> Path:
-    """`path` of an output file, if it can probably be written."""
-    there = _nearest(path)
-    if path.is_dir() or not (there.is_dir() or there == path.absolute()) or not os.access(there, os.W_OK):
-        raise UsageError(f"{option} {path} cannot be written; name a file in a folder that can be written to")
-    return path
-
-
-def checked_folder(path: Path, option: str = "--out") -> Path:
-    """`path` of an output folder, if it can probably be written to; creates nothing."""
-    there = _nearest(path)
-    if not there.is_dir() or not os.access(there, os.W_OK):
-        why = "cannot be written to" if there.is_dir() else "is not a folder"
-        raise UsageError(f"{option} {path}: cannot be made a folder to write to ({there} {why}); name another")
-    return path
 
 
 def checked_record(path: Path | None) -> Path | None:
     """``--record``: a folder that is not there yet."""
-    if path is not None and checked_folder(path, "--record").exists():
+    if path is not None and checked_out(path, "--record", folder=True).exists():
         raise UsageError(f"--record {path} is there already; name a new folder")
     return path
 
@@ -147,26 +107,22 @@ def places_of(words: Sequence[str], rig: bool) -> list[Path]:
 
 
 def in_quotes(query: str) -> str:
-    """What to change about a query that came as several words; of several with commas between, the first is taken."""
-    first, comma, _ = query.partition(",")
-    return f'{"Ask for one thing at a time" if comma else "Write a query of several words in quotes"}: "{first}"'
+    """What to change about a query that came as several words."""
+    return f'Write a query of several words in quotes: "{query}"'
 
 
-def frames_and_query(words: Sequence[str]) -> tuple[Sequence[str], str]:
-    """What names the frames, and the query after it, "" for one word alone.
+def frames_and_queries(words: Sequence[str]) -> tuple[Sequence[str], list[str]]:
+    """What names the frames, and the queries after it; none for one word alone.
 
-    Raises `UsageError` if words between them are no files: they belong to the query.
+    The first word that is no file, and has no suffix as a misspelt one would have, is the first query.
     """
     if len(words) < 2:
-        return words, ""
-    for at, word in enumerate(words[1:-1], 1):
-        if not os.path.exists(word) and not Path(word).suffix:  # with a suffix it is a file's name, misspelt
-            several = " ".join(f'"{each}"' for each in words[at:])
-            raise UsageError(
-                f"there is no file {word}. {in_quotes(' '.join(words[at:]))}. For several things at once: "
-                f"eagor live {words[0]} {several} --fast"
-            )
-    return words[:-1], checked_query(words[-1])
+        return words, []
+    first = next(
+        (at for at, word in enumerate(words[1:-1], 1) if not (os.path.exists(word) or Path(word).suffix)),
+        len(words) - 1,
+    )
+    return words[:first], checked_queries(words[first:])
 
 
 def nothing_of(frames: int, unread: int) -> EagorError:
@@ -183,12 +139,6 @@ def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> No
         raise UsageError(f"{option} {path} is an input; name another place to write to")
 
 
-def _nearest(path: Path) -> Path:
-    """`path` itself, or its nearest parent that exists."""
-    place = path.absolute()
-    return next(place for place in (place, *place.parents) if os.path.exists(place))
-
-
 def keep_picture(picture: Image.Image, path: Path) -> None:
     """Write a picture atomically, in the format of its name. Raises `StorageError`."""
     from PIL import Image
@@ -203,12 +153,12 @@ def keep_picture(picture: Image.Image, path: Path) -> None:
 # --- perceptions and the tracker's settings ------------------------------------------------------------------------
 
 
-def perception_for(query: str, spec: str | None) -> str:
-    """The perception to use: ``--perception``, or the one that suits the query.
+def perception_for(queries: Sequence[str], spec: str | None) -> str:
+    """The one perception that answers all `queries`: ``--perception``, or what suits them.
 
     By default that is the detector ``coco``, whose boxes a colour before the noun weighs. A bare colour ("red",
-    "something red", "a red thing") is answered by ``colour``. Raises `QueryError` where ``coco`` cannot run here; of
-    what it does not know it says so itself, and what does.
+    "something red", "a red thing") is answered by ``colour``. Raises `QueryError` where ``coco`` cannot run here, or
+    there is no one answer for all; of what ``coco`` does not know it says so itself, and what does.
     """
     from eagor.cli.models import how_to_find
     from eagor.perception.coco import CLASSES, wanted
@@ -216,21 +166,15 @@ def perception_for(query: str, spec: str | None) -> str:
 
     if spec is not None:
         return spec
-    if is_bare_colour(query, CLASSES):
-        return "colour"
-    if wanted():
-        raise QueryError(how_to_find(query))
-    return "coco"
-
-
-def perception_for_all(queries: Sequence[str], spec: str | None) -> str:
-    """The one perception that answers all queries. Raises `QueryError` if there is none."""
-    found = {perception_for(query, spec) for query in queries}
-    if len(found) > 1:
+    nouns = [query for query in queries if not is_bare_colour(query, CLASSES)]
+    if nouns and wanted():
+        raise QueryError(how_to_find(nouns[0]))
+    if 0 < len(nouns) < len(queries):
         raise QueryError(
-            f"{' and '.join(sorted(found))} would each answer some of the queries; name one with --perception"
+            "coco and colour would each answer some of the queries; name one with --perception. Is it one thing? "
+            f"{in_quotes(' '.join(queries))}"
         )
-    return found.pop()
+    return "coco" if nouns else "colour"
 
 
 def make_perception(spec: str, busy: bool = False) -> Perception:
@@ -242,8 +186,7 @@ def make_perception(spec: str, busy: bool = False) -> Perception:
     if name == "replay" and not text:
         raise UsageError("--perception replay needs the file that the detector wrote: replay:FILE.jsonl")
     if busy and name in SHARED and not re.search(r"\b(together|threads)=", text):
-        asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
-        return load(spec, together=min(int(asked), 1024) if asked.isdecimal() and int(asked) else usable_cores())
+        return load(spec, together=usable_cores())
     return load(spec)
 
 
@@ -252,10 +195,10 @@ def rows_for(spec: str, rows: int | None = None, least: int | None = None) -> in
 
     A model is not loaded for that: it scales its pictures itself.
     """
-    from eagor.media.footage import LEAST_ROWS as NICE
+    from eagor.media.footage import LEAST_ROWS
     from eagor.perception import is_model, rows_of
 
-    return rows or max(least or NICE, 0 if is_model(spec) else rows_of(make_perception(spec)))
+    return rows or max(least or LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
 
 
 def wants_panoramas(spec: str) -> bool:
@@ -288,7 +231,7 @@ def tracker_config(
     """The tracker's configuration for ``--degree``, the result of `calibrated`, and ``--static``, which wins."""
     from eagor.tracking.config import MotionModel, TrackerConfig
 
-    config = TrackerConfig(degree=checked_degree(degree))
+    config = TrackerConfig(degree=checked_number(degree, "--degree"))
     found = calibrated(perception, calibration, detector, force)
     if found is not None:
         config = config.fitted(found.calibration, found.detector, found.forgetting)
@@ -337,20 +280,14 @@ def rig_of(path: Path | None) -> Rig | None:
 def ordinary(
     hfov: float | None, path: Path | None, rig: Path | None, info: str | None = None, eyes: str | None = None
 ) -> Camera:
-    """``--hfov``, ``--camera`` and ``--eyes``, beside others that tell the lens. Raises `UsageError`, `FormatError`."""
-    from eagor.errors import FormatError, ImageError
+    """``--hfov``, ``--camera`` and ``--eyes``, beside others that tell the lens. Raises `EagorError`."""
     from eagor.media.intrinsics import camera_of
 
     if rig is not None and not (hfov is None and path is None and eyes is None):
         raise UsageError(f"--rig {rig} has the lenses of its pictures; leave out --hfov, --camera and --eyes")
     if info is not None and (other := next((each for each in (rig, path, hfov) if each is not None), None)) is not None:
         raise UsageError(f"--camera-info {info} and {other}: both tell the lens of the pictures; wanted one of them")
-    try:
-        return camera_of(hfov, path, eyes)
-    except FormatError:
-        raise
-    except ImageError as error:
-        raise UsageError(str(error)) from error
+    return camera_of(hfov, path, eyes)
 
 
 def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:
@@ -361,17 +298,9 @@ def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:
 
 def say_of_video(name: str, facts: Sequence[str], duration: float | None) -> None:
     """Say on stderr what a video tells of itself: `facts` (of which the first is its format), seconds."""
-    lasting = "" if duration is None else f", {duration:.1f} s"
-    log(f"{name}: {facts[0]}{lasting}")
-    for fact in facts[1:]:
+    first = facts[0] if duration is None else f"{facts[0]}, {duration:.1f} s"
+    for fact in (first, *facts[1:]):
         log(f"{name}: {fact}")
-
-
-def looks_in_words(rate: float, pictures: float | None) -> str:
-    """The looks per second that ``--rate`` gives with so many `pictures` per second, if that is known."""
-    if pictures is None or rate < 1.01 * pictures:  # the mean of a video is not exact
-        return f"{rate:g} looks per second (--rate)"
-    return f"{pictures:g} looks per second: the video has no more (--rate {rate:g})"
 
 
 def say_of_replay(perception: Perception, query: str, looks: int) -> None:

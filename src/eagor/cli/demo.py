@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
 from eagor.cli import terminal
-from eagor.cli.checks import check_looks, checked_folder, checked_query, make_perception, perception_for
+from eagor.cli.checks import check_looks, checked_out, checked_query, make_perception, perception_for
 from eagor.cli.options import Common, Name, Whole, bare, given
 
 if TYPE_CHECKING:
     import numpy as np
 
 
-NARROWEST, WIDEST = 20, 120  # degrees: fields of a camera that searches
 AUTO = "auto"  # the default of --perception
 
 
@@ -31,8 +29,6 @@ class Demo(Common):
     """Turn a camera in this panorama of yours, an equirectangular image, instead of walking in an apartment."""
     query: Annotated[str | None, bare("QUERY")] = None
     """With --photo: what to look for (default: what the detector is surest of)."""
-    hfov: Annotated[float | None, bare("DEGREES")] = None
-    """With --photo: search with an ordinary camera, which sees so many degrees across its picture, by turning it."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
     """Folder for the report and the pictures."""
@@ -51,8 +47,6 @@ def demo(options: Demo) -> int:
     """Run the command; returns its exit code."""
     if options.photo is not None:
         return _photo(options, options.photo)
-    if options.hfov is not None:
-        raise terminal.UsageError("--hfov is for --photo PICTURE; in the apartment the camera sees all around")
     if options.query is not None:
         raise terminal.UsageError("--query is for --photo PICTURE; in the apartment the search is chosen by --episode")
     return _apartment(options)
@@ -67,7 +61,7 @@ def _apartment(options: Demo) -> int:
         raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {SEEDS - 1}")
     if not 0 <= options.episode < PER_PLACE:
         raise terminal.UsageError(f"--episode {options.episode}; wanted 0 to {PER_PLACE - 1}")
-    checked_folder(options.out)
+    checked_out(options.out, folder=True)
     perception = "scout" if options.perception == AUTO else options.perception
     check_looks(perception)
     search = demo_apartment.play(options.seed, options.episode, perception, say=not options.json)
@@ -84,36 +78,26 @@ def _apartment(options: Demo) -> int:
 def _photo(options: Demo, path: Path) -> int:
     if mistaken := given(options, ("seed", "episode")):
         raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")
-    hfov = options.hfov
-    if hfov is not None and not NARROWEST <= hfov <= WIDEST:
-        raise terminal.UsageError(f"--hfov {hfov:g}; wanted degrees from {NARROWEST} to {WIDEST}")
-    checked_folder(options.out)
+    checked_out(options.out, folder=True)
     spec = options.perception
     if spec == AUTO:  # without a query the detector chooses one, so it has to be one that knows things
-        spec = "coco" if options.query is None else perception_for(checked_query(options.query), None)
+        spec = "coco" if options.query is None else perception_for([checked_query(options.query)], None)
     check_looks(spec)
     image, perception = _read(path), make_perception(spec)
-    from eagor.cli import demo_looking, demo_photo
+    from eagor.cli import demo_photo
     from eagor.perception import short_name
 
     query = options.query or demo_photo.best_query(perception, image)
-    asked = image, perception, spec, query
-    if hfov is None:
-        shown, count = demo_photo, demo_photo.LOOKS
-        what, play = f"A camera turns in {path.name} and looks {count} times", partial(demo_photo.play, *asked)
-    else:
-        shown, count = demo_looking, None
-        what = f"An ordinary camera of {hfov:g} degrees turns in {path.name} and looks"
-        play = partial(demo_looking.play, *asked, hfov)
     if not options.json:
+        what = f"A camera turns in {path.name} and looks {demo_photo.LOOKS} times"
         print(f"{what} for the {query}, with the perception {short_name(spec)}.", flush=True)
-    with terminal.progress("looking", count, shown=not options.json) as advance:
-        played: Any = play(advance)
-    report = shown.write_report(played, spec, path.name, options.out)
+    with terminal.progress("looking", demo_photo.LOOKS, shown=not options.json) as advance:
+        played = demo_photo.play(image, perception, spec, query, advance)
+    report = demo_photo.write_report(played, spec, path.name, options.out)
     if options.json:
-        terminal.emit(shown.as_json(played, spec, path.name) | {"report": str(report)})
+        terminal.emit(demo_photo.as_json(played, spec, path.name) | {"report": str(report)})
     else:
-        _print(shown.as_text(played), shown.summary(played), report)
+        _print(demo_photo.as_text(played), demo_photo.summary(played), report)
     return terminal.OK
 
 

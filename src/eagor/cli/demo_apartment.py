@@ -22,7 +22,7 @@ from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerEstimato
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
-from eagor.lab.eval import steps as parts
+from eagor.lab.eval import episodes as parts
 from eagor.lab.eval.page import Cell, Fold, Pictures, Row, Section, Table, Text, address_of, page
 from eagor.lab.eval.results import OURS
 from eagor.lab.tasks.sim.play import Runner, StepInfo

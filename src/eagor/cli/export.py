@@ -13,7 +13,7 @@ from eagor.cli import terminal
 from eagor.cli.options import Common, Whole, bare
 
 if TYPE_CHECKING:
-    from eagor.lab.worlds.objectnav import Source
+    from eagor.lab.worlds.objectnav import SceneSource
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,20 +70,20 @@ def habitat(options: Export) -> int:
     return terminal.OK
 
 
-def sources_of(words: tuple[str, ...]) -> list[Source]:
+def sources_of(words: tuple[str, ...]) -> list[SceneSource]:
     """The scenes that the words name: seeds (``0-4,7``) and GLB files. Raises `UsageError` for any other word."""
     from eagor.lab.envs.places import SEEDS
     from eagor.lab.worlds.apartment import generate
     from eagor.lab.worlds.glb import import_glb
-    from eagor.lab.worlds.objectnav import Source
+    from eagor.lab.worlds.objectnav import SceneSource
 
-    found: dict[str, Source] = {}
+    found: dict[str, SceneSource] = {}
     files = [word for word in dict.fromkeys(words) if Path(word).suffix.lower() in (".glb", ".gltf")]
     for number, word in enumerate(files, SEEDS):
         if not Path(word).is_file():
             raise terminal.UsageError(f"there is no file {word}")
         name = re.sub(r"[^A-Za-z0-9_-]+", "_", Path(word).name.partition(".")[0]) or "scene"
-        found[word] = Source(number, name, lambda word=word: import_glb(Path(word)))
+        found[word] = SceneSource(number, name, lambda word=word: import_glb(Path(word)))
     for part in (part for word in words if word not in files for part in word.split(",") if part):
         match = re.fullmatch(r"(\d+)(?:-(\d+))?", part)
         if match is None:
@@ -94,7 +94,7 @@ def sources_of(words: tuple[str, ...]) -> list[Source]:
                 f"there are no apartments {part}; wanted seeds from 0 to {SEEDS - 1}, the lower one first"
             )
         for seed in range(first, last + 1):
-            found.setdefault(str(seed), Source(seed, f"apartment{seed:04d}", lambda seed=seed: generate(seed)))
+            found.setdefault(str(seed), SceneSource(seed, f"apartment{seed:04d}", lambda seed=seed: generate(seed)))
     if not found:
         raise terminal.UsageError("no apartment is named; wanted seeds, such as 0-4,7, or GLB files")
     return list(found.values())

@@ -22,17 +22,14 @@ from eagor.cli import terminal
 from eagor.cli.checks import (
     check_looks,
     checked_drift,
-    checked_latency,
-    checked_modes,
+    checked_number,
     checked_out,
     checked_queries,
     checked_record,
-    checked_rows,
-    checked_seconds,
     make_perception,
     mask_of,
     ordinary,
-    perception_for_all,
+    perception_for,
     rig_of,
     rows_for,
     tracker_config,
@@ -60,7 +57,6 @@ from eagor.cli.options import (
 if TYPE_CHECKING:
     from eagor.live.events import Answer, NextLooks
     from eagor.live.loop import Loop, Sink
-    from eagor.tracking import Surroundings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +94,6 @@ class Live(Common):
     rerun: Rerun = None
     fast: Flag = False
     """Look at every picture of a file or folder, as fast as the detector can; time is that of the recording."""
-    what_else: Flag = False
-    """Also tell what else is here, at the end: all that the detector saw. It has to know its classes, as coco does."""
     seconds: Annotated[float | None, bare("SECONDS")] = None
     """Stop so long after the detector is loaded (default: when the source ends, or at Ctrl-C)."""
     latency: Annotated[float, arg(metavar="SECONDS")] = 0.0
@@ -149,23 +143,17 @@ def live(options: Live) -> int:
             from eagor.live.rerun import LiveLog
 
             sinks.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
-        loop = loop_of(options, [*sinks, looks], around=options.what_else)
+        loop = loop_of(options, [*sinks, looks])
     except BaseException:
         for sink in sinks:
             sink.close()
         raise
-    told.around, spec = loop.core.around, perception_for_all(queries, options.perception)
     until = math.inf
 
     def answered(answer: Answer) -> None:
         nonlocal until
         if until == math.inf and options.seconds is not None and loop.knows_classes is not None:  # it is loaded
             until = time.monotonic() + options.seconds
-        if options.what_else and loop.knows_classes is False:
-            raise terminal.UsageError(
-                f"--what-else needs a detector that knows its classes, such as coco or onnx:MODEL.onnx, and {spec} "
-                "does not: leave it out, or choose one with --perception"
-            )
         told.add(answer)
         if time.monotonic() >= until and answer.query == queries[-1]:
             loop.stop()
@@ -174,7 +162,6 @@ def live(options: Live) -> int:
         loop.run(answered)
     finally:
         told.close()
-        told.what_else(spec, source)
         for sink in sinks:
             if sink.problem is not None:
                 terminal.warning(sink.problem)
@@ -197,12 +184,12 @@ def asked(options: Live) -> tuple[str, list[str]]:
     queries = checked_queries(words)
     if not 0 < options.rate <= MOST_RATE:
         raise terminal.UsageError(f"--rate {options.rate:g}; wanted answers per second, up to {MOST_RATE:g}")
-    checked_seconds(options.patience, "--patience")
-    checked_seconds(options.seconds)
-    checked_latency(options.latency)
+    checked_number(options.patience, "--patience")
+    checked_number(options.seconds, "--seconds")
+    checked_number(options.latency, "--latency")
     checked_drift(options.drift)
-    checked_modes(options.modes)
-    checked_rows(options.rows)
+    checked_number(options.modes, "--modes")
+    checked_number(options.rows, "--rows")
     checked_record(options.record)
     return source, queries
 
@@ -216,11 +203,11 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
     from eagor.live.loop import Loop
     from eagor.live.threads import already_open
     from eagor.media.camera_sources import open_source
+    from eagor.media.odometry import poses_for
     from eagor.media.rig_videos import are_ordinary
-    from eagor.odometry.sources import poses_for
 
     source, queries = asked(options)
-    spec = perception_for_all(queries, options.perception)
+    spec = perception_for(queries, options.perception)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=options.floor, drift=checked_drift(options.drift))
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
@@ -237,7 +224,7 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
         mask = BodyMask(~unseen)
     try:
         dds = {"domain": options.domain, "interface": options.interface}
-        poses = poses_for(options.poses, camera, axes=options.axes, again=opens, **dds)
+        poses = poses_for(options.poses, camera, axes=options.axes, **dds)
         loop = Loop(
             already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast, sinks,
             config=config, rate=options.rate, patience=options.patience, record=options.record,
@@ -265,7 +252,6 @@ class _Told:
         self._news, self._looks = FaultLog(), looks
         self._next: tuple[float, float] | None = None  # where to look next: azimuth and elevation, radians
         self.last: str | None = None
-        self.around: Surroundings | None = None  # what else was seen
 
     def add(self, answer: Answer) -> None:
         """One answer."""
@@ -305,25 +291,11 @@ class _Told:
         return float(azimuth), float(elevation)
 
     def _hints(self) -> Iterator[str]:
-        """Where to look next, and what else was seen, the newest names first."""
+        """Where to look next."""
         from eagor.drawing.style import in_words
 
         if self._next is not None:
             yield f"look next {in_words(*self._next)}"
-        if self.around is not None and (names := [name for name in self.around.names if name not in self._queries]):
-            yield f"also seen: {', '.join(reversed(names))}"
-
-    def what_else(self, perception: str, source: str) -> None:
-        """Tell all that was seen, where that was wanted."""
-        from eagor.cli.answers import entries, say_things
-
-        if self.around is None or not self.around.among:
-            return
-        found = self.around.things(self._now)
-        if self._json:
-            terminal.emit({"of": source, "perception": perception, "things": entries(found, self._modes)})
-        else:
-            say_things(found, perception, source, self._begun)
 
     def _say(self, answer: Answer) -> None:
         """What is wrong now and was not, and the other way round."""
@@ -367,7 +339,7 @@ def _replay(options: Live) -> int:
 
     if len(options.words) != 2:
         raise terminal.UsageError("wanted the folder of one recording: eagor live replay DIR")
-    checked_modes(options.modes)
+    checked_number(options.modes, "--modes")
     folder = Path(options.words[1])
     if options.perception is not None:
         check_looks(options.perception)

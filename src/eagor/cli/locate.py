@@ -15,7 +15,7 @@ from eagor.cli import terminal
 from eagor.cli.answers import table
 from eagor.cli.checks import (
     check_not_read,
-    checked_modes,
+    checked_number,
     checked_picture,
     checked_query,
     keep_picture,
@@ -102,13 +102,13 @@ def locate(options: Locate) -> int:
     """Run the command; returns its exit code."""
     import numpy as np
 
-    from eagor.perception.footage import HiddenParts
+    from eagor.perception.recordings import HiddenParts
     from eagor.perception.replay import ReplayPerception, look
     from eagor.tracking.follower import Follower
 
     query = checked_query(options.query)
-    spec = perception_for(query, options.perception)
-    checked_modes(options.modes)
+    spec = perception_for([query], options.perception)
+    checked_number(options.modes, "--modes")
     places = places_of([options.file], options.rig is not None)
     check_not_read(options.picture, "--picture", places)
     check_not_read(options.out, "--out", places)
@@ -118,10 +118,14 @@ def locate(options: Locate) -> int:
         checked_picture(options.picture)
     with table(options.out) if options.out is not None else nullcontext() as write:
         perception, stamp = make_perception(spec, busy=True), options.stamp
+        masks = [] if (mask := mask_of(options.mask)) is None else [mask]
         if stamp is None:  # a replay answers at its own times
             records = perception.records if isinstance(perception, ReplayPerception) else ()
             stamp = next((record.stamp for record in records if record.answers(query)), 0.0)
-        frames, hidden = _frames(options, places, perception), HiddenParts(mask_of(options.mask), terminal.log)
+        frames, hidden = (
+            _frames(options, places, perception),
+            HiddenParts(masks, terminal.log),
+        )
         # A recording has its own views of the moment, whatever the pictures.
         seen = frames[:1] if isinstance(perception, ReplayPerception) else frames
         looks = tuple(

@@ -16,8 +16,8 @@ from tyro.conf import Positional, arg
 from eagor.cli import terminal
 from eagor.cli.answers import Lines
 from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception, nothing_of, places_of
+from eagor.cli.footage import journey_of
 from eagor.cli.options import Footage
-from eagor.cli.track import journey_of
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
@@ -42,8 +42,8 @@ class Look(Footage):
 
 def look(options: Look) -> int:
     """Run the command; returns its exit code."""
-    from eagor.media.posed_frames import ahead
-    from eagor.perception.footage import HiddenParts, first_line, looked_at
+    from eagor.media.posed_frames import PosedFrames, prefetched
+    from eagor.perception.recordings import HiddenParts, first_line, looked_at
 
     queries = checked_queries(options.queries)
     places = places_of(options.words, options.rig is not None)
@@ -58,17 +58,18 @@ def look(options: Look) -> int:
     labels: Counter[str] = Counter()
     with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:
         head = [first_line(of, options.perception, views, journey.told, journey.begins)]
+        frames = PosedFrames(journey.source, journey.poses, journey.looks, terminal.log)
         try:
-            for frame, entries in looked_at(ahead(journey.frames), views, queries, hidden):
+            for posed, entries in looked_at(prefetched(frames), views, queries, hidden):
                 file.add("".join(f"{line}\n" for line in [*head, *map(json.dumps, entries)]))
                 head.clear()
-                if frame.frame is None or not frame.looked:
+                if not posed.looked:
                     continue
-                looks, bad = looks + ("views" in entries[0]), bad + ("problem" in entries[0])
-                last = frame.pose.stamp
-                if "problem" in entries[0]:
-                    terminal.warning(f"{frame.frame} is left out: {entries[0]['problem']}")
-                    unread += frame.read is None
+                problem, last = entries[-1].get("problem"), posed.frame.stamp
+                looks, bad = looks + (problem is None), bad + (problem is not None)
+                if problem is not None:
+                    terminal.warning(f"{posed.frame.name} is left out: {problem}")
+                    unread += posed.frame.picture is None
                 for entry in entries:
                     found = [box for view in entry.get("views", ()) for box in view["boxes"]]
                     labels.update(entry.get("query") or box.get("label", "") for box in found)
@@ -82,7 +83,8 @@ def look(options: Look) -> int:
             if looks:
                 terminal.log(f"kept: {options.out}, {terminal.many(looks, 'look')} to {last - journey.begins:.2f} s")
             raise
-    lost = journey.say_left_out()
+    for text in frames.left_out:
+        terminal.warning(text)
     if not looks:
         raise nothing_of(bad, unread) if bad else terminal.RunError("there was no frame to look at")
     if bad:
@@ -99,7 +101,7 @@ def look(options: Look) -> int:
             f"what there is:  eagor track {options.out}",
             f'where it is:    eagor track {options.out} "{example}"',
         )
-    return terminal.INCOMPLETE if bad or broken or lost else terminal.OK
+    return terminal.INCOMPLETE if bad or broken or frames.left_out else terminal.OK
 
 
 def _views(options: Look, queries: list[str]) -> Detector:

@@ -26,15 +26,6 @@ Rows = Annotated[
     int | None,
     bare("N", "Rows of rendered panoramas (default: those of the perception, else 256; truth reads ids instead)."),
 ]
-Scoring = Annotated[
-    Literal["official", "strict"] | None,
-    bare("WAY", "H*Bench: official (default), or strict (checks the pitch also where a window crosses yaw 0)."),
-]
-Labels = Annotated[
-    Literal["official", "corrected", "both"] | None,
-    bare("WHICH", "OSR-Bench: official labels (default), corrected (left and right exchanged back), or both."),
-]
-
 
 Detector = Annotated[
     str | None,
@@ -149,13 +140,13 @@ class Common:
 class Footage(Common):
     """Options of the commands that go through footage: how the camera moved, what of it is looked at, its lens."""
 
-    poses: Annotated[str, arg(metavar="CSV|auto|level")] = "auto"
+    poses: Annotated[str, arg(metavar="CSV|auto|level|still")] = "auto"
     (
         "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
-        "themselves (rotation only). level: from pictures that the camera keeps level; only the heading turns. CSV: a "
-        "file with the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, pitch "
-        "nose DOWN); also x,y,z (metres) and frame (file name). Or a trajectory of TUM, EuRoC, COLMAP (images.txt) or "
-        "nerfstudio (transforms.json)."
+        "themselves (rotation only). level: from pictures that the camera keeps level; only the heading turns. still: "
+        "it stands. CSV: a file with the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg "
+        "(yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name). Or a trajectory of TUM, EuRoC, COLMAP "
+        "(images.txt) or nerfstudio (transforms.json)."
     )
     axes: Axes = "auto"
     rate: Annotated[float | None, bare("HZ")] = None

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class BenchReport(Common):
-    """Write the report of a run into its folder: report.html, tables.md, tables.csv and (to watch) episode.html.
+    """Write the report of a run into its folder: report.html, tables.md and (to watch) episode.html.
 
     The report of one run of a benchmark also has predictions.jsonl, which `eagor bench score` reads.
     """
@@ -59,16 +59,12 @@ class BenchFailures(Common):
     """Of a simulated task: whose episodes (default: eagor)."""
     limit: Whole = 20
     """Number of cases to list."""
-    rerun: Annotated[Path | None, bare("FILE.rrd")] = None
-    """Play the worst episode of a simulated task again and log it for the Rerun viewer (extra rerun)."""
-    episode: Annotated[str | None, bare("NAME")] = None
-    """With --rerun: this episode, as it is named in the list."""
 
 
 def report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` if it cannot be written."""
     from eagor._extras import need
-    from eagor.cli.checks import checked_folder
+    from eagor.cli.checks import checked_out
     from eagor.lab.eval.report import write_report
     from eagor.lab.eval.results import read
 
@@ -76,14 +72,14 @@ def report(options: BenchReport) -> int:
         raise terminal.UsageError("no run was given; wanted the folder of a run")
     need("a report", "report", "jinja2")  # before an episode is played for it
     if options.out is not None:
-        checked_folder(options.out)
+        checked_out(options.out, folder=True)
     episode, out = None, options.out or options.folders[0]
     runs = [read(folder) for folder in options.folders]
-    if len(options.folders) == 1 and not options.without_episode:
+    if len(runs) == 1 and not options.without_episode:
         from eagor.cli.studio import beside_report
 
         episode = beside_report(runs[0], out)
-    page = write_report(options.folders, out=options.out, episode=episode)
+    page = write_report(options.folders, out, episode)
     counts = [_counted(folder, run) for folder, run in zip(options.folders, runs, strict=True)]
     if options.json:
         terminal.emit({"report": str(page), "episode": None if episode is None else str(out / episode), "runs": counts})
@@ -125,53 +121,32 @@ def compare(options: BenchCompare) -> int:
 def failures(options: BenchFailures) -> int:
     """``eagor bench failures``."""
     from eagor.lab.eval import results, tables
-    from eagor.lab.eval.replay import figures_of
     from eagor.lab.tasks.task import sample_of
 
     if options.limit < 0:
         raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
     run = results.read(options.run)
-    summary, method = results.summarise(run), _method(run, options.method)
-    if options.rerun is not None:
-        from eagor.cli.checks import checked_out
-        from eagor.lab.eval.replay import log_case
-
-        case = log_case(run, method, options.episode, checked_out(options.rerun, "--rerun"))
-        terminal.log(f"{options.rerun}: {case}, for the Rerun viewer (rerun {options.rerun})")
-    elif options.episode is not None:
-        raise terminal.UsageError("--episode names the episode for --rerun FILE.rrd; give that, too")
+    summary, method, layers = results.summarise(run), _method(run, options.method), []
     found = {key: summary[key] for key in ("task", "episodes", "failed", "failures")}
-    layers = []
     if run.simulated:
-        ranked = results.rank(run, method)[::-1]
-        found["method"] = method
-        lines = [
-            f"{sample_of(r.record)}  {r.record['episode']['query']!r}  {figures_of(r.record, run.task, method)}"
-            for r in ranked
-        ]
-        cases = [
-            {
-                "case": sample_of(result.record),
-                "query": result.record["episode"]["query"],
-                "cause": run.task.failure(result.record),
-                "figures": {metric.key: metric.of(result.answer) for metric in run.task.metrics},
-                "scene": result.record["episode"].get("scene"),
-            }
-            for result in ranked
-        ]
+        found["method"], lines, cases = method, [], []
+        for result in results.rank(run, method)[::-1]:
+            case, episode = sample_of(result.record), result.record["episode"]
+            figures = {metric.key: metric.of(result.answer) for metric in run.task.metrics}
+            cause, scene = run.task.failure(result.record), episode.get("scene")
+            cases.append({"case": case, "query": episode["query"], "cause": cause, "figures": figures, "scene": scene})
+            lines.append(f"{case}  {episode['query']!r}  {tables.figures_of(result.record, run.task, method)}")
     else:
         (part,) = summary["answers"].values()
         found |= {"agent": run.settings.get("agent"), "tags": part["tags"], "causes": part["causes"]}
         keys = ("case", "tags", "answer", "error")
         cases = [{**{key: r.get(key) for key in keys}, "cause": cause} for r, cause in tables.failures(run)]
-        lines = tables.failed_lines(run)
-        layers = [tables.tag_table(run.task, part), tables.cause_table(run.task, part)]
+        lines, layers = tables.failed_lines(run), tables.failure_tables(run.task, part)
     if options.json:
         terminal.emit(found | {"cases": cases[: options.limit]})
         return terminal.OK
     for table in layers:
-        if table.rows:
-            terminal.say(table.title, *table.lines(tables.WIDTH), "")
+        terminal.say(table.title, *table.lines(tables.WIDTH), "")
     if not lines:
         print("No case failed." if summary["episodes"] else "No case has a result.")
     terminal.say(*lines[: options.limit])

@@ -15,10 +15,9 @@ from tyro.conf import Positional, arg
 from eagor.cli import terminal
 from eagor.cli.checks import (
     check_looks,
-    checked_latency,
+    checked_number,
     checked_query,
     checked_record,
-    checked_seconds,
     mask_of,
     perception_for,
     rows_for,
@@ -195,7 +194,7 @@ def robot_run(options: RobotRun) -> int:
     query = checked_query(options.query)
     _check(options)
     # In a rendered house the network for such pictures is better than a colour alone.
-    spec = "scout" if options.sim and options.perception is None else perception_for(query, options.perception)
+    spec = "scout" if options.sim and options.perception is None else perception_for([query], options.perception)
     check_looks(spec)
     config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
     config = replace(config, floor_height=FLOOR)
@@ -264,9 +263,9 @@ def _check(options: RobotRun) -> None:
             f"--mount {' '.join(f'{each:g}' for each in options.mount)}; wanted metres forward, left and up from the "
             f"body's centre, each at most {REACH:g} either way"
         )
-    checked_seconds(options.seconds)
+    checked_number(options.seconds, "--seconds")
     oldest = Limits().image_age
-    if checked_latency(options.latency) >= oldest:
+    if checked_number(options.latency, "--latency") >= oldest:
         raise terminal.UsageError(
             f"--latency {options.latency:g}: the robot never moves by pictures older than {oldest:g} s; wanted seconds "
             "from capture to arrival, less than that"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from tyro.conf import Positional
 
 from eagor.cli import terminal
-from eagor.cli.checks import ordinary, perception_for_all, rig_of, rows_for, tracker_config, wants_panoramas
+from eagor.cli.checks import ordinary, perception_for, rig_of, rows_for, tracker_config, wants_panoramas
 from eagor.cli.options import Common
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def setup(values: Mapping[str, Any], queries: Sequence[str]) -> Setup:
     def path(name: str) -> Path | None:
         return Path(values[name]) if values[name] else None
 
-    perception = perception_for_all(queries, told("perception"))
+    perception = perception_for(queries, told("perception"))
     config = tracker_config(15, perception, path("calibration"), told("detector"), static=values["static"])
     lens, rig = ordinary(told("hfov_deg"), path("intrinsics"), path("rig")), rig_of(path("rig"))
     stitched = (len(values["image_topics"]) > 1 or rig is not None) and wants_panoramas(perception)

@@ -47,6 +47,7 @@ DEVIATION_STEP = 1.2  # deviations are rounded to powers of this, so that answer
 LEAST_DEVIATION = math.radians(0.2)  # a smaller deviation counts as 0
 UNKNOWN_TURN = math.pi / 2  # radians: nothing is known of the direction any more
 
+UNSURE = math.radians(10)  # of a pose: a look from there says nothing of directions
 HELD = 0.05  # seconds that the newest pose may be old without a word
 STARTING = 1.0  # seconds that the first pose may take
 STALE_POSE = 1.0  # ... and without words of their own: those for a moment are heard often, and told seldom
@@ -153,7 +154,7 @@ class LoopSettings:
     poses tell more: this counts as one observation beside many, and alone where there are too few. `around`: also
     follow all else that a perception sees that knows its classes, with one computation, for one thing, every so many
     seconds at most; 0: all at once, however long it takes; None: do not. `extrapolate`: answers are those of the time
-    that is asked for; otherwise those of the newest pose.
+    that is asked for; otherwise those of the newest pose. `exact`: compute every answer anew, however long it takes.
     """
 
     queries: tuple[str, ...]
@@ -163,6 +164,7 @@ class LoopSettings:
     acceleration: float = 0.5
     around: float | None = None
     extrapolate: bool = True
+    exact: bool = False
 
 
 class LiveCore:
@@ -185,8 +187,9 @@ class LiveCore:
         self._apart = settings.around or 0.0  # seconds between two works on it, at least
         self._aside = -math.inf  # when the last was
         self._recent = RecentPoses(settings.acceleration)
-        self._extrapolates = settings.poses and settings.extrapolate
+        self._extrapolates, self._exact = settings.poses and settings.extrapolate, settings.exact
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
+        self._spreads: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # of poses, by stamp
         self._pose = -math.inf
         self._images: dict[int, tuple[float, float]] = {}  # by lens: the newest stamp, and seconds from the one before
         self._first = math.inf  # stamp of the first pose
@@ -260,6 +263,8 @@ class LiveCore:
         if news:
             self._say("clock", news, event.arrival)
         if stamp is not None:
+            if event.problem:
+                self._say("camera", f"{event.name} is left out: {event.problem}", event.arrival)
             stamp -= self._later()
             self._pictures.append((event.stamp, stamp))
             newest, interval = self._images.get(event.lens, (stamp, 0.0))
@@ -291,6 +296,8 @@ class LiveCore:
             self._say("poses", f"a pose is left out: {error}", event.arrival)
             return
         self._recent.add(stamp, self._tracker.pose_at(stamp)[0])
+        if pose.spread:
+            self._spreads.append((stamp, pose.spread))
         for query, look in self._looks.items():
             if look > self._pose:  # it has waited for this pose, and is placed anew
                 self._fresh.add(query)
@@ -308,6 +315,8 @@ class LiveCore:
             return
         for look in event.looks:
             own = stamp if look.stamp is None else stamp + (look.stamp - event.told)
+            if look.stamp is not None and event.told == stamp:  # to the last bit
+                own = look.stamp
             self._early.append((event.query, replace(look, stamp=checked_stamp(own)), event.arrival))
         self._settle(event.arrival)
 
@@ -342,6 +351,13 @@ class LiveCore:
             if 0 < before < math.inf:
                 stamp = self._first
                 look = replace(look, stamp=stamp)
+            spread = min(self._spreads, key=lambda each: abs(each[0] - stamp), default=(stamp, 0.0))[1]
+            if spread >= UNSURE:
+                self._say(
+                    "poses", f"a look is left out: its pose may be off by {math.degrees(spread):.0f} degrees", now
+                )
+                continue
+            look = look.widened(spread)
             try:
                 self._tracker.observe(look, query)
             except EagorError as error:
@@ -362,7 +378,7 @@ class LiveCore:
             return None, f"a stamp of the {clock.name} is left out: {error}"
 
     def _trouble(self, event: Trouble) -> None:
-        if event.part == "clock" and event.text:  # it is over when it is said
+        if event.passing and event.text:
             self._say(event.part, event.text, event.arrival)
             return
         key = event.part, event.about
@@ -379,6 +395,7 @@ class LiveCore:
             self.around.reset()
         self._recent.clear()
         self._pose, self._first = -math.inf, math.inf
+        self._spreads.clear()
         self._full.clear()
         self._fresh.clear()
         self._looks.clear()
@@ -398,7 +415,7 @@ class LiveCore:
         due = [query for query in self.queries if self._is_due(query, now)]
         due.sort(key=lambda query: self._full[query][0].stamp if query in self._full else -math.inf)
         # The same work in each round: a belief that waits is turned meanwhile.
-        most = math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
+        most = len(due) if self._exact else math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
         for query in due[: max(1, most)]:
             self._compute(query, now)
         if self.around is not None and now - self._aside >= self._apart:
@@ -418,7 +435,7 @@ class LiveCore:
         return answers
 
     def _is_due(self, query: str, now: float) -> bool:
-        if query not in self._full:
+        if query not in self._full or self._exact:
             return True
         full, before = self._full[query]
         if now < full.stamp or now - full.stamp >= REFRESHED:
@@ -440,10 +457,13 @@ class LiveCore:
         """What was computed last, seen from where the camera points now."""
         if query not in self._full:
             self._compute(query, now)
+        full = self._full[query][0]
+        if now <= self._pose or not self.has_poses:
+            return full if now == full.stamp else full.turned(now, self._tracker.pose_at(now)[0])
         # A look without a pose of its time has the newest pose: what matters is how the camera has turned since.
         known = max(self._pose, self._looks.get(query, -math.inf))
         pose, spread = self._recent.after(now - known if self._extrapolates else 0.0)
-        return self._full[query][0].turned(now, pose, spread)
+        return full.turned(now, pose, spread)
 
     def _unknown(self, now: float) -> Estimate:
         """The estimate of a target without evidence."""

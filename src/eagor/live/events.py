@@ -88,7 +88,8 @@ class Answer:
 class FrameCame:
     """A picture; `stamp`: its capture. The core needs no `picture` ``(H, W, 3)``; a recording does.
 
-    `grid`: its pixels, if an ordinary camera took it; None for a panorama. `lens`: which of several took it.
+    `grid`: its pixels, if an ordinary camera took it; None for a panorama. `lens`: which of several took it. `problem`:
+    why there is no picture. `looked`: whether the perception looks at it, if that is known.
     """
 
     arrival: float
@@ -97,6 +98,8 @@ class FrameCame:
     picture: np.ndarray | None = field(default=None, repr=False)
     grid: PerspectiveGrid | None = field(default=None, repr=False)
     lens: int = 0
+    problem: str = ""
+    looked: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +149,14 @@ class Trouble:
     """Something is wrong with a part, in words; an empty `text`: it works again.
 
     `about`: the query that alone is concerned, or which of a part's faults this is; empty for the part as a whole.
+    `passing`: it is over when it is said, as a clock that jumped.
     """
 
     arrival: float
     part: Part
     text: str = ""
     about: str = ""
+    passing: bool = False
 
 
 @dataclass(frozen=True)

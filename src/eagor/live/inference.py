@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -29,8 +29,9 @@ from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.errors import EagorError, FormatError, ImageError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.grids import PerspectiveGrid
-from eagor.media.defects import NeverSeen
-from eagor.perception import Perception, knows_classes, load
+from eagor.media.panorama import Picture
+from eagor.perception import NoEvidenceError, Perception, knows_classes, load
+from eagor.perception.recordings import HiddenParts
 from eagor.perception.replay import look_if_recorded
 from eagor.tracking import Around
 from eagor.tracking.checkpoint import packed, unpacked
@@ -59,27 +60,37 @@ class Looked:
 
 @dataclass(frozen=True)
 class Failed:
-    """Why there is no look; `query`: None if it concerns all. `refused`: this query will never be understood."""
+    """Why there is no look; `query`: None if it concerns all.
+
+    `refused`: this query will never be understood; `malformed`: what the perception returned is no evidence.
+    """
 
     query: str | None
     text: str
     refused: bool = False
+    malformed: bool = False
 
 
 class Inference:
     """A perception that looks at pictures in this process, given as text for `eagor.perception.load` or as an object.
 
     What fails is said, and nothing is raised for it. `everything`: tell all else that a perception sees that knows its
-    classes, too. `masks`: where looks say nothing; where all pictures are black about a pole, they do not either.
+    classes, too. `masks`: where looks say nothing; where all pictures are black about a pole, they do not either, which
+    `say` is told once.
     """
 
     def __init__(
-        self, perception: str | Perception, *, masks: Sequence[BodyMask] = (), everything: bool = False
+        self,
+        perception: str | Perception,
+        *,
+        masks: Sequence[BodyMask] = (),
+        everything: bool = False,
+        say: Callable[[str], object] = lambda text: None,
     ) -> None:
-        self.perception, self.masks, self.everything = perception, tuple(masks), everything
+        self.perception, self.everything = perception, everything
         self.knows_classes: bool | None = None  # not known before it is loaded
         self._loaded: Perception | None = None
-        self._black = NeverSeen()
+        self._hidden = HiddenParts(masks, say)
 
     def start(self) -> Iterator[Failed]:
         """Load the perception. Nothing comes. Raises `UnusableError`."""
@@ -93,27 +104,32 @@ class Inference:
 
     def look(
         self,
-        picture: np.ndarray,
+        picture: np.ndarray | None,
         queries: Sequence[str],
         stamp: float,
         world_R_body: np.ndarray | None = None,
         grid: PerspectiveGrid | None = None,
+        unseen: np.ndarray | None = None,
     ) -> Iterator[Looked | Failed | Around]:
         """Look at a picture ``(H, W, 3)`` uint8 for each query in turn; what is found comes as it is found.
 
-        It is a panorama, or an ordinary one with its `grid`. With `everything`, all else comes last.
+        It is a panorama, or an ordinary one with its `grid`, without what is `unseen`; None for a perception that plays
+        recorded looks. With `everything`, all else comes last.
 
         Raises `UnusableError` if the perception cannot be loaded, `ImageError` for another array.
         """
-        check_picture(picture)
         self.start()
-        seen = picture.view()
-        seen.flags.writeable = False
-        covers = list(self.masks)
-        if grid is None:  # an ordinary picture has no poles
-            hidden = self._black.add(seen)
-            covers += [BodyMask(~hidden)] if hidden.any() and not hidden.all() else []
-        if self.knows_classes:
+        covers, seen = self._hidden.masks(None), None
+        if picture is not None:
+            check_picture(picture)
+            seen = picture.view()
+            seen.flags.writeable = False
+            try:
+                covers = self._hidden.masks(Picture(seen, unseen, grid=grid))
+            except ImageError as error:
+                yield Failed(None, str(error))
+                return
+        if self.knows_classes and seen is not None:
             yield from self._at_once(seen, queries, stamp, world_R_body, grid, covers)
             return
         assert self._loaded is not None
@@ -123,7 +139,7 @@ class Inference:
                 looks = look_if_recorded(self._loaded, seen, query, stamp, world_R_body, grid)
                 looks = tuple(_covered(look, covers) for look in looks)
             except Exception as error:  # whatever the perception raises
-                yield Failed(query, _said(error), isinstance(error, QueryError))
+                yield Failed(query, _said(error), isinstance(error, QueryError), isinstance(error, NoEvidenceError))
             else:
                 yield Looked(query, looks, time.perf_counter() - began)
 
@@ -237,6 +253,7 @@ class InferenceWorker:
         stamp: float,
         world_R_body: np.ndarray | None = None,
         grid: PerspectiveGrid | None = None,
+        unseen: np.ndarray | None = None,
     ) -> Iterator[Looked | Failed | Around]:
         """As `Inference.look`."""
         check_picture(picture)
@@ -245,7 +262,7 @@ class InferenceWorker:
             return
         name = self._show(picture)
         try:
-            worker.send((name, tuple(queries), stamp, picture.shape, world_R_body, grid))
+            worker.send((name, tuple(queries), stamp, picture.shape, world_R_body, grid, unseen))
             while (said := worker.receive(self.patience))[0] != "done":
                 self._pause = PAUSES[0]
                 if said[0] == "looked":
@@ -332,13 +349,13 @@ def serve(
             return
         line.send(("ready", inference.knows_classes))
         while (order := line.recv()) is not None:
-            name, queries, stamp, shape, pose, grid = order
+            name, queries, stamp, shape, pose, grid, unseen = order
             if memory is None or memory.name != name:
                 if memory is not None:
                     memory.close()
                 memory = SharedMemory(name)
             seen = np.ndarray(shape, dtype=np.uint8, buffer=memory.buf)
-            for said in inference.look(seen, queries, stamp, pose, grid):
+            for said in inference.look(seen, queries, stamp, pose, grid, unseen):
                 line.send(_in_bytes(said))
             del seen
             line.send(("done",))

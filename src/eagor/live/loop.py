@@ -12,11 +12,14 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
+import numpy as np
+
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask
 from eagor.live.core import ASIDE, LiveCore, LoopSettings, warm
 from eagor.live.events import AllCame, Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
+from eagor.live.in_turn import answers_in_turn
 from eagor.live.inference import PATIENCE, Failed, Inference, InferenceWorker, Looked, why_here
 from eagor.live.recording import Pictures, Recorder
 from eagor.live.threads import (
@@ -30,13 +33,14 @@ from eagor.live.threads import (
     opener,
     paced_frames,
     paced_poses,
-    poses_seen,
 )
 from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.media.camera_sources import open_source
-from eagor.odometry.sources import poses_for
+from eagor.media.odometry import poses_for
+from eagor.media.posed_frames import PosedFrames, prefetched
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception import Perception, as_perception
+from eagor.perception.recordings import RecordedLooks
 from eagor.tracking import Around, TrackerConfig
 
 __all__ = ["Counts", "Loop", "Sink"]
@@ -81,11 +85,11 @@ class Counts:
 
 
 class Loop:
-    """Follows `queries` through the pictures of a `source`: answers in the order of time, one per query and tick.
+    """Follows `queries` through the pictures of a `source`: answers in the order of time, one per query and time.
 
-    In turn, the perception looks at every picture, time is that of the recording, and answers come `rate` times in each
-    of its seconds. With `realtime`, and always with a source that is `live`, answers come `rate` times a second,
-    however slow the perception is, which looks at the newest picture.
+    In turn, the perception looks at the pictures one after the other, `looks` in each second of the recording (None:
+    all), and an answer comes for each of them. With `realtime`, and always with a source that is `live`, answers come
+    `rate` times a second, however slow the perception is, which looks at the newest picture.
 
     - `source`: text for `eagor.open_source`, a source, or a function that opens one, which is called again when the
       camera is gone. It is closed at the end.
@@ -123,6 +127,7 @@ class Loop:
         *,
         config: TrackerConfig | None = None,
         rate: float = RATE,
+        looks: float | None = None,
         patience: float = PATIENCE,
         record: Path | None = None,
         pictures: Pictures = "jpeg",
@@ -132,8 +137,9 @@ class Loop:
         mask: BodyMask | None = None,
         clock: LoopClock | None = None,
     ) -> None:
-        for name, value in (("rate", rate), ("patience", patience), ("acceleration", acceleration)):
-            if not above(value, 0):
+        numbers = ("rate", rate), ("looks", looks), ("patience", patience), ("acceleration", acceleration)
+        for name, value in numbers:
+            if value is not None and not above(value, 0):
                 raise TimeError(f"{name} = {value!r}; wanted a number above 0")
         queries = (queries,) if isinstance(queries, str) else tuple(queries)
         if not queries:
@@ -147,7 +153,7 @@ class Loop:
         self.live = self._camera.live
         self.rate, self.realtime = rate, realtime or self.live
         try:
-            poses = poses_for(poses, self._camera, again=reopen) if isinstance(poses, str) else poses
+            poses = poses_for(poses, self._camera) if isinstance(poses, str) else poses
         except BaseException:
             self._camera.close()
             raise
@@ -156,10 +162,17 @@ class Loop:
         config = config or TrackerConfig()
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
         aside = None if not around else ASIDE if self.realtime else 0.0
+        recorded = isinstance(self._camera, RecordedLooks)
         self._settings = LoopSettings(
-            queries, config, poses is not None, self._camera.latency, acceleration, aside, extrapolate
-        )
+            queries, config, poses is not None or recorded, self._camera.latency, acceleration, aside,
+            extrapolate, exact=not self.realtime,
+        )  # fmt: skip
         self.core = LiveCore(self._settings)
+        self.frames: PosedFrames | None = None  # of a recording that is looked at in turn
+        if not (self.realtime or recorded):
+            odometry = None if self._odometry is None else self._odometry.opened()
+            say = partial(self._trouble, "poses", passing=True)
+            self.frames = PosedFrames(self._camera, self._odometer or odometry, looks, say)
         masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
         own_process = self.realtime
         if own_process and (why := why_here(perception)):
@@ -172,7 +185,9 @@ class Loop:
         self._inference: Inference | InferenceWorker = (
             InferenceWorker(perception, patience=patience, masks=masks, everything=around)
             if own_process
-            else Inference(perception, masks=masks, everything=around)
+            else Inference(
+                perception, masks=masks, everything=around, say=partial(self._trouble, "camera", passing=True)
+            )
         )
         self._recorder: Recorder | None = None
         if record is not None:
@@ -187,7 +202,7 @@ class Loop:
         self._over, self._ended = False, -math.inf  # whether a recording has, and when its last picture came
         self._fatal: EagorError | None = None
         self._refused: set[str] = set()
-        self._slip = 0.0
+        self._slip, self._now = 0.0, -math.inf
         self._problem: str | None = None  # what the camera says of itself
         self._frozen: dict[int, tuple[FrozenCamera, str]] = {}  # by lens, and what was said of it last
 
@@ -289,7 +304,7 @@ class Loop:
         self._perception = PerceptionThread(
             self._inference,
             self.core.queries,
-            found=lambda picture, said: self._found(picture, said, self.clock.now()),
+            found=self._found,
             ready=self._ready,
             ended=self._perception_ended,
             pose=self.core.orientation,
@@ -314,54 +329,25 @@ class Loop:
 
     def _in_turn(self) -> Iterator[Answer]:
         """As fast as the perception looks at every picture; time is that of the recording."""
-        for answer in self._answers_in_turn():
+        frames = self._camera.posed if isinstance(self._camera, RecordedLooks) else self.frames
+        assert frames is not None
+        assert isinstance(self._inference, Inference)
+        ahead = prefetched(frames)
+        try:
+            for answer in answers_in_turn(ahead, self.core, self._inference, self._taken):
+                self._drain()
+                if self._stopped.is_set():
+                    return
+                yield answer
+        finally:
+            ahead.close()
             self._drain()
-            if self._stopped.is_set():
-                return
-            yield answer
-
-    def _answers_in_turn(self) -> Iterator[Answer]:
-        """Answers at `rate` per second of the recording, in which evidence takes no time.
-
-        Raises `EagorError` if the perception cannot be started.
-        """
-        poses = iter(() if self._odometry is None else self._odometry.opened())
-        pose: Pose | None = next(poses, None)
-
-        def take_poses(until: float) -> None:
-            nonlocal pose
-            while pose is not None and pose.stamp <= until:
-                self._taken(PoseCame(pose.stamp, pose))
-                pose = next(poses, None)
-
-        begun, ticks, now = None, 0, 0.0
-        for failed in self._inference.start():
-            raise EagorError(failed.text)
-        for frame in self._camera:
-            now = frame.stamp
-            begun = now if begun is None else begun
-            while (tick := begun + ticks / self.rate) < now:
-                take_poses(tick)
-                yield from self._taken(Asked(tick))
-                ticks += 1
-            take_poses(now)
-            self._taken(FrameCame(now, now, frame.name, frame.picture, frame.grid, frame.lens))
-            picture = Picture(now, now, frame.picture, frame.grid, frame.lens)
-            if self._odometer is not None:
-                for event in poses_seen(self._odometer, picture, lambda at=now: at):
-                    self._taken(event)
-            queries = [query for query in self.core.queries if query not in self._refused]
-            for said in self._inference.look(frame.picture, queries, now, self.core.orientation(now), frame.grid):
-                self._found(picture, said, now)
-            self._drain()  # the answer at this picture knows what was seen in it
-        if begun is not None:
-            yield from self._taken(Asked(now))
 
     def _drain(self) -> None:
         """Take in what has been posted, without waiting."""
         while not self._events.empty():
             if (event := self._events.get()) is not None:
-                self._taken(event)
+                self._taken(replace(event, arrival=self._now))
         if self._fatal is not None:
             raise self._fatal
 
@@ -379,6 +365,7 @@ class Loop:
                 self._taken(event)
 
     def _taken(self, event: Event) -> list[Answer]:
+        self._now = max(self._now, event.arrival)
         answers = self.core.take(event)
         self._count(event, len(answers))
         for sink in self._sinks:
@@ -392,7 +379,7 @@ class Loop:
             case PoseCame():
                 self.counts.poses += 1
             case EvidenceCame():
-                self.counts.looks += 1
+                self.counts.looks += bool(event.looks)
             case Asked():
                 self.counts.answers += answers
             case Following():
@@ -402,8 +389,8 @@ class Loop:
     def _post(self, event: Event) -> None:
         self._events.put(event)
 
-    def _trouble(self, part: Part, text: str) -> None:
-        self._post(Trouble(self.clock.now(), part, text))
+    def _trouble(self, part: Part, text: str, passing: bool = False) -> None:
+        self._post(Trouble(self.clock.now(), part, text, passing=passing))
 
     def _look_after(self) -> None:
         """What nobody else notices: a stream that stalls, this machine's clock being set."""
@@ -420,7 +407,7 @@ class Loop:
             way = "forward" if slip > self._slip else "back"
             text = f"this machine's clock was set {way} by {abs(slip - self._slip):.2f} s; the loop's goes on as it was"
             self._slip = slip
-            self._trouble("clock", text)
+            self._trouble("clock", text, passing=True)
 
     def _is_over(self) -> bool:
         """Whether a recording has ended, and all of it has been looked at."""
@@ -441,10 +428,12 @@ class Loop:
         frame, told = item
         self._last_frame = self.clock.now()
         shown = frame.picture if self._sinks else None  # who else would hold on to it?
-        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown, frame.grid, frame.lens))
+        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown, frame.grid, frame.lens, frame.problem))
+        if frame.picture is None:
+            return
         if self.live:
-            self._check_frozen(frame)
-        picture = Picture(frame.stamp, told, frame.picture, frame.grid, frame.lens)
+            self._check_frozen(frame.lens, frame.picture, frame.stamp)
+        picture = Picture(frame.stamp, told, frame.picture, frame.grid, frame.lens, frame.unseen)
         if self._seer is not None:
             self._seer.pictures.give(picture)
         assert self._perception is not None
@@ -452,15 +441,16 @@ class Loop:
         if self._on_demand:
             self._perception.pictures.wait(ON_DEMAND)
 
-    def _check_frozen(self, frame: Frame) -> None:
-        watch, said = self._frozen.get(frame.lens) or (FrozenCamera(self.core.orientation), "")
-        froze = watch.take(frame.picture, frame.stamp)
-        self._frozen[frame.lens] = watch, froze
+    def _check_frozen(self, lens: int, picture: np.ndarray, stamp: float) -> None:
+        watch, said = self._frozen.get(lens) or (FrozenCamera(self.core.orientation), "")
+        froze = watch.take(picture, stamp)
+        self._frozen[lens] = watch, froze
         if froze != said:
-            self._post(Trouble(self._last_frame, "camera", froze, f"frozen {frame.lens}"))
+            self._post(Trouble(self._last_frame, "camera", froze, f"frozen {lens}"))
 
-    def _found(self, picture: Picture | None, said: Looked | Failed | Around, now: float) -> None:
+    def _found(self, picture: Picture | None, said: Looked | Failed | Around) -> None:
         """What the perception says."""
+        now = self.clock.now()
         if isinstance(said, Around) and picture is not None:
             self._post(AllCame(now, picture.stamp, picture.told, said))
         elif isinstance(said, Looked) and picture is not None:

@@ -67,7 +67,7 @@ FLUSHED = 0.5  # seconds between two flushes: as much may be lost
 WAITING = 16  # pictures that may wait to be written; further ones are left out
 QUALITY = 92  # of JPEG
 BODY = "base_link"  # REP-105
-VERSION = 4  # of the events
+VERSION = 5  # of the events
 
 Pictures = Literal["jpeg", "png", "none"]
 
@@ -162,8 +162,9 @@ def settings_from(content: bytes) -> LoopSettings:
         raise FormatError(
             f"the recording is of version {found[0]}; wanted {VERSION}: play it with the eagor that made it"
         )
-    _, queries, config, poses, latency, acceleration, around, extrapolate = found
-    return LoopSettings(tuple(queries), config, bool(poses), float(latency), float(acceleration), around, extrapolate)
+    _, queries, config, poses, latency, acceleration, around, extrapolate, exact = found
+    numbers = float(latency), float(acceleration)
+    return LoopSettings(tuple(queries), config, bool(poses), *numbers, around, extrapolate, exact)
 
 
 def _text(kind: bytes, arrival: float, *words: Any) -> bytes:

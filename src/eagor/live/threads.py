@@ -251,7 +251,8 @@ class FrozenCamera:
 class Picture:
     """A picture ``(H, W, 3)`` to look at: a panorama, or an ordinary one with its `grid`.
 
-    `stamp`: of its source; `told`: the stamp that the perception is told; `lens`: which of several cameras took it.
+    `stamp`: of its source; `told`: the stamp that the perception is told; `lens`: which of several cameras took it;
+    `unseen` ``(H, W)``: what it does not show.
     """
 
     stamp: float
@@ -259,6 +260,7 @@ class Picture:
     picture: np.ndarray
     grid: PerspectiveGrid | None = None
     lens: int = 0
+    unseen: np.ndarray | None = None
 
 
 class NewestPicture:
@@ -364,7 +366,7 @@ class PerceptionThread:
         if not queries:
             return
         pose = self._pose(picture.stamp)
-        for said in self.inference.look(picture.picture, queries, picture.told, pose, picture.grid):
+        for said in self.inference.look(picture.picture, queries, picture.told, pose, picture.grid, picture.unseen):
             if self._stopped:
                 return
             if isinstance(said, Failed) and said.refused and said.query is not None:
@@ -381,7 +383,8 @@ def poses_seen(odometer: VisualOdometer, picture: Picture, now: Callable[[], flo
         return
     if turned.lost:
         yield PosesLost(now(), "a picture does not fit to those before it: the belief starts anew")
-    yield PoseCame(now(), Pose(picture.stamp, np.asarray(turned.world_R_body)), of_picture=True)
+    pose = Pose(picture.stamp, np.asarray(turned.world_R_body), spread=turned.spread)
+    yield PoseCame(now(), pose, of_picture=True)
 
 
 class VisualPosesThread:

@@ -10,7 +10,7 @@ import math
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -28,14 +28,17 @@ class Frame:
 
     `stamp`: seconds on the clock of its source. `picture` ``(H, W, 3)`` uint8 RGB: a whole panorama of the body frame,
     or what an ordinary lens shows, with its pixels as `grid`. `name`: for texts and tables, such as "0007.png" or
-    "clip.mp4 at 3.20 s". `lens`: which of several ordinary cameras took it.
+    "clip.mp4 at 3.20 s". `lens`: which of several ordinary cameras took it. `unseen` ``(H, W)``: what this picture does
+    not show, or None. `problem`: why a recording has no `picture` at this time; "" if it has one, or never had any.
     """
 
     stamp: float
-    picture: np.ndarray
+    picture: Any  # None in a recording, with or without a problem
     name: str
     grid: PerspectiveGrid | None = None
     lens: int = 0
+    unseen: np.ndarray | None = None
+    problem: str = ""
 
 
 @runtime_checkable
@@ -92,10 +95,10 @@ def check_camera(camera: CameraSource, frames: int = 3) -> None:
         came += 1
         _require(isinstance(frame, Frame), f"gave a {type(frame).__name__}; wanted eagor.media.Frame")
         picture, shape = frame.picture, (*(frame.grid or camera.grid).shape, 3)
+        came_as = f"{getattr(picture, 'dtype', type(picture))} {getattr(picture, 'shape', frame.problem)}"
         _require(
             isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and picture.shape == shape,
-            f"gave a picture of {getattr(picture, 'dtype', type(picture))} {np.shape(picture)}; wanted uint8 {shape}, "
-            "as its grid says",
+            f"gave a picture of {came_as}; wanted uint8 {shape}, as its grid says",
         )
         before = last.get(frame.lens, -math.inf)
         _require(math.isfinite(frame.stamp), f"gave the stamp {frame.stamp!r}; wanted seconds")

@@ -1,4 +1,4 @@
-"""Cameras and odometry of a recorded bag."""
+"""The pictures and the odometry of a recorded bag."""
 
 from __future__ import annotations
 
@@ -12,66 +12,51 @@ from typing import Any
 
 import numpy as np
 
-from eagor.errors import DeviceError, EagorError, FormatError, PoseError, TimeError
-from eagor.media import Frame, Pose
-from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick, split_bag
+from eagor.errors import DeviceError, FormatError, PoseError
+from eagor.media import Pose
+from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick
 from eagor.media.intrinsics import Camera
 from eagor.media.rigs import Rig
 from eagor.media.ros_frames import BODY, PoseReader
 from eagor.media.ros_messages import TRANSFORMS, stamp_of
 from eagor.media.topic_pictures import Lenses, TopicPictures, placed_in_bag, told_in_bag, topics_of
 
-__all__ = ["BagCamera", "BagPoses", "apart", "bag_odometry"]
+__all__ = ["BagCamera", "BagPoses", "bag_odometry"]
 
 OPTION = "--image-topic"
 SETTLING = 10.0  # seconds of a bag in which its transforms have to tell where the camera is
 
 
-def apart(rate: float | None) -> float:
-    """Seconds between two pictures of so many per second, a little less for rounding. Raises `TimeError`."""
-    if rate is not None and not (math.isfinite(rate) and rate > 0):
-        raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
-    return 0.0 if rate is None else 0.99 / rate
-
-
 class BagCamera:
-    """A `CameraSource` that plays the pictures of a bag; each iteration begins at its start.
+    """The pictures of a bag, to play from its start as often as wanted.
 
-    `topic`: None is the only one with pictures, and several have commas between; or `bag` is the text
-    ``BAG?topic=/image``. Stamps are those of the headers less the `latency`; where a header has none, the time of
-    recording. `rate`: the most pictures per second of each topic. `back`: of the `dropped`, how many had stamps that go
-    back, which is said once. `count`: how many pictures there are; `frame`: as of
-    `TopicPictures`; `lens`: the ordinary camera, if it is one; `views`: the grid of each camera's pictures, None where
-    they become panoramas. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
+    `topic`: None is the only one with pictures, and several have commas between. Stamps are those of the headers; where
+    a header has none, the time of recording. `dropped`: messages that were sent twice or out of order; `back`: how many
+    of them had stamps that go back, which is said once. `count`: how many pictures there are; `begins`: the stamp of
+    the first; `frame`: as of `TopicPictures`; `lens`: the ordinary camera, if it is one; `views`: the grid of each
+    camera's pictures, None where they become panoramas. Raises `FormatError` for the bag or topic, and as
+    `TopicPictures`.
     """
-
-    live = False
 
     def __init__(
         self,
         bag: Bag | str | Path,
         topic: str | None = None,
         *,
-        latency: float = 0.0,
         rows: int | None = None,
         rig: Rig | None = None,
         camera: Camera | None = None,
         info: str | None = None,
-        rate: float | None = None,
         stitched: bool = False,
     ) -> None:
-        self._apart = apart(rate)
-        if isinstance(bag, str) and topic is None:
-            bag, topic = split_bag(bag)
         self.bag = bag if isinstance(bag, Bag) else Bag(bag)
-        self.latency, self.dropped, self.back, self.problem = latency, 0, 0, None
-        self._closed = False
+        self.dropped = self.back = 0
         where = str(self.bag.path)
         found = [pick(self.bag.topics, PICTURES, each, where=where, option=OPTION) for each in topics_of(topic, OPTION)]
         self.topics, self.kind = tuple(name for name, _ in found), found[0][1]
         self.topic = ",".join(self.topics)
         firsts = [self._first(each) for each in self.topics]
-        self.begins = min(self._stamp(received, when) for when, received in firsts)
+        self.begins = min(_stamp(received, when) for when, received in firsts)
         self._pictures = TopicPictures(
             [received for _, received in firsts], self.topics, Lenses(rig, camera, info, rows, stitched),
             lambda image, told: told_in_bag(self.bag, image, told),
@@ -79,43 +64,22 @@ class BagCamera:
         )  # fmt: skip
         self.frame, camera, makers = self._pictures.frame, self._pictures.camera, self._pictures.makers
         self.lens = camera if camera is not None and camera.known else None
-        self.grid, self.unseen, self.views = makers[0].grid, makers[0].unseen, tuple(each.view for each in makers)
+        self.unseen, self.views = makers[0].unseen, tuple(each.view for each in makers)
         self.count = sum(self.bag.counts[each] for each in self.topics[: len(makers)])
-
-    def __iter__(self) -> Iterator[Frame]:
-        last = -math.inf
-        for stamp, lens, read in self.pictures():
-            topic = self.topics[lens]
-            try:
-                picture = read()
-            except EagorError as error:
-                if not self.dropped:
-                    warnings.warn(f"a picture of {topic} is left out: {error}", UserWarning, stacklevel=2)
-                self.dropped += 1
-                continue
-            last = max(stamp, math.nextafter(last, math.inf))  # cameras may see at the same moment
-            yield Frame(last, picture, f"{topic} at {stamp:.3f} s", self.views[lens], lens)
 
     def pictures(self) -> Iterator[tuple[float, int, Callable[[], np.ndarray]]]:
         """Stamp of each picture, in order of time, which camera's, and what gives the frame or raises `ImageError`."""
         newest: list[Any] = [None] * len(self.topics)
-        together, after = self._pictures.together, [-math.inf] * len(self.topics)
+        self.dropped = self.back = 0
         for stamp, lens, received in heapq.merge(*map(self._of, range(len(self.topics)))):
             newest[lens] = received
-            if together and (lens or None in newest):  # those of the first topic are stitched with the others' newest
-                continue
-            if stamp < after[lens]:
-                continue
-            after[lens] = stamp + self._apart
-            taken = tuple(newest) if together else (received,)
-            yield stamp, lens, partial(self._pictures.made, lens, taken)
-
-    def odometry(self, topic: str | None = None) -> BagPoses | None:
-        """The bag's poses of this camera; None if no `topic` is named and it has none."""
-        return bag_odometry(self.bag, topic, self.frame)
-
-    def close(self) -> None:
-        self._closed = True
+            if self._pictures.together:
+                if lens or None in newest:  # those of the first topic are stitched with the others' newest
+                    continue
+                received = tuple(newest)
+            else:
+                received = (received,)
+            yield stamp, lens, partial(self._pictures.made, lens, received)
 
     def _first(self, topic: str) -> tuple[float, Any]:
         """Time of recording and message."""
@@ -128,9 +92,7 @@ class BagCamera:
         """Stamp, number and message of one topic, whose stamps rise."""
         last, told, topic = -math.inf, False, self.topics[lens]
         for when, _, _, received in self.bag.messages([topic]):
-            if self._closed:
-                return
-            stamp = self._stamp(received, when)
+            stamp = _stamp(received, when)
             if stamp_of(received) <= 0 and not told:
                 told = True
                 warnings.warn(
@@ -152,9 +114,10 @@ class BagCamera:
             last = stamp
             yield stamp, lens, received
 
-    def _stamp(self, received: Any, when: float) -> float:
-        stamp = stamp_of(received)
-        return (stamp if stamp > 0 else when) - self.latency
+
+def _stamp(received: Any, when: float) -> float:
+    stamp = stamp_of(received)
+    return stamp if stamp > 0 else when
 
 
 class BagPoses:

@@ -9,48 +9,36 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from io import FileIO
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from eagor import plugins
-from eagor.errors import DeviceError, EagorError, TimeError
-from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.media import CameraSource, Frame
-from eagor.media.animations import Animation
+from eagor.errors import DeviceError, TimeError
+from eagor.media import CameraSource
+from eagor.media.bag_sources import BagCamera
 from eagor.media.bags import is_bag, split_bag
-from eagor.media.footage import lens_folders
-from eagor.media.intrinsics import Camera
+from eagor.media.footage import BagFrames, Footage, FrameCheck, VideoFrames, images, is_video
+from eagor.media.intrinsics import Camera, in_words
 from eagor.media.live_camera import LiveCamera
-from eagor.media.panorama import read_panorama, read_photograph
-from eagor.media.rig_videos import LensVideos, StitchedVideo, made_of, makers, open_video
-from eagor.media.rigs import Rig, read_rig, sizes_of
-from eagor.media.stitching import Panoramas
+from eagor.media.rig_videos import open_video
+from eagor.media.rigs import Rig, read_rig
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
-from eagor.media.video import Video
-from eagor.odometry.times import times_of
 
-__all__ = ["BUILT_IN", "GROUP", "SOURCES", "FolderCamera", "VideoCamera", "open_source"]
+__all__ = ["BUILT_IN", "GROUP", "SOURCES", "open_footage", "open_source"]
 
 GROUP = "eagor.cameras"
-BUILT_IN = {"bag": "eagor.media.bag_sources:BagCamera", "ros": "eagor.robots.ros:RosCamera"}
+BUILT_IN = {"ros": "eagor.robots.ros:RosCamera"}
 SOURCES = (
-    "a folder of panoramas, a video file, a ROS 2 bag (BAG?topic=/image), /dev/video0 or v4l2:0 "
+    "a folder of pictures, a picture, a video file, a ROS 2 bag (BAG?topic=/image), /dev/video0 or v4l2:0 "
     "(?size=1920x960&rate=30&format=mjpeg), rtsp://..., rtmp://..., http://..., udp://..., ros:/image_topic, - "
     "(encoded pictures on standard input) or pipe:rgb24:1920x960 (raw ones)"
 )
 _DEVICE = re.compile(r"(?:v4l2:)?(/dev/[^?]+)|v4l2:(\d+)")
 _ADDRESS = re.compile(rf"(?:{'|'.join(SCHEMES)})://", re.IGNORECASE)
 _NAME = re.compile(r"([A-Za-z][\w-]+):(.*)", re.DOTALL)
-
-RATE = 1.0  # pictures per second of a folder whose files do not tell times
-
-
-# --- what a source is ---
 
 
 def open_source(
@@ -62,6 +50,7 @@ def open_source(
     rate: float | None = None,
     camera: Camera | None = None,
     stitched: bool = False,
+    **more: Any,
 ) -> CameraSource:
     """The source of pictures that `text` names (`SOURCES`), or that another package brings (``NAME:REST``).
 
@@ -71,6 +60,7 @@ def open_source(
     topics (``ros:/front/image,/back/image``), which may also do without a rig. `rate`: the most pictures per second
     to take; for a folder, how many per second were taken. `camera`: an ordinary one, if it is known to be that.
     `stitched`: make a panorama also of pictures of a rig's ordinary lenses, which are otherwise given as they are.
+    `more`: for recordings, as `open_footage` takes it.
 
     Other packages add cameras under the entry points ``eagor.cameras``: a name, and a function ``(rest, *, latency,
     rows, rig, rate) -> CameraSource``. Raises `DeviceError`, `ImageError`, `FormatError` for the rig, and
@@ -81,23 +71,65 @@ def open_source(
     if lenses is not None and len(lenses.sizes) > 1 and "," in text and not (os.path.exists(text) or _has_topics(text)):
         parts = text.split(",")
     kinds = [_kind(part) for part in parts]
-    settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
-    if camera is not None and (
-        camera.known or camera.eyes
-    ):  # else not given: cameras of other packages need not know of it
-        settings["camera"] = camera
     if len(set(kinds)) > 1:
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")
-    if kinds[0] in ("folder", "file"):
-        kind = FolderCamera if kinds[0] == "folder" else VideoCamera
-        return kind([Path(part) for part in parts], **settings, stitched=stitched)
-    if kinds[0] in ("bag", "plugin"):
-        name, _, rest = ("bag", "", text) if kinds[0] == "bag" else text.partition(":")
-        if stitched and name in BUILT_IN:  # those of other packages need not know of it
+    settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
+    if kinds[0] in ("file", "bag"):
+        return open_footage(parts, **settings, camera=camera, stitched=stitched, **more)
+    if camera is not None and (camera.known or camera.eyes):  # cameras of other packages need not know of it
+        settings["camera"] = camera
+    if kinds[0] == "plugin":
+        name, _, rest = text.partition(":")
+        if stitched and name in BUILT_IN:
             settings["stitched"] = True
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
     streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
     return LiveCamera(streams, **settings, stitched=stitched)
+
+
+def open_footage(
+    places: Sequence[str | Path],
+    *,
+    latency: float = 0.0,
+    rows: int | None = None,
+    rig: Rig | None = None,
+    rate: float | None = None,
+    camera: Camera | None = None,
+    stitched: bool = False,
+    start: float = 0.0,
+    end: float | None = None,
+    force: bool = False,
+    info: str | None = None,
+    say: Callable[[str], object] | None = None,
+) -> Footage:
+    """Recorded pictures: a video, a bag (``BAG?topic=/image``), a folder, image files; of a `rig`, one for each lens.
+
+    `start`, `end`: seconds of a video or bag. `force`: pictures that are not 2:1 are panoramas all the same. `info`:
+    the topic of a bag's CameraInfo. `say` is told what files say of themselves, and what looks odd in a line that
+    begins with "warning: " (default: that is a `UserWarning`). The rest, and errors, as for `open_source`.
+    """
+    if not (rate is None or (math.isfinite(rate) and rate > 0)):
+        raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
+    say, camera = say or _warned, camera or Camera()
+    path, topic = split_bag(str(places[0]))
+    if is_bag(path):
+        bag = BagCamera(path, topic, rows=rows, rig=rig, camera=camera, info=info, stitched=stitched)
+        if bag.lens is not None:
+            say(f"{bag.topic}: {in_words(bag.lens.name, bag.views[0])}")
+        check = FrameCheck(
+            force, say, None if camera.eyes is None else replace(camera, eyes="mono")
+        )  # it takes one of them
+        return Footage(BagFrames(bag, check, rate, start, end), latency)
+    paths, check = [Path(place) for place in places], FrameCheck(force, say, camera)
+    if is_video(paths, rig is not None):
+        video = open_video(paths, rig, stitched=stitched, rate=rate, start=start, end=end, rows=rows)
+        return Footage(VideoFrames(video, check, rig is not None), latency)
+    return Footage(images(paths, rate, check, rig, stitched), latency, rows)
+
+
+def _warned(text: str) -> None:
+    if text.startswith("warning: "):
+        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=3)
 
 
 def _kind(text: str) -> str:
@@ -111,8 +143,6 @@ def _kind(text: str) -> str:
         return "stream"
     if is_bag(split_bag(text)[0]):
         return "bag"
-    if os.path.isdir(text):
-        return "folder"
     if os.path.exists(text):
         return "file"
     named = _NAME.fullmatch(text)
@@ -146,131 +176,3 @@ _STREAMS: dict[str, Callable[[str], Any]] = {
     "device": _device,
     "stream": network,
 }
-
-
-# --- videos and folders; with a rig, those of lenses ---
-
-
-class VideoCamera:
-    """A `CameraSource` of a video file: each iteration begins at its start. `latency` is taken off its stamps."""
-
-    live = False
-
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        *,
-        rig: Rig | None = None,
-        rows: int | None = None,
-        rate: float | None = None,
-        latency: float = 0.0,
-        camera: Camera | None = None,
-        stitched: bool = False,
-    ) -> None:
-        self.latency, self.dropped, self.problem = latency, 0, None
-        self._closed = False
-        self._panoramas: Panoramas | None = None  # of a video without a rig: checks its pictures
-        self.video: Video | Animation | StitchedVideo | LensVideos = open_video(
-            paths, rig, stitched=stitched, rate=rate, rows=rows
-        )
-        height, width = self.video.shape
-        self.grid: ErpGrid | PerspectiveGrid = ErpGrid(height, width)
-        self.unseen, self.motion = self.video.unseen, self.video.motion
-        if isinstance(self.video, LensVideos):
-            self.grid = self.video.grids[0]
-        if rig is None:
-            self._panoramas = Panoramas(((width, height),), None, rows, self.video.path, camera)
-            self.grid = self._panoramas.grid
-            self.unseen = self.unseen if self._panoramas.unseen is None else self._panoramas.unseen
-
-    def __iter__(self) -> Iterator[Frame]:
-        last = -math.inf
-        for number, frame in enumerate(self.video):
-            if self._closed:
-                return
-            picture, view = frame.picture, frame.grid
-            if self._panoramas is not None:
-                if number == 0:
-                    self._panoramas.check(picture)
-                picture, view = self._panoramas.make(picture), self._panoramas.view
-            last = _after(last, frame.stamp - self.latency)
-            yield Frame(last, picture, frame.name, view, frame.lens)
-
-    def close(self) -> None:
-        self._closed = True
-
-
-class FolderCamera:
-    """A `CameraSource` of folders of pictures, one per picture of the `rig`, in order of their names.
-
-    Stamps: the names, where all are times (`eagor.odometry.times`: 12.350.png); otherwise `rate` pictures per second
-    (default: 1), from 0. Pictures that cannot be read or have another shape are left out, counted in `dropped`.
-    """
-
-    live = False
-
-    def __init__(
-        self,
-        folders: Sequence[Path],
-        *,
-        rig: Rig | None = None,
-        rows: int | None = None,
-        rate: float | None = None,
-        latency: float = 0.0,
-        camera: Camera | None = None,
-        stitched: bool = False,
-    ) -> None:
-        self.latency, self.dropped, self.problem = latency, 0, None
-        self._closed, self._rig, self._camera = False, rig, camera
-        self._moments = list(zip(*lens_folders(folders), strict=True))
-        self._stamps = _stamps([moment[0] for moment in self._moments], RATE if rate is None else rate)
-        first = self._read(self._moments[0])
-        self._makers = makers(sizes_of(first), rig, rows, str(folders[0]), camera, stitched)
-        if len(self._makers) == 1:
-            self._makers[0].check(*first)
-        self.grid, self.unseen = self._makers[0].grid, self._makers[0].unseen
-
-    def __iter__(self) -> Iterator[Frame]:
-        last = -math.inf
-        for moment, stamp in zip(self._moments, self._stamps, strict=True):
-            if self._closed:
-                return
-            try:
-                pictures = self._read(moment)
-                if self._rig is None:  # raises for another shape
-                    Panoramas(sizes_of(pictures), None, None, str(moment[0]), self._camera)
-                made = made_of(self._makers, pictures)
-            except EagorError as error:
-                if not self.dropped:
-                    warnings.warn(f"a picture is left out: {error}", UserWarning, stacklevel=2)
-                self.dropped += 1
-                continue
-            for lens, picture in enumerate(made):
-                last = _after(last, stamp - self.latency)
-                yield Frame(last, picture, moment[lens].name, self._makers[lens].view, lens)
-
-    def _read(self, moment: tuple[Path, ...]) -> list[np.ndarray]:
-        if self._rig is None:
-            return [read_photograph(moment[0], warn=False).picture]
-        with warnings.catch_warnings():  # of shapes, which are checked here
-            warnings.simplefilter("ignore")
-            return [read_panorama(path) for path in moment]
-
-    def close(self) -> None:
-        self._closed = True
-
-
-def _after(last: float, stamp: float) -> float:
-    """The stamp, or the next one after the last: lenses see at the same moment, and no two frames have one stamp."""
-    return max(stamp, math.nextafter(last, math.inf))
-
-
-def _stamps(paths: Sequence[Path], rate: float) -> list[float]:
-    stamps = times_of([path.stem for path in paths])
-    if len(paths) > 1 and stamps is not None:
-        if any(later <= earlier for earlier, later in pairwise(stamps)):
-            raise TimeError(f"{paths[0].parent}: its names are times, and do not increase; rename the pictures")
-        return stamps
-    if not (math.isfinite(rate) and rate > 0):
-        raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
-    return [number / rate for number in range(len(paths))]

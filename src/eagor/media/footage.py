@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 
 from eagor._checks import is_twice_as_wide
-from eagor.errors import ImageError
-from eagor.grids import PerspectiveGrid
+from eagor.errors import EagorError, ImageError
+from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.media import Frame
 from eagor.media.animations import is_animation
+from eagor.media.bag_sources import BagCamera
 from eagor.media.defects import TWICE, fisheye_circles, problems, two_eyes
 from eagor.media.intrinsics import ASK, Camera, ShapeError, Told, in_words, ordinary_grid, told_by_photograph
 from eagor.media.metadata import Projection
@@ -33,22 +35,27 @@ from eagor.media.panorama import (
     placed,
     read_panorama,
     read_photograph,
+    resized,
+    resized_mask,
 )
-from eagor.media.rig_videos import are_ordinary, ordinary_cameras
+from eagor.media.rig_videos import LensVideos, are_ordinary, ordinary_cameras
 from eagor.media.rigs import Rig, sizes_of
 from eagor.media.stitching import Panoramas
 from eagor.media.video import plays
+from eagor.odometry.times import times_of
 
 __all__ = [
-    "LEAST_ROWS", "VIDEOS", "BagFrames", "FrameCheck", "Frames", "ImageFrames", "LensPictures", "Read",
-    "ShapeError", "VideoFrames", "images", "is_video", "lens_folders",
+    "LEAST_ROWS", "VIDEOS", "BagFrames", "Footage", "FrameCheck", "ImageFrames", "LensPictures", "Read", "ShapeError",
+    "VideoFrames", "images", "is_video",
 ]  # fmt: skip
 
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")  # without a look
+RATE = 1.0  # pictures per second where nothing tells
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 
 NOTHING = Told()
-Read = Callable[[], Picture]
+Read = Callable[[], Picture]  # gives a picture, or raises `EagorError`
+Item = tuple[float, int, str, Read]  # of a frame: its stamp (seconds), which lens took it, its name, its picture
 Say = Callable[[str], object]
 
 
@@ -155,45 +162,44 @@ class ImageFrames:
     paths: tuple[Path, ...]
     rate: float
     read: Callable[[Path], Picture]
-    level_R_body: np.ndarray | None = None
     beside: Mapping[Path, tuple[Path, ...]] = field(default_factory=dict)
     stamps: tuple[float, ...] = ()
+    level_R_body = motion = None
+    begins = 0.0
 
     @property
     def count(self) -> int:
         return len(self.paths) + sum(map(len, self.beside.values()))
 
-    def moment(self, path: Path) -> Iterator[tuple[str, Read]]:
-        """Name and reader of each picture of the moment of a path."""
-        others = self.beside.get(path, ())
-        for each in (path, *others):
-            yield f"{each.parent.name}/{each.name}" if others else each.name, partial(self.read, each)
-
-    def frames(self) -> Iterator[tuple[float, str, Read]]:
+    def items(self) -> Iterator[Item]:
         for number, path in enumerate(self.paths):
-            for name, read in self.moment(path):
-                yield self.stamps[number] if self.stamps else number / self.rate, name, read
+            others = self.beside.get(path, ())
+            for lens, each in enumerate((path, *others)):
+                name = f"{each.parent.name}/{each.name}" if others else each.name
+                yield self.stamps[number] if self.stamps else number / self.rate, lens, name, partial(self.read, each)
 
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """The frames of a video, as `eagor.media.rig_videos.open_video` gives it."""
+    """The frames of a video, as `eagor.media.rig_videos.open_video` gives it; `rig`: with a rig of lenses."""
 
     video: Any
     check: FrameCheck
-
-    @property
-    def count(self) -> int | None:
-        return self.video.count
+    rig: bool = False
+    begins = 0.0
 
     @property
     def level_R_body(self) -> np.ndarray | None:
         return self.video.level_R_body
 
-    def frames(self) -> Iterator[tuple[float, str, Read]]:
+    @property
+    def motion(self) -> Any:
+        return self.video.motion
+
+    def items(self) -> Iterator[Item]:
         for frame in self.video:
             found = Picture(frame.picture, self.video.unseen, grid=frame.grid)
-            yield frame.stamp, frame.name, partial(self.check, found, frame.name, self.video.told)
+            yield frame.stamp, frame.lens, frame.name, partial(self.check, found, frame.name, self.video.told)
 
 
 @dataclass(frozen=True)
@@ -203,24 +209,31 @@ class BagFrames:
     Stamps are those of the messages' headers.
     """
 
-    camera: Any  # an `eagor.media.bag_sources.BagCamera`
-    rate: float
-    start: float
-    end: float | None
+    camera: BagCamera
     check: FrameCheck
-    count: int | None = None
-    level_R_body: np.ndarray | None = None
+    rate: float | None = None
+    start: float = 0.0
+    end: float | None = None
+    level_R_body = motion = None
 
-    def frames(self) -> Iterator[tuple[float, str, Read]]:
+    @property
+    def begins(self) -> float:
+        return self.camera.begins
+
+    def items(self) -> Iterator[Item]:
         ticks = [-math.inf] * len(self.camera.views)
         for stamp, lens, read in self.camera.pictures():
-            at = stamp - self.camera.begins
-            if at < self.start or (number := math.floor(at * self.rate + 1e-6)) <= ticks[lens]:
+            at = stamp - self.begins
+            if at < self.start:
                 continue
             if self.end is not None and at > self.end:
                 return
-            ticks[lens], name = number, f"{self.camera.topics[lens]} at {stamp:.3f} s"
-            yield stamp, name, partial(self._checked, read, name, self.camera.views[lens])
+            if self.rate is not None:
+                if (number := math.floor(at * self.rate + 1e-6)) <= ticks[lens]:
+                    continue
+                ticks[lens] = number
+            name = f"{self.camera.topics[lens]} at {stamp:.3f} s"
+            yield stamp, lens, name, partial(self._checked, read, name, self.camera.views[lens])
 
     def _checked(self, read: Callable[[], np.ndarray], name: str, view: PerspectiveGrid | None) -> Picture:
         if view is not None:
@@ -228,10 +241,88 @@ class BagFrames:
         return self.check(Picture(read(), self.camera.unseen), name)
 
 
-# Frames in order of time. `count`: how many will come, if known. `level_R_body`: the rotation ``(3, 3)`` that makes the
-# first frame level, if the file says so. `frames()`: of each frame its stamp (seconds), its name, and what reads the
-# picture, or raises `EagorError`.
-Frames = ImageFrames | VideoFrames | BagFrames
+class Footage:
+    """A `CameraSource` of recorded pictures: of files, a video or a bag; each is read and checked when it is its turn.
+
+    One that cannot be used comes without a picture, with the `problem`. `rows`: the most rows; larger pictures are
+    shrunk. `latency` is taken off the stamps. `begins`: the stamp of the first picture of a bag, else 0. Iterating
+    raises what ends the footage, and `ShapeError` if it is the first picture that has the wrong shape.
+    """
+
+    live = False
+
+    def __init__(self, frames: ImageFrames | VideoFrames | BagFrames, latency: float = 0.0, rows: int | None = None):
+        self.frames, self.latency, self.rows, self.dropped, self.problem = frames, latency, rows, 0, None
+        self._closed = False
+
+    @property
+    def begins(self) -> float:
+        return self.frames.begins - self.latency
+
+    @property
+    def level_R_body(self) -> np.ndarray | None:
+        """The rotation ``(3, 3)`` that makes the first picture level, if the file says so."""
+        return self.frames.level_R_body
+
+    @property
+    def motion(self) -> Any:
+        """The `MotionTrack` of a video's IMU, if it has one."""
+        return self.frames.motion
+
+    @property
+    def ordinary(self) -> bool:
+        """Whether its pictures are those of ordinary cameras, as far as that is known without one."""
+        frames = self.frames
+        if isinstance(frames, BagFrames):
+            return frames.camera.views[0] is not None
+        if isinstance(frames, VideoFrames):
+            several = isinstance(frames.video, LensVideos)
+            return several or (not frames.rig and frames.check.takes_as_ordinary(*frames.video.shape))
+        return False
+
+    @property
+    def bag(self) -> BagCamera | None:
+        """The camera of a bag, if it is one."""
+        return self.frames.camera if isinstance(self.frames, BagFrames) else None
+
+    @property
+    def grid(self) -> ErpGrid | PerspectiveGrid:
+        """The pixels of its first picture."""
+        first = next(iter(Footage(self.frames, rows=self.rows)), None)
+        if first is None or first.picture is None:
+            raise ImageError("there is no frame to look at" if first is None else first.problem)
+        return first.grid or ErpGrid(*first.picture.shape[:2])
+
+    def __iter__(self) -> Iterator[Frame]:
+        last = -math.inf
+        for stamp, lens, name, read in self.frames.items():
+            if self._closed:
+                return
+            first = last == -math.inf
+            last = max(stamp - self.latency, math.nextafter(last, math.inf))  # lenses may see at the same moment
+            try:
+                found = _shrunk(read(), self.rows)
+            except EagorError as error:
+                if first and isinstance(error, ShapeError):  # hardly any other will do better
+                    raise
+                self.dropped += 1
+                yield Frame(last, None, name, None, lens, problem=str(error))
+            else:
+                yield Frame(last, found.picture, name, found.grid, lens, found.unseen)
+
+    def close(self) -> None:
+        self._closed = True
+
+
+def _shrunk(found: Picture, rows: int | None) -> Picture:
+    """The picture with `rows` at the most."""
+    height, width = found.picture.shape[:2]
+    if rows is None or height <= rows:
+        return found
+    shape = (rows, 2 * rows) if found.grid is None else (rows, max(1, round(width * rows / height)))
+    unseen = None if found.unseen is None else resized_mask(found.unseen, shape)
+    grid = None if found.grid is None else found.grid.resized(*shape)
+    return replace(found, picture=resized(found.picture, shape, wrap=grid is None), unseen=unseen, grid=grid)
 
 
 def is_video(places: Sequence[Path], rig: bool = False) -> bool:
@@ -243,13 +334,23 @@ def is_video(places: Sequence[Path], rig: bool = False) -> bool:
 
 
 def images(
-    places: Sequence[Path], rate: float, check: FrameCheck, rig: Rig | None = None, stitched: bool = False
+    places: Sequence[Path], rate: float | None, check: FrameCheck, rig: Rig | None = None, stitched: bool = False
 ) -> ImageFrames:
     """The pictures in `places` (one folder, or image files), sorted by name; numbers in names sort by value.
 
-    With a `rig` they are pictures of its lenses, as `LensPictures` reads them; of one for several pictures, a folder
-    for each. Raises `ImageError` for anything else.
+    Without a `rate` they were taken at the times that their names are (`eagor.odometry.times`: 12.350.png), or else one
+    per second. With a `rig` they are pictures of its lenses, as `LensPictures` reads them; of one for several pictures,
+    a folder for each. Raises `ImageError` for anything else.
     """
+    found = _images(places, rate or RATE, check, rig, stitched)
+    times = times_of([path.stem for path in found.paths]) if rate is None and len(found.paths) > 1 else None
+    if times is None or len({*times}) < len(times):
+        return found
+    stamps, paths = zip(*sorted(zip(times, found.paths, strict=True)), strict=True)
+    return replace(found, paths=paths, stamps=stamps)
+
+
+def _images(places: Sequence[Path], rate: float, check: FrameCheck, rig: Rig | None, stitched: bool) -> ImageFrames:
     if rig is not None and len(rig.sizes) > 1:
         return _of_folders(places, rate, rig, stitched)
     if films := list(filter(_is_film, places)):
@@ -276,7 +377,7 @@ def _of_folders(places: Sequence[Path], rate: float, rig: Rig, stitched: bool) -
             "one for each lens in its order, a video, or pictures with all lenses in one. One moment alone: eagor "
             "locate FRONT,BACK"
         )
-    moments = list(zip(*lens_folders(places), strict=True))
+    moments = list(zip(*_lens_folders(places), strict=True))
     lenses = LensPictures(rig, stitched)
     if not lenses.ordinary:
         together = {moment[0]: moment for moment in moments}
@@ -286,7 +387,7 @@ def _of_folders(places: Sequence[Path], rate: float, rig: Rig, stitched: bool) -
     return ImageFrames(tuple(beside), rate, lambda path: lenses.alone(lens_of[path], path), beside=beside)
 
 
-def lens_folders(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
+def _lens_folders(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
     """The pictures in the folders of a rig's lenses. Raises `ImageError` where their numbers differ."""
     lists = [pictures_in(Path(folder)) for folder in folders]
     if len({len(each) for each in lists}) > 1:

@@ -59,6 +59,8 @@ def steps_of(frames: Iterable[Frame], *, level: bool = False) -> Steps:
     odometer, before = VisualOdometer(level=level), None
     rows = []
     for frame in frames:
+        if frame.picture is None:
+            continue
         turned = odometer.add(frame.picture)
         if before is not None and not turned.lost and turned.matches and frame.stamp - before[0] <= LONGEST:
             turn = Rotation.from_matrix(before[1].T @ turned.world_R_body).as_rotvec()

@@ -15,12 +15,14 @@ __all__ = ["Pose", "PoseSource"]
 class Pose:
     """Where the body is: `stamp` in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None.
 
-    The world has z up (REP-103), and does not jump while the body moves (REP-105: ``odom``).
+    The world has z up (REP-103), and does not jump while the body moves (REP-105: ``odom``). `spread`: standard
+    deviation of the error of the orientation, radians per axis, where it is known.
     """
 
     stamp: float
     world_R_body: np.ndarray
     position: np.ndarray | None = None
+    spread: float = 0.0
 
 
 @runtime_checkable

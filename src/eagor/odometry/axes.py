@@ -7,11 +7,9 @@ which it is. They also tell where a file contradicts its pictures: radians for d
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,10 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from eagor.conventions import HABITAT_R_BODY, OPTICAL_R_BODY
 from eagor.errors import EagorError, PoseError
-from eagor.odometry import Pose
-from eagor.odometry.files import FramePose, Poses, interpolated, pair, read_poses, usable
+from eagor.odometry.files import FramePose, Poses
 
-__all__ = ["AXES", "odometry_of_file", "settled", "with_axes"]
+__all__ = ["AXES", "settled", "with_axes"]
 
 AXES = {  # the axes of the poses in the body: body_R_pose; x, y, z in words
     "body": (np.eye(3), "x ahead, y left, z up"),
@@ -128,40 +125,6 @@ def _found(poses: Poses, pairs: Sequence[_Pair], name: str, say: Callable[[str],
     elif found != "body":
         say(f"{name}: its axes are {AXES[found][1]}, as the pictures turn (--axes {found}); --axes body: as they stand")
     return found or "body"
-
-
-def odometry_of_file(path: str | Path, axes: str = "auto", pictures: Iterable[Any] | None = None) -> list[Pose]:
-    """The poses of a file, in our axes, on the clock of the `pictures` (frames of a source) that were taken there.
-
-    Poses that name pictures have the stamps of these. Raises as `read_poses`, `settled` and `pair`.
-    """
-    read = read_poses(path)
-    kept: list[Any] = [] if pictures is None else list(pictures) if any(pose.frame for pose in read) else []
-    if kept:
-        read = _restamped(read, kept, path)
-        pictures = kept
-    at = interpolated(read)
-
-    def posed() -> Iterator[tuple[FramePose, Read]]:
-        for frame in pictures or ():
-            yield FramePose(frame.stamp, *at(frame.stamp), frame.name), lambda frame=frame: frame
-
-    def say(text: str) -> None:
-        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=2)
-
-    poses = usable(settled(read, axes, str(path), None if pictures is None else posed, say), path)
-    return [Pose(each.stamp, each.world_R_body, each.position) for each in poses]
-
-
-def _restamped(poses: Poses, pictures: Sequence[Any], name: str | Path) -> Poses:
-    """The poses at the stamps of the pictures that they name; those between two of these between their stamps."""
-    stamps = {frame.name: frame.stamp for frame in pictures}
-    pairs = pair(poses, [Path(each) for each in stamps], name)
-    known = np.array([(pose.stamp, stamps[image.name]) for pose, image in pairs if image is not None])
-    return poses.made(
-        pose._replace(stamp=float(np.interp(pose.stamp, *known.T)))
-        for pose in poses if known[0, 0] <= pose.stamp <= known[-1, 0]
-    )  # fmt: skip
 
 
 class _Pair(NamedTuple):

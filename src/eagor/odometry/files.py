@@ -148,8 +148,9 @@ def _of_table(lines: Sequence[str]) -> Poses:
     stamps = numbers["stamp"] / (unit or unit_of(numbers["stamp"][0]))
     for index in np.flatnonzero(~((np.diff(stamps, prepend=-math.inf) > 0) & (np.abs(stamps) <= LATEST)))[:1]:
         try:
-            text = f"stamp {checked_stamp(float(stamps[index])):.6f} comes after {stamps[index - 1]:.6f}; wanted increasing"
-            raise TimeError(f"{text} stamps. Sort the lines by stamp, and split the file where the clock was reset")
+            text = f"stamp {checked_stamp(float(stamps[index])):.6f} comes after {stamps[index - 1]:.6f}; wanted"
+            text += " increasing stamps. Sort the lines by stamp, and split the file where the clock was reset"
+            raise TimeError(text)
         except TimeError as error:
             raise TimeError(f", line {rows[index][0]}: {error}") from error
     if "qw" in names:

@@ -42,8 +42,8 @@ FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # of `Motion
 
 
 class _File(msgspec.Struct):
-    perception: Annotated[str, msgspec.Meta(description="the name of a perception")]
-    forgetting: Annotated[MotionModel, msgspec.Meta(description="an object")]
+    perception: str
+    forgetting: MotionModel
     calibration: Calibration | None = None
     detector: DetectorModel | None = None
     found_by: dict[str, Any] = {}
@@ -126,18 +126,16 @@ def read_calibrated(file: Path) -> Calibrated:
 
 # --- labelled panoramas for calibration -------------------------------------------------------------------------------
 
-_CORNERS = msgspec.Meta(description="[x0, y0, x1, y1] in pixels")
-
 
 class _Line(msgspec.Struct):
     """A line: the place is a direction with a radius, degrees, or a box in pixels."""
 
-    image: Annotated[str, msgspec.Meta(description="a path")]
-    query: Annotated[str, msgspec.Meta(description="words")]
+    image: str
+    query: str
     azimuth_deg: Turn = math.nan
     elevation_deg: Tilt = math.nan
-    radius_deg: Annotated[float, msgspec.Meta(gt=0, le=90, description="more than 0, at most 90")] = math.nan
-    box: Annotated[tuple[Finite, Finite, Finite, Finite] | None, _CORNERS] = None
+    radius_deg: Annotated[float, msgspec.Meta(gt=0, le=90)] = math.nan
+    box: tuple[Finite, Finite, Finite, Finite] | None = None  # x0, y0, x1, y1
 
 
 def _parsed(line: bytes) -> _Line:

@@ -51,19 +51,13 @@ _PIXELS = "a whole number from 1 to 65536"
 _CORNERS = "[x0, y0, x1, y1] in pixels of the {}image (not x, y, width, height, and not 0 to 1)"
 _SCORE = 'a number from 0 to 1. Of logits, say so: "scores": "logit" in the line; divide percentages by 100'
 _VALUES = 'numbers in [0, 1] (of logits, say "scores": "logit" in the line)'
-_Pixels = Annotated[int, Meta(ge=1, le=65536, description=_PIXELS)]  # more is taken for a mistake
+_Pixels = Annotated[int, Meta(ge=1, le=65536)]  # more is taken for a mistake
 _Coordinate = Annotated[float, Meta(ge=-4 * 65536, le=4 * 65536)]
-_Component = Annotated[float, Meta(ge=-2, le=2, description="a number from -2 to 2")]
-_Metres = Annotated[float, Meta(ge=-1e9, le=1e9, description="metres")]
-_Score = Annotated[Finite, Meta(description=_SCORE)]
-_Label = Annotated[str, Meta(description="text")]
-_PROJECTION = Meta(description='"equirectangular" or "perspective"')
-_SCORES = Meta(description='"probability" (the default) or "logit"')
+_Component = Annotated[float, Meta(ge=-2, le=2)]
+_Metres = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _FIELD = "a number from 0.1 to 179"
-_DISTORTION = "up to eight numbers: k1, k2, p1, p2, k3, k4, k5, k6"
 _QUERY = "words, or no such key"
 _LOOK = "text or a whole number, the same for all views of a moment"
-_OBJECTS = Meta(description="a list of objects")
 _LEAN, _TURN = ("yaw_left_deg", "pitch_up_deg", "roll_right_deg"), ("qw", "qx", "qy", "qz")
 _OF_LENS = ("focal", "centre", "distortion")
 _OF_VIEWS = ("hfov_deg", *_OF_LENS, *_LEAN, *_TURN)
@@ -71,13 +65,13 @@ _PAIR = "two numbers, {}, in pixels of an image of width and height"
 
 
 class _Image(msgspec.Struct, forbid_unknown_fields=True):
-    projection: Annotated[Literal["equirectangular", "perspective"], _PROJECTION] = "equirectangular"
+    projection: Literal["equirectangular", "perspective"] = "equirectangular"
     width: _Pixels | None = None
     height: _Pixels | None = None
-    hfov_deg: Annotated[float, Meta(ge=0.1, le=179, description=_FIELD)] | None = None
-    focal: Annotated[tuple[Finite, Finite], Meta(description=_PAIR.format("of x and of y"))] | None = None
-    centre: Annotated[tuple[Finite, Finite], Meta(description=_PAIR.format("x and y"))] | None = None
-    distortion: Annotated[list[Finite], Meta(max_length=8, description=_DISTORTION)] | None = None
+    hfov_deg: Annotated[float, Meta(ge=0.1, le=179)] | None = None
+    focal: tuple[Finite, Finite] | None = None
+    centre: tuple[Finite, Finite] | None = None
+    distortion: Annotated[list[Finite], Meta(max_length=8)] | None = None  # k1, k2, p1, p2, k3, k4, k5, k6
     yaw_left_deg: Turn | None = None
     pitch_up_deg: Tilt | None = None
     roll_right_deg: Turn | None = None
@@ -88,28 +82,28 @@ class _Image(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _Box(msgspec.Struct, forbid_unknown_fields=True):
-    box: Annotated[tuple[_Coordinate, _Coordinate, _Coordinate, _Coordinate], Meta(description=_CORNERS.format(""))]
-    score: _Score | None = None
-    label: _Label | None = None
+    box: tuple[_Coordinate, _Coordinate, _Coordinate, _Coordinate]  # x0, y0, x1, y1 in pixels
+    score: Finite | None = None
+    label: str | None = None
 
 
 class _Point(msgspec.Struct, forbid_unknown_fields=True):
     azimuth_deg: Turn
     elevation_deg: Tilt
-    spread_deg: Annotated[float, Meta(ge=0.1, le=180, description="a number from 0.1 to 180")] = math.nan
-    score: _Score | None = None
-    label: _Label | None = None
+    spread_deg: Annotated[float, Meta(ge=0.1, le=180)] = math.nan
+    score: Finite | None = None
+    label: str | None = None
 
 
 class _Response(msgspec.Struct, forbid_unknown_fields=True):
     rows: _Pixels
     cols: _Pixels
-    values: Annotated[list[Finite], Meta(description=_VALUES)]
+    values: list[Finite]
 
 
 class _View(msgspec.Struct, forbid_unknown_fields=True):
-    image: Annotated[_Image, Meta(description="an object with projection, width, height, hfov_deg")]
-    boxes: Annotated[list[_Box], _OBJECTS]
+    image: _Image
+    boxes: list[_Box]
 
 
 class _Pose(msgspec.Struct, forbid_unknown_fields=True):
@@ -120,12 +114,12 @@ class _Pose(msgspec.Struct, forbid_unknown_fields=True):
     x: _Metres | None = None
     y: _Metres | None = None
     z: _Metres | None = None
-    spread_deg: Annotated[float, Meta(ge=0, description="degrees, 0 or more")] = 0.0
+    spread_deg: Annotated[float, Meta(ge=0)] = 0.0
 
 
 class _Unseen(msgspec.Struct, forbid_unknown_fields=True):
-    rows: Annotated[int, Meta(ge=1, le=4096, description="a whole number from 1 to 4096")]
-    runs: Annotated[list[Annotated[int, Meta(ge=0)]], Meta(description="lengths of runs: seen, not seen, seen, ...")]
+    rows: Annotated[int, Meta(ge=1, le=4096)]
+    runs: list[Annotated[int, Meta(ge=0)]]  # lengths of runs: seen, not seen, seen, ...
 
 
 class Footage(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -135,11 +129,11 @@ class Footage(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     `begins`: the stamp from which seconds are counted on a terminal.
     """
 
-    of: Annotated[str, Meta(description="text")]
-    perception: Annotated[str, Meta(description="the name of a perception")]
-    poses: Annotated[str, Meta(description="text")] = ""
-    classes: Annotated[tuple[str, ...] | None, Meta(description="a list of names")] = None
-    detector: Annotated[DetectorModel | None, Meta(description="an object")] = None
+    of: str
+    perception: str
+    poses: str = ""
+    classes: tuple[str, ...] | None = None
+    detector: DetectorModel | None = None
     begins: Finite = 0.0
 
 
@@ -149,19 +143,19 @@ class _Head(msgspec.Struct, forbid_unknown_fields=True):
 
 class _Line(msgspec.Struct, forbid_unknown_fields=True):
     stamp: Finite
-    query: Annotated[str | None, Meta(description=_QUERY)] = None
-    look: Annotated[str | int | None, Meta(description=_LOOK)] = None
-    image: Annotated[_Image | None, Meta(description="an object with width and height")] = None
-    boxes: Annotated[list[_Box] | None, _OBJECTS] = None
-    points: Annotated[list[_Point] | None, _OBJECTS] = None
-    response: Annotated[_Response | None, Meta(description="an object with rows, cols and values")] = None
-    scores: Annotated[Literal["probability", "logit"], _SCORES] = "probability"
-    views: Annotated[list[_View] | None, Meta(description="a list of objects with image and boxes")] = None
-    pose: Annotated[_Pose | None, Meta(description="an object with qw, qx, qy, qz")] = None
-    frame: Annotated[str | None, Meta(description="text")] = None
-    lost: Annotated[bool, Meta(description="true or false")] = False
-    problem: Annotated[str | None, Meta(description="text")] = None
-    unseen: Annotated[_Unseen | None, Meta(description="an object with rows and runs")] = None
+    query: str | None = None
+    look: str | int | None = None
+    image: _Image | None = None
+    boxes: list[_Box] | None = None
+    points: list[_Point] | None = None
+    response: _Response | None = None
+    scores: Literal["probability", "logit"] = "probability"
+    views: list[_View] | None = None
+    pose: _Pose | None = None
+    frame: str | None = None
+    lost: bool = False
+    problem: str | None = None
+    unseen: _Unseen | None = None
 
 
 # --- records ----------------------------------------------------------------------------------------------------------

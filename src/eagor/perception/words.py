@@ -207,7 +207,7 @@ def for_any_words() -> str:
     first = "" if find_spec("transformers") else f"{how_to_install('vlm')}; then "
     return (
         f"{first}--perception google/owlv2-base-patch16-ensemble; or a model on a server, --perception "
-        "endpoint:MODEL@ADDRESS (docs/models.md)"
+        "endpoint:MODEL@ADDRESS"
     )
 
 

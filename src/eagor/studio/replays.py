@@ -1,6 +1,6 @@
 """Episodes as the page shows them: steps with belief, panorama, answers of all methods, in one JSON object.
 
-An episode of a simulated task is played again (as `eagor.lab.eval.replay` does for the Rerun viewer): the method
+An episode of a simulated task is played again (as `eagor.lab.eval.episodes` does): the method
 with a belief sees what it saw in the run. What the other methods said is in the records. A live recording goes through
 the live core again; of a robot's walk its report is read.
 """
@@ -23,7 +23,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.lab.agents.methods import DESCRIPTIONS, TrackerEstimator
 from eagor.lab.envs.episodes import Episode
 from eagor.lab.envs.places import Place, load_place
-from eagor.lab.eval.replay import runner_of
+from eagor.lab.eval.episodes import runner_of
 from eagor.lab.eval.results import OURS, Run
 from eagor.lab.tasks.sim.play import StepInfo
 from eagor.lab.tasks.task import finished, sample_of

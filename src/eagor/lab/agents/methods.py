@@ -7,9 +7,8 @@ counts for the time of its panorama: our tracker handles that itself, filters ar
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,7 +23,8 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.perception import is_model
 from eagor.sphere import FORWARD
-from eagor.tracking import Estimate, TrackerConfig
+from eagor.tracking import Estimate, MotionModel, TrackerConfig
+from eagor.tracking.config import AnswerSettings
 from eagor.tracking.follower import Follower
 
 PARTICLES = 2000
@@ -188,6 +188,66 @@ def default_methods(perception: str) -> tuple[str, ...]:
     return EVERY if is_model(perception) else NAMES
 
 
+def answer_at(method: Estimator, stamp: float, pose: np.ndarray, evidence: Evidence | None) -> np.ndarray:
+    """The estimator's direction ``(3,)`` at a `pose` ``(7,)`` of the odometry, given the evidence that has arrived."""
+    method.move(stamp, rotation_from_wxyz(pose[3:]), pose[:3])
+    if evidence is not None:
+        method.see(evidence)
+    return method.direction()
+
+
+# --- estimators by name, with settings --------------------------------------------------------------------------------
+
+_READING = ("calibration.floor", "calibration.neutral", "calibration.temperature")
+_FILTERS: dict[str, Callable[[], DirectionFilter]] = {
+    "plain": baselines.Plain,
+    "centroid": baselines.Centroid,
+    "cent_circ": baselines.CircularCentroid,
+    "grid": baselines.GridFilter,
+    "best_detection": baselines.BestDetection,
+    "last_detection": baselines.LastDetection,
+    "vmf": baselines.VonMisesFisherFilter,
+    "grid_filter": baselines.HistogramFilter,
+}
+_KNOWN = {  # the settings of filters that have some
+    "vmf": (*_READING, "noise"),
+    "grid_filter": (*_READING, "diffusion", "mixing"),
+    "particle_filter": (*_READING, "roughening", "reborn", "kernel"),
+}
+# The settings of our tracker are the fields of its configuration and of its parts (of two parts with a field of one
+# name the first, the other as detector.spread), but for shells=0: directions only; heights=0: the floor is not known.
+_PARTS = {
+    "answers": AnswerSettings,
+    "target_motion": MotionModel,
+    "calibration": Calibration,
+    "detector": DetectorModel,
+}
+_TRACKER = (
+    "degree",
+    "shells",
+    "heights",
+    "drift",
+    *(f"{part}.{each.name}" for part, kind in _PARTS.items() for each in fields(kind)),
+)
+_DEGREES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "offset", "drift")  # in radians
+FITTED: dict[str, dict[str, str]] = {
+    "scout": {  # the von Mises-Fisher filter did best with its defaults, in 48 trials each
+        "grid_filter": "floor=0.326,neutral=0.127,temperature=7.34,diffusion=6.54,mixing=0.00291",
+        "particle_filter": "floor=0.326,neutral=0.127,temperature=7.34,roughening=4.4,reborn=0.032,kernel=4.21",
+    },
+    "truth": {
+        "vmf": "floor=0.125,neutral=0.144,temperature=1.47,noise=11.6",
+        "grid_filter": "floor=0.175,neutral=0.0153,temperature=1.74,diffusion=6.96,mixing=2.85e-05",
+        "particle_filter": "floor=0.0543,neutral=0.0909,temperature=1.39,roughening=2.29,reborn=0.00461,kernel=7.83",
+    },
+}
+
+
+def fitted(perception: str, base: str) -> str:
+    """The fitted settings of an estimator for a perception, "" if there are none."""
+    return FITTED.get(perception.partition(":")[0], {}).get(base, "")
+
+
 def make_estimator(
     name: str,
     rng: np.random.Generator,
@@ -207,60 +267,14 @@ def make_estimator(
         )
     try:
         settings = _settings(fitted(perception, base)) | _settings(text)
-        make, known = _FILTERS.get(base, (None, tuple(_PART_OF)))
-        if unknown := [key for key in settings if key not in known]:
-            raise EagorError(f"there is no setting {unknown[0]!r}; known for {base}: {', '.join(known) or 'none'}")
-        if make is not None:
-            return FilterEstimator(_with_settings(make(rng), settings))
+        if base in _FILTERS or base == "particle_filter":
+            made = _FILTERS[base]() if base in _FILTERS else baselines.ParticleFilter.uniform(PARTICLES, rng)
+            return FilterEstimator(_with_settings(made, settings, _KNOWN.get(base, ()), {}))
         config = TrackerConfig.paper() if base == "eagor_paper" else ours or TrackerConfig()
-        return TrackerEstimator(_with_settings(config, settings, calibration, detector))
+        parts = {"calibration": calibration or Calibration(), "detector": detector or DetectorModel()}
+        return TrackerEstimator(_with_settings(config, settings, _TRACKER, parts))
     except EagorError as error:
         raise EagorError(f"method {name!r}: {error}") from None
-
-
-def answer_at(method: Estimator, stamp: float, pose: np.ndarray, evidence: Evidence | None) -> np.ndarray:
-    """The estimator's direction ``(3,)`` at a `pose` ``(7,)`` of the odometry, given the evidence that has arrived."""
-    method.move(stamp, rotation_from_wxyz(pose[3:]), pose[:3])
-    if evidence is not None:
-        method.see(evidence)
-    return method.direction()
-
-
-# --- the settings of variants ----------------------------------------------------------------------------------------
-
-_READING = ("floor", "neutral", "temperature")
-# What makes each filter, and its settings.
-_FILTERS: dict[str, tuple[Callable[[np.random.Generator], DirectionFilter], tuple[str, ...]]] = {
-    "plain": (lambda rng: baselines.Plain(), ()),
-    "centroid": (lambda rng: baselines.Centroid(), ()),
-    "cent_circ": (lambda rng: baselines.CircularCentroid(), ()),
-    "grid": (lambda rng: baselines.GridFilter(), ()),
-    "best_detection": (lambda rng: baselines.BestDetection(), ()),
-    "last_detection": (lambda rng: baselines.LastDetection(), ()),
-    "vmf": (lambda rng: baselines.VonMisesFisherFilter(), (*_READING, "noise")),
-    "grid_filter": (lambda rng: baselines.HistogramFilter(), (*_READING, "diffusion", "mixing")),
-    "particle_filter": (
-        lambda rng: baselines.ParticleFilter.uniform(PARTICLES, rng),
-        (*_READING, "roughening", "reborn", "kernel"),
-    ),
-}
-# The settings of our tracker, by the part of its configuration ("": itself). shells=0: directions only; heights=0: the
-# floor's height is unknown; dspread: the spread of detections, spread: that of response maps.
-_TRACKER = {
-    "": ("degree", "shells", "heights", "drift"),
-    "answers": ("decode",),
-    "target_motion": ("wander", "turn", "start", "stop", "jump", "birth", "death"),
-    "calibration": (*_READING, "persistence", "spread"),
-    "detector": (
-        "detection_probability", "false_alarms_per_look", "kept_for", "kept_within", "habit", "look_alike_habit",
-        "look_alikes", "offset", "spread_of_size", "offset_of_size", "parts", "dspread",
-    ),
-}  # fmt: skip
-_PART_OF = {key: part for part, keys in _TRACKER.items() for key in keys}
-_FIELDS = {"shells": "ranges", "heights": "floor_height", "dspread": "spread"}  # those with another name
-_DEGREES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "dspread", "offset", "drift")
-_SEVERAL = ("wander", "turn", "habit", "look_alike_habit")  # numbers joined by +; of motion, 0: no such kind
-_LEARNT = ("drift", "detection_probability", "false_alarms_per_look", "kept_for", "kept_within")  # where they are ?
 
 
 def _settings(text: str) -> dict[str, str]:
@@ -271,69 +285,42 @@ def _settings(text: str) -> dict[str, str]:
     return found
 
 
-def _value(key: str, text: str) -> Any:
-    """The value of a setting, an angle in radians. Raises `EagorError`."""
-    if key == "decode":
-        return text
-    if text == "?" and key in _LEARNT:
-        return None
-    if key in ("degree", "shells", "heights"):
-        count, most = int(text) if text.isdecimal() else -1, 1 if key == "heights" else math.inf
-        if not 0 <= count <= most:
-            raise EagorError(f"{key} = {text}; wanted {'0 or 1' if most == 1 else 'a whole number, 0 or more'}")
-        if key == "heights":
-            return FLOOR if count else None
-        return count if key == "degree" else tuple(log_ranges(count=count).tolist()) if count else None
-    try:
-        numbers = tuple(float(each) for each in (text.split("+") if key in _SEVERAL else [text]))
-    except ValueError:
-        numbers = (math.nan,)
-    if any(map(math.isnan, numbers)):
-        raise EagorError(f"{key} = {text}; wanted a number")
-    if key in _DEGREES:
-        numbers = tuple(map(math.radians, numbers))
-    if key not in _SEVERAL:
-        return numbers[0]
-    return () if key in ("wander", "turn") and numbers == (0.0,) else numbers
-
-
-def _with_settings(
-    made: Any,
-    settings: dict[str, str],
-    calibration: Calibration | None = None,
-    detector: DetectorModel | None = None,
-) -> Any:
-    """A filter, or the configuration of a tracker, with settings from text. Raises `EagorError` for a wrong value.
-
-    They change `calibration` and `detector` if it has none of its own.
-    """
-    changes: dict[str, dict[str, Any]] = defaultdict(dict)
+def _with_settings(made: Any, settings: dict[str, str], known: tuple[str, ...], parts: dict[str, Any]) -> Any:
+    """A filter or config with settings from text; `parts`: those it takes where it has none. Raises `EagorError`."""
     for key, text in settings.items():
-        changes[_PART_OF.get(key, "")][_FIELDS.get(key, key)] = _value(key, text)
-    own = changes.pop("", {})
-    for part, values in changes.items():
-        before: Any = getattr(made, part)
-        if part == "calibration":
-            before = replace(before or calibration or Calibration(), scale_to_max=False)
-        elif part == "detector":
-            before = before or detector or DetectorModel()
-        own[part] = replace(before, **values)
-    return replace(made, **own)
+        path = next((each for each in known if key in (each, each.rpartition(".")[2])), None)
+        if path is None:
+            names = ", ".join(each.rpartition(".")[2] for each in known)
+            raise EagorError(f"there is no setting {key!r}; known: {names or 'none'}")
+        part, _, name = path.rpartition(".")
+        if name == "shells":
+            count = _value(name, text, 0)
+            made = replace(made, ranges=tuple(log_ranges(count=count).tolist()) if count else None)
+        elif name == "heights":
+            made = replace(made, floor_height=FLOOR if _value(name, text, 0) else None)
+        else:
+            owner = made if not part else getattr(made, part) or parts[part]
+            if part == "calibration":
+                owner = replace(owner, scale_to_max=False)
+            owner = replace(owner, **{name: _value(name, text, getattr(owner, name))})
+            made = replace(made, **{part: owner}) if part else owner
+    return made
 
 
-FITTED: dict[str, dict[str, str]] = {
-    "scout": {  # the von Mises-Fisher filter did best with its defaults, in 48 trials each
-        "grid_filter": "floor=0.326,neutral=0.127,temperature=7.34,diffusion=6.54,mixing=0.00291",
-        "particle_filter": "floor=0.326,neutral=0.127,temperature=7.34,roughening=4.4,reborn=0.032,kernel=4.21",
-    },
-    "truth": {
-        "vmf": "floor=0.125,neutral=0.144,temperature=1.47,noise=11.6",
-        "grid_filter": "floor=0.175,neutral=0.0153,temperature=1.74,diffusion=6.96,mixing=2.85e-05",
-        "particle_filter": "floor=0.0543,neutral=0.0909,temperature=1.39,roughening=2.29,reborn=0.00461,kernel=7.83",
-    },
-}
-
-
-def fitted(perception: str, base: str) -> str:
-    """The fitted settings of an estimator for a perception, "" if there are none."""
-    return FITTED.get(perception.partition(":")[0], {}).get(base, "")
+def _value(name: str, text: str, now: Any) -> Any:
+    """The value of a setting, an angle in radians; `now`: the value that it replaces. Raises `EagorError`."""
+    if isinstance(now, str):
+        return text
+    if text == "?":  # to be learnt
+        return None
+    if isinstance(now, int) and not text.isdecimal():
+        raise EagorError(f"{name} = {text}; wanted a whole number, 0 or more")
+    try:
+        numbers = [int(text)] if isinstance(now, int) else [float(each) for each in text.split("+")]
+    except ValueError:
+        raise EagorError(f"{name} = {text}; wanted a number") from None
+    if name in _DEGREES:
+        numbers = [math.radians(number) for number in numbers]
+    if not isinstance(now, tuple):
+        return numbers[0]
+    return tuple(numbers) if any(numbers) else ()  # no such kind

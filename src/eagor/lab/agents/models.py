@@ -7,7 +7,6 @@ rendered for it. The ``vlm`` agents of the benchmarks talk to any `Chat`, which 
 from __future__ import annotations
 
 import gc
-import hashlib
 import inspect
 import os
 import sys
@@ -19,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import AnswerError, EagorError
-from eagor.evidence import BodyMask, Evidence
+from eagor.evidence import Evidence
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.perception import Perception, load, local_model, look, parse_options
 from eagor.perception.calibrated import from_json
-from eagor.perception.vlm import Chat, Message
+from eagor.perception.vlm import Chat
 from eagor.plugins import bring
 from eagor.queries import Named
 
@@ -32,18 +31,12 @@ class EpisodePerception:
     """A perception in the episode of a spec: it looks once per step.
 
     One that reads instance ids begins an episode among `things` (indexed by instance id). Its mistakes are the same
-    each time, and others for another `purpose`. `mask`: what the camera can see; None: everything.
+    each time, and others for another `purpose`.
     """
 
     def __init__(
-        self,
-        perception: Any,
-        spec: EpisodeSpec,
-        things: Sequence[Named],
-        purpose: str = "perception",
-        mask: BodyMask | None = None,
+        self, perception: Any, spec: EpisodeSpec, things: Sequence[Named], purpose: str = "perception"
     ) -> None:
-        self._mask = mask
         self._privileged = is_privileged(perception)
         self._sees: Callable[..., Evidence] = partial(look, perception)
         if self._privileged:
@@ -71,7 +64,7 @@ class EpisodePerception:
         if evidence.source is not None:
             self.source = dict(evidence.source)
             self.milliseconds.append(float(self.source.pop("milliseconds", 0.0)))
-        return evidence if self._mask is None else evidence.covered(self._mask)
+        return evidence
 
     def account(self) -> dict[str, Any]:
         """Number of looks and of unreadable answers, the mean time of a look, and the source of the last one.
@@ -79,14 +72,13 @@ class EpisodePerception:
         Empty if the perception tells no source, or reads instance ids. Raises `AnswerError` if more than half of the
         answers could not be read: that is no result.
         """
-        if 2 * len(self.unread) > self.looks:
-            raise AnswerError(
-                f"{len(self.unread)} of {self.looks} answers could not be read; the last: {self.unread[-1]}"
-            )
+        unread, looks = len(self.unread), self.looks
+        if 2 * unread > looks:
+            raise AnswerError(f"{unread} of {looks} answers could not be read; the last: {self.unread[-1]}")
         if self._privileged or not (self.source or self.unread):
             return {}
         mean = round(float(np.mean(self.milliseconds)), 1) if self.milliseconds else None
-        return {"looks": self.looks, "unread": len(self.unread), "milliseconds": mean, "source": self.source}
+        return {"looks": looks, "unread": unread, "milliseconds": mean, "source": self.source}
 
 
 @lru_cache(maxsize=1)
@@ -115,11 +107,9 @@ def release() -> None:
         torch.cuda.empty_cache()
 
 
-def recalibrator(settings: Mapping[str, Any]) -> Callable[[Evidence], Evidence]:
-    """Gives looks the calibration in the settings of a run ("calibrated"); without one they keep their own."""
-    if not settings.get("calibrated"):
-        return lambda evidence: evidence
-    return from_json(settings["calibrated"], "the settings").reread
+def recalibrator(calibrated: Mapping[str, Any] | None) -> Callable[[Evidence], Evidence]:
+    """Gives looks the calibration of a run (its setting "calibrated"); without one they keep their own."""
+    return from_json(calibrated, "the settings").reread if calibrated else lambda evidence: evidence
 
 
 def is_privileged(perception: Any) -> bool:
@@ -139,15 +129,12 @@ def load_chat(spec: str) -> Chat:
     if colon and module.replace(".", "").isidentifier() and name.isidentifier():
         try:
             make = bring(EntryPoint(spec, spec, ""), "model")
+            inspect.signature(make).bind()
         except EagorError as error:
             raise EagorError(f"{error}, or {spec}@http://localhost:11434 for a model on a server") from None
-        try:
-            inspect.signature(make).bind()
         except (TypeError, ValueError) as error:  # ValueError: it has no signature
-            raise EagorError(
-                f"the model {spec!r} cannot be made ({error}); wanted a function without arguments that returns the "
-                "model"
-            ) from error
+            wanted = "a function without arguments that returns the model"
+            raise EagorError(f"the model {spec!r} cannot be made ({error}); wanted {wanted}") from error
         return make()
     place, _, options = spec.partition("?")
     here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
@@ -167,18 +154,6 @@ def shared_chat(spec: str) -> Chat:
     Raises as `load_chat`, errors of its server, and `EagorError` for anything that is not a `Chat`.
     """
     made = load_chat(spec)
-    if not callable(made):
+    if not (callable(made) and inspect.signature(made).parameters):
         raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted a callable that takes messages")
-    if not inspect.signature(made).parameters:
-        raise EagorError(f"the model {spec!r} takes no argument; wanted the messages of a conversation")
     return _checked(made)
-
-
-def digest(messages: Sequence[Message]) -> str:
-    """A short hash of a conversation, text and pictures."""
-    found = hashlib.sha256()
-    for message in messages:
-        found.update(f"{message.role}\0{message.text}\0".encode())
-        for image in message.images:
-            found.update(np.ascontiguousarray(image).tobytes())
-    return found.hexdigest()[:16]

@@ -1,8 +1,7 @@
-"""What a search knows, and what the next look is expected to tell about where a thing is: one measure for all searches.
+"""What a searching body knows of the ground, and what a look is expected to tell about where a thing is.
 
-The thing is in one of many cells: directions around a camera that only turns (`eagor.lab.tasks.hstar.agents`), or
-patches of the ground about a body (`SearchedGround`). Either is a `Space`. A look is worth taking for what it shows:
-cells that no look has shown, and cells that were looked at but where the perception may have missed the thing. A search
+The thing is in one of many patches of the ground (`SearchedGround`). A look is worth taking for what it shows: patches
+that no look has shown, and patches that were looked at but where the perception may have missed the thing. A search
 takes the look that tells most for what it costs (`eagor.lab.agents.steering`).
 
 The ground is a `FloorMap`, with `Ways` over it. No map is given and no depth is read. A look shows which pixels are
@@ -18,7 +17,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from scipy import ndimage
@@ -29,9 +27,9 @@ from eagor.conventions import rotation_from_wxyz
 from eagor.evidence import Evidence
 from eagor.evidence.detector import Habits
 from eagor.grids import ErpGrid
-from eagor.lab.envs.places import Place, in_view
+from eagor.lab.envs.places import Place
 from eagor.lab.envs.rules import Camera
-from eagor.sphere import heading, wrap
+from eagor.sphere import heading
 from eagor.tracking.looking import information
 
 CELL = 0.15  # metres
@@ -58,8 +56,6 @@ FINE = 7 * RAYS  # rays about the body itself, the others among them: what they 
 OPEN = 1.5  # metres: how far one sees on average into what is unknown
 VEIL = np.array([CELL / OPEN, 0.0, 50.0])  # log of the share of sight that is lost in a cell: unknown, floor, contact
 EVERY = 3  # cells between the places that are weighed
-AHEAD = np.zeros((1, 2))  # the heading of a camera that sees all around: it need not turn
-HEADINGS = np.column_stack([np.arange(RAYS) * 2 * math.pi / RAYS, np.zeros(RAYS)])  # those of any other camera
 MOST = 1000  # looks that are made again, some 3 ms each; of a longer way, so many of its poses
 
 # --- the floor -------------------------------------------------------------------------------------------------------
@@ -108,14 +104,8 @@ class FloorMap:
             setattr(self, name, np.pad(getattr(self, name), pads, constant_values=beyond.get(name, 0)))
         self.origin = first * CELL
 
-    def look(
-        self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray, seen: np.ndarray | None = None
-    ) -> None:
-        """Take in a look from `position` ``(3,)``, metres above the floor's plane z = 0.
-
-        `floor` ``(H, W)`` bool: which pixels of an equirectangular picture show the floor. `seen` ``(H, W)`` bool:
-        which of them the camera shows at all; None: all.
-        """
+    def look(self, floor: np.ndarray, world_R_body: np.ndarray, position: np.ndarray) -> None:
+        """Take in a look from `position` ``(3,)`` above z = 0: which pixels ``(H, W)`` of a panorama show the floor."""
         here, height = position[:2], position[2]
         reach = _reach(floor, height)
         places = self.centres(self._around(here, reach))
@@ -129,8 +119,6 @@ class FloorMap:
         is_floor = _shows(floor, world_R_body, away, height)
         before = away * np.maximum(1 - back / metres, 0.0)[:, None]
         contact = ~is_floor & _shows(floor, world_R_body, before, height)
-        if seen is not None:
-            contact &= _shows(seen, world_R_body, away, height)
         shown = np.concatenate([places[is_floor | contact], here[None]])
         self.cover(shown.min(axis=0) - MARGIN, shown.max(axis=0) + MARGIN)
         for which, state in ((is_floor, FLOOR), (contact, CONTACT)):
@@ -201,10 +189,7 @@ class Ways:
         self.costs, self.metres = costs, metres.reshape(costs.shape)
 
     def nearest(self, goal: np.ndarray, but: Sequence[np.ndarray] = ()) -> tuple[int, int] | None:
-        """The cell to go to for a goal ``(2,)`` in which something may stand.
-
-        If the body has been at places `but` ``(2,)`` for it: another one beside it, None if there is none.
-        """
+        """The cell to go to for a goal ``(2,)``, not near places `but` where the body was for it; None if all are."""
         places = self.known.centres(np.moveaxis(np.indices(self.metres.shape), 0, -1))
         away = np.hypot(*np.moveaxis(places - goal, -1, 0))
         cost = 3 * away + 0.2 * self.metres
@@ -254,9 +239,8 @@ def _lattice(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray
 class Chance:
     """What chance a look has to find what is in sight.
 
-    `recall`: the probability that it reports it. `repeats`: the share of the mistakes of the look before that it
-    repeats, which was taken `elapsed` seconds earlier: what was overlooked there is overlooked again. `habits`: of the
-    detector, which fade with time and distance; None: nothing fades.
+    `recall`: the probability that it reports it. `repeats`: the share of the mistakes of the look before, taken
+    `elapsed` seconds earlier, that it repeats. `habits`: of the detector, which fade; None: nothing fades.
     """
 
     recall: float = 0.5
@@ -268,8 +252,7 @@ class Chance:
     def of(cls, evidence: Evidence, elapsed: float) -> Chance:
         """As the evidence itself has it, but `LEAST` at least.
 
-        A detector's model states the recall, or a prior of it. Of a response, 1 - recall is the likelihood ratio where
-        it reports nothing, which is most of what it covers. If that is 1 or more, silence says nothing.
+        A detector's model states the recall. Of a response, 1 - recall is the likelihood ratio of silence.
         """
         if evidence.detections is not None:
             habits = evidence.detections.model.habits
@@ -284,29 +267,6 @@ class Chance:
         return 1.0 if self.habits is None else 1 - self.habits.anew(self.elapsed, moved)
 
 
-class Space(Protocol):
-    """What a camera can look at from where it is, and what it has looked at so far."""
-
-    @property
-    def headings(self) -> np.ndarray:
-        """The headings ``(n, 2)`` that it may face: azimuth and elevation, radians, world frame."""
-        ...
-
-    def tells(self) -> np.ndarray:
-        """What a look at each of the headings ``(n,)`` is expected to tell about where the thing is, nats."""
-        ...
-
-
-def angle_size(angles: np.ndarray) -> np.ndarray:
-    """The size of angles ``(...)``, the short way round, radians from 0 to pi."""
-    return np.abs(wrap(angles))
-
-
-def turn_angle(headings: np.ndarray, facing: np.ndarray) -> np.ndarray:
-    """How far it is from `facing` ``(2,)`` to headings ``(..., 2)``, radians: in azimuth, and then in elevation."""
-    return angle_size(headings[..., 0] - facing[0]) + np.abs(headings[..., 1] - facing[1])
-
-
 @dataclass(eq=False)
 class SteeringInput:
     """What is known at a step.
@@ -317,8 +277,8 @@ class SteeringInput:
     - `position` ``(3,)``: of the camera by odometry, z in metres above the floor; `world_R_body` ``(3, 3)``.
     - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
       `chance`: to find, of that look; None if it could not be read.
-    - `here` ``(2,)``: where the body is on the floor; `yaw`, `bearing`: azimuths of the world, radians, of the body and
-      of the estimate; `ahead` ``(2,)``: a unit vector along the floor to the estimate. All in the world frame.
+    - World frame: `here` ``(2,)`` of the body; azimuths `yaw` of the body, `bearing` of the estimate; `ahead`: its unit
+      vector ``(2,)``.
     """
 
     azimuth: float
@@ -338,15 +298,13 @@ class SteeringInput:
 
 
 class SearchedGround:
-    """The ground of one episode; a `Space` about the body with this camera that stands on it.
+    """The ground of one episode about the body with this camera that stands on it.
 
     `here` ``(2,)``: where the body is, metres, world frame. Cells ``(..., 2)`` are rows and columns of `known`.
     """
 
     def __init__(self, camera: Camera) -> None:
-        self.camera, self.radius, self.around = camera, camera.radius, camera.around
-        self.known, self.here = FloorMap(), np.zeros(2)
-        self.headings = AHEAD if self.around else HEADINGS  # level ones
+        self.radius, self.known, self.here = camera.radius, FloorMap(), np.zeros(2)
         self._chance = Chance()
         self._from: np.ndarray | None = None  # where the last look was taken that could be read
 
@@ -354,45 +312,31 @@ class SearchedGround:
         """Take in what a look shows of the floor, and that it had its chance to find the thing."""
         here = self.here = now.here
         assert now.floor is not None
-        seen = in_view(self.camera, len(now.floor))
-        floor = now.floor if seen is None else now.floor & seen
-        self.known.look(floor, now.world_R_body, now.position, seen)
+        self.known.look(now.floor, now.world_R_body, now.position)
         self.known.stand(here, self.radius)
         if now.chance is None:
             return
         moved = 0.0 if self._from is None else float(np.hypot(*(here - self._from)))
         self._chance, self._from = now.chance, here
         self.known.coverage *= now.chance.left(moved)
-        self.mark_scanned(here, now.yaw)
+        self.mark_scanned(here)
 
-    def mark_scanned(self, place: np.ndarray, yaw: float) -> None:
-        """What can be seen from a place ``(2,)``, facing the azimuth `yaw`, has had its chance."""
+    def mark_scanned(self, place: np.ndarray) -> None:
+        """What can be seen from a place ``(2,)`` has had its chance."""
         index, reached = self._reached(self.known.cells(place)[None], FINE)
-        reached = reached * self._in_view(FINE, np.array(yaw))[:, None]
         seen = np.pad(np.zeros(self.known.state.shape), PAD)
         np.maximum.at(seen.reshape(-1), index.reshape(-1), reached.reshape(-1))
         seen = seen[PAD:-PAD, PAD:-PAD]
         self.known.miss_cost *= 1 - self._finds() * seen
         np.maximum(self.known.coverage, seen, out=self.known.coverage)
 
-    def tells(self) -> np.ndarray:
-        """What looks from here at each of the headings ``(n,)`` are expected to tell, nats."""
-        return self.tells_from(self.known.cells(self.here)[None])[0]
-
-    def tells_from(self, cells: np.ndarray) -> np.ndarray:
-        """What looks from cells ``(m, 2)`` at each of the headings ``(m, n)`` are expected to tell, nats.
-
-        For a camera that does not see all around: what single rays tell, added up, as each is likely to find nothing.
-        """
+    def tells(self, cells: np.ndarray) -> np.ndarray:
+        """What looks from cells ``(m, 2)`` are expected to tell ``(m,)`` about where the thing is, nats."""
         index, reached = self._reached(cells, RAYS)
-        miss_cost = self.known.miss_cost
+        miss_cost, count = self.known.miss_cost, len(cells)
         here = np.pad(miss_cost, PAD, constant_values=1.0).take(index) * (_rays(RAYS)[1] / (miss_cost.sum() * CELL**2))
         share = np.pad(self._finds(), PAD, constant_values=self._chance.recall).take(index) * reached
-        if self.around:
-            return information(here.reshape(len(cells), -1), share.reshape(len(cells), -1))[:, None]
-        length = here.shape[-1]
-        each = information(here.reshape(-1, length), share.reshape(-1, length)).reshape(-1, RAYS)
-        return each @ self._in_view(RAYS, HEADINGS[:, 0]).T
+        return information(here.reshape(count, -1), share.reshape(count, -1))
 
     def places(self) -> np.ndarray:
         """Cells ``(m, 2)`` of the known floor from which one may look: not all of them, but evenly spread."""
@@ -408,23 +352,12 @@ class SearchedGround:
         rows, cols = cells[inside].T
         return float(np.exp(-VEIL[self.known.state[rows, cols]].sum() - VEIL[UNKNOWN] * (~inside).sum()))
 
-    def _in_view(self, count: int, azimuths: np.ndarray) -> np.ndarray:
-        """Which of `count` rays ``(..., count)`` a camera shows that faces `azimuths` ``(...)``, 1 or 0."""
-        off = _angles(count) - np.asarray(azimuths)[..., None]
-        return (angle_size(off) <= math.radians(self.camera.hfov) / 2).astype(np.float64)
-
     def _finds(self) -> np.ndarray:
-        """The probability ``(rows, cols)`` that a look finds a thing there, in full sight, after those that missed it.
-
-        Of what repeats the mistakes of earlier looks only the share 1 - repeats tells something, as in a belief.
-        """
+        """The probability ``(rows, cols)`` that a look finds a thing in full sight, after those that missed it."""
         return 1 - (1 - self._chance.recall) ** (1 - self._chance.repeats * self.known.coverage)
 
     def _reached(self, cells: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Along `count` rays from cells ``(n, 2)``: padded cells (flat), and how likely one sees them.
-
-        Both ``(n, count, k)``.
-        """
+        """Padded cells (flat) along rays from cells ``(n, 2)``, and the sight that is left, both ``(n, count, k)``."""
         veil = VEIL[np.pad(self.known.state, PAD)]
         flat = np.array([veil.shape[1], 1])
         index = ((cells + PAD) @ flat)[:, None, None] + _rays(count)[0] @ flat
@@ -432,26 +365,19 @@ class SearchedGround:
         return index, np.exp(dimmed - np.cumsum(dimmed, axis=2))
 
 
-def _angles(count: int) -> np.ndarray:
-    """The world's azimuths ``(count,)`` of as many rays around a place."""
-    return (np.arange(count) + 0.5) * 2 * math.pi / count
-
-
 @lru_cache(maxsize=2)
 def _rays(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Offsets ``(count, n, 2)`` of the cells along rays, and the square metres ``(n,)`` for which each stands."""
     metres = (np.arange(int(SIGHT / CELL)) + 0.5) * CELL
-    angles = _angles(count)
+    angles = (np.arange(count) + 0.5) * 2 * math.pi / count
     offsets = np.stack([np.sin(angles)[:, None] * metres, np.cos(angles)[:, None] * metres], axis=-1)
     return np.round(offsets / CELL).astype(np.intp), 2 * math.pi / count * metres * CELL
 
 
 def explored_floor(place: Place, poses: np.ndarray, camera: Camera) -> FloorMap:
-    """What the looks from `poses` showed of the floor of `place`, to a body that searches.
+    """What the looks from true `poses` ``(n, 7)`` showed of the floor of `place`, to a body that searches.
 
-    `poses` ``(n, 7)``: x, y, z (metres) of the camera in the world, and its orientation ``world_R_body`` as a
-    quaternion w, x, y, z. They are the true ones: where odometry drifted, the body itself took the floor to be
-    elsewhere.
+    x, y, z (metres) of the camera in the world, and its orientation ``world_R_body`` as a quaternion w, x, y, z.
     """
     ground = SearchedGround(camera)
     if len(poses) > MOST:  # evenly spread, the first and the last among them

@@ -4,8 +4,7 @@ N episodes with seed S use the apartments S, S + 1, ..., `PER_PLACE` in each. Al
 identity, so any part of a run can be played alone.
 
 Files list episodes of ObjectNav of HM3D or MP3D, or what ``eagor export habitat`` writes. They are played in Habitat
-(``--world habitat``), in the scene that the file names below the folder of scenes. In our own world only episodes of
-ours can be played: they say which apartment or exported GLB they were made for.
+(``--world habitat``), or, if they say which apartment or exported GLB they were made for, in our own world.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import numpy as np
 
 from eagor.errors import WorldError
 from eagor.lab.envs.places import APARTMENT, SEEDS, Place, load_place, pixels_of
-from eagor.lab.envs.rules import Camera, NavigationRules
+from eagor.lab.envs.rules import VISIBLE, WINDING, Camera, NavigationRules
 from eagor.lab.worlds import FILES
 from eagor.lab.worlds.ground import STOREY
 from eagor.lab.worlds.objectnav import LAB_BODY, SceneEpisodes, check_scene, read_episodes
@@ -55,7 +54,7 @@ class EpisodeSpec:
         """An independent generator for each purpose, wherever the file of the scene is."""
         file, world = scene_file(self.world), self.world
         if file and Path(file).is_file():
-            world = world.replace(file, _digest(_state(Path(file))), 1)
+            world = world.replace(file, _digest(*_states(Path(file))), 1)
         name = f"{self.task}/{world}/{self.id}/{purpose}"
         return np.random.default_rng([zlib.crc32(name.encode()), self.seed, self.index])
 
@@ -137,6 +136,22 @@ class FileEpisodeSpec(EpisodeSpec):
         return np.random.default_rng([zlib.crc32(name.encode()), self.episode])
 
 
+@dataclass(frozen=True, eq=False)
+class FileEpisode(Episode):
+    """An episode of a file: centres of its goals ``(k, 3)`` and their view points ``(n, 3)``, metres, world frame.
+
+    View points are those of all storeys: habitat-lab measures to the nearest of all. `listed`: how long the shortest
+    way is according to the file, and its number there.
+    """
+
+    goals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    view_points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    listed: dict[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        return super().as_json() | {"slot": asdict(self.spec)}
+
+
 def spec_from_json(values: dict[str, Any]) -> EpisodeSpec:
     """The spec of a unit of work."""
     return FileEpisodeSpec(**values) if "scene" in values else EpisodeSpec(**values)
@@ -147,11 +162,9 @@ def file_episode_specs(
 ) -> list[FileEpisodeSpec]:
     """The specs of a file's episodes; of `count` (None: all) scene after scene gets one until there are enough.
 
-    `world`: "apartment" (ours), "habitat", or one scene of either (a GLB file, ``habitat:SCENE``). Options may follow
-    "habitat:?"; without another ``body``, Habitat's scenes have the mesh that habitat-lab uses for ObjectNav on HM3D.
-    `scenes`: the folder that the scene_ids are relative to; None: the nearest ``scene_datasets`` above the file.
-
-    Raises `WorldError` if the file cannot be read, or its scenes cannot be played in that world.
+    `world`: "apartment" (ours), "habitat" (options may follow "?"), or one scene of either (a GLB file,
+    ``habitat:SCENE``). `scenes`: the folder that the scene_ids are relative to; None: the nearest ``scene_datasets``
+    above the file. Raises `WorldError` if the file cannot be read, or its scenes cannot be played in that world.
     """
     if count is not None and count < 1:
         raise WorldError(f"{count} episodes; wanted 1 or more")
@@ -161,7 +174,7 @@ def file_episode_specs(
     if whole == HABITAT:
         options = "&".join(filter(None, (options, "" if "body=" in options else BODY)))
         world = HABITAT if name in (HABITAT, f"{HABITAT}:") else f"{name}?{options}"
-    if world not in (APARTMENT, HABITAT) and len(by_scene) > 1:
+    if world != whole and len(by_scene) > 1:
         raise WorldError(
             f"{file} has episodes in {len(by_scene)} scenes, but --world {world} is one of them; name the world "
             f"{whole} alone, and their folder with --scenes"
@@ -170,9 +183,9 @@ def file_episode_specs(
     for seed, (scene, listed) in enumerate(by_scene.items(), SEEDS):
         if world == HABITAT:
             homes[scene] = [(home, seed) for home in _storeys(scene, listed, options, Path(file), scenes)]
-            continue
-        home = _home_of_ours(scene, listed, seed, Path(file), scenes) if world == APARTMENT else (world, seed)
-        homes[scene] = [home] * len(listed.episodes)
+        else:
+            home = _home_of_ours(scene, listed, seed, Path(file), scenes) if world == APARTMENT else (world, seed)
+            homes[scene] = [home] * len(listed.episodes)
     paths = [scene_file(each[0][0]) for each in homes.values()]
     if all(paths) and not any(Path(path).exists() for path in paths):  # a part of them is what many people have
         raise WorldError(
@@ -200,9 +213,8 @@ def _storeys(scene: str, listed: SceneEpisodes, options: str, file: Path, scenes
         if not lowest or height - lowest[-1] > STOREY:  # starts on stairs must not join the storeys that these join
             lowest.append(height)
     group = np.searchsorted(lowest, heights, side="right") - 1
-    storeys = [np.median(heights[group == each]) for each in range(len(lowest))]
     world = f"{HABITAT}:{_below(scene, file, scenes)}?{dataset}{options}"
-    return [f"{world}&storey={storeys[each]:.2f}" for each in group]
+    return [f"{world}&storey={np.median(heights[group == each]):.2f}" for each in group]
 
 
 def _home_of_ours(scene: str, listed: SceneEpisodes, seed: int, file: Path, scenes: Path | None) -> tuple[str, int]:
@@ -229,9 +241,8 @@ def _home_of_ours(scene: str, listed: SceneEpisodes, seed: int, file: Path, scen
 def _below(scene: str, file: Path, scenes: Path | None) -> Path:
     """The file of a scene below the folder of scenes."""
     scene = scene.removeprefix(_PREFIX)
-    if scenes is None:
-        above = [parent / "scene_datasets" for parent in file.absolute().parents]
-        scenes = next((folder for folder in above if folder.is_dir()), None)
+    above = [parent / "scene_datasets" for parent in file.absolute().parents]
+    scenes = scenes or next((folder for folder in above if folder.is_dir()), None)
     if scenes is None:
         raise WorldError(
             f"no folder scene_datasets is above {file}; say where the scenes are with --scenes DIR, the folder that "
@@ -249,13 +260,13 @@ def scene_file(world: str) -> str:
 def read_file(file: Path | str) -> tuple[SceneEpisodes, ...]:
     """The episodes of a file by scene, kept as long as it does not change. Raises `WorldError`."""
     path = Path(file)
-    return _read(*map(_state, (path, *sorted((path.parent / "content").glob("*.json.gz")))))
+    return _read(*_states(path, *sorted((path.parent / "content").glob("*.json.gz"))))
 
 
-def _state(path: Path) -> tuple[Path, int, int]:
-    """A file, and what changes with its content."""
-    found = path.stat() if path.exists() else None
-    return path, found.st_mtime_ns if found else 0, found.st_size if found else 0
+def _states(*paths: Path) -> list[tuple[Path, int, int]]:
+    """Files, each with what changes with its content."""
+    found = [(path, path.stat() if path.exists() else None) for path in paths]
+    return [(path, state.st_mtime_ns if state else 0, state.st_size if state else 0) for path, state in found]
 
 
 @lru_cache(maxsize=64)
@@ -268,27 +279,10 @@ def _read(file: tuple[Path, int, int], *content: tuple[Path, int, int]) -> tuple
     return read_episodes(file[0])
 
 
-@dataclass(frozen=True, eq=False)
-class FileEpisode(Episode):
-    """An episode of a file: centres of its goals ``(k, 3)`` and their view points ``(n, 3)``, metres, world frame.
-
-    View points are those of all storeys: habitat-lab measures to the nearest of all. `listed`: how long the shortest
-    way is according to the file, and its number there.
-    """
-
-    goals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    view_points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    listed: dict[str, Any] = field(default_factory=dict)
-
-    def as_json(self) -> dict[str, Any]:
-        return super().as_json() | {"slot": asdict(self.spec)}
-
-
 def plan_listed(spec: FileEpisodeSpec, file: str, camera: Camera, rules: NavigationRules) -> FileEpisode:
     """The episode of this spec: where it starts, what counts as reached, how long the shortest way is.
 
-    Raises `WorldError` if the scene is another one than the episode was made for, the start is not on free ground, or
-    no way leads from there to a goal.
+    Raises `WorldError` if the scene is another one, the start is not on free ground, or no way leads to a goal.
     """
     found = next((each for each in read_file(file) if each.episodes[0].scene == spec.scene), None)
     if found is None or spec.episode >= len(found.episodes):
@@ -300,8 +294,7 @@ def plan_listed(spec: FileEpisodeSpec, file: str, camera: Camera, rules: Navigat
         check_scene(episode, place.scene, place.ground)
     zero = float(getattr(place.scene, "zero", 0.0))  # the height of our z = 0 in the file
     start = _start(place, episode, name, zero)
-    things = found.goals[category]
-    storey = float(episode.position[2])
+    things, storey = found.goals[category], float(episode.position[2])
     near = [thing for thing in things if (np.abs(thing.view_positions[:, 2] - storey) <= STOREY).any()]
     views = np.concatenate([thing.view_positions for thing in things]) - [0.0, 0.0, zero]
     goals = np.array([thing.position for thing in near or things]) - [0.0, 0.0, zero]
@@ -325,31 +318,24 @@ def plan_listed(spec: FileEpisodeSpec, file: str, camera: Camera, rules: Navigat
         )
     straight = float(np.hypot(*(ends[:, :2] - start).T).min())
     shown = pixels_of(place.ids(place.eye(start, camera.height), world_R_body(0.0)), targets)
+    way_kind = "winding" if shortest > WINDING * straight else "direct"
     return FileEpisode(
         spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=category, targets=targets,
         start=(float(start[0]), float(start[1])), yaw=heading(episode.world_R_body), shortest=shortest,
-        stratum={
-            "visible": shown >= rules.visible_pixels,
-            "way": "winding" if shortest > rules.winding_above * straight else "direct",
-            "category": category,
-        },
-        goals=goals, view_points=views,
+        stratum={"visible": shown >= VISIBLE, "way": way_kind, "category": category}, goals=goals, view_points=views,
         listed={"episode_id": episode.identifier, "geodesic_distance": episode.geodesic},
     )  # fmt: skip
 
 
 def _start(place: Place, episode: ObjectNavEpisode, name: str, zero: float) -> np.ndarray:
-    """The start ``(2,)`` on free ground, which may be a cell away: files of others hold rounded numbers.
-
-    `zero`: the height of our z = 0 in the file.
-    """
+    """The start ``(2,)`` on free ground, perhaps a cell away; `zero`: the height of our z = 0 in the file."""
     xy, ground = episode.position[:2], place.ground
     found = ground.snap(xy, within=ground.cell)
     if found is None:
         near = ground.snap(xy)
-        away = "nothing is free there"
-        if near is not None:
-            away = f"the nearest free place is {np.hypot(*(near - xy)):.2f} m off"
+        away = (
+            f"the nearest free place is {np.hypot(*(near - xy)):.2f} m off" if near is not None else "nothing is free"
+        )
         raise WorldError(
             f"{name} starts at ({xy[0]:.2f}, {xy[1]:.2f}), which is not on free ground for a body of radius "
             f"{ground.radius:g} m in {place.scene.source}: {away}. Use the scene and the radius it was made for"

@@ -9,9 +9,9 @@ Observations (Dict):
 - ``rotation`` ``(3, 3)`` float64: new_R_old since the last step, from the same odometry.
 
 ``info`` holds Habitat's measures under their names (`distance_to_goal`, `success`, `spl`, `soft_spl`, `collisions`,
-`num_steps`), the ``query``, the ``episode_id`` (``episode`` is left to the statistics of Gymnasium and
-Stable-Baselines3), and two privileged entries that agents must not use: ``instances`` (``ids``, the instance
-in each direction, and at reset ``labels``) and ``truth`` (true pose, direction, distance, visibility).
+`num_steps`), the ``query``, the ``episode_id`` (``episode`` is left to wrappers' statistics), and two privileged
+entries that agents must not use: ``instances`` (``ids``, the instance in each direction, and at reset ``labels``) and
+``truth`` (true pose, direction, distance, visibility).
 
 An action is a Box: where the agent walks, heading (radians, left) and metres; where it answers, x, y, z (body frame).
 """
@@ -29,8 +29,8 @@ from eagor import conventions
 from eagor._extras import how_to_install
 from eagor.errors import MissingExtraError, WorldError
 from eagor.lab.envs.episodes import PER_PLACE, Episode, EpisodeSpec
-from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, cut, load_place, pixels_of
-from eagor.lab.envs.rules import Camera, NoiseModel
+from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, load_place, pixels_of
+from eagor.lab.envs.rules import VISIBLE, Camera, NoiseModel
 from eagor.lab.worlds.render import Ball, Frame, with_ball
 from eagor.sphere import world_R_body
 
@@ -46,7 +46,6 @@ BOBS_PER_SECOND = 2.0
 FAR = 100.0  # metres: ranges in observations are clipped to this
 EXTENT = 1e4  # metres, bound of positions in observations; rendering in single precision gets inexact beyond it
 POSE_BOUNDS = np.array([EXTENT] * 3 + [1.0] * 4)
-VISIBLE = 2  # pixels of a 64 x 128 panorama that make a target visible, if the rules do not say
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +83,6 @@ class MobileBase:
         self._scale = 1.0 + self.noise.scale_drift * float(self.rng.standard_normal())
         self._phase = float(self.rng.uniform(0, 2 * math.pi))
 
-    @property
-    def stamp(self) -> float:
-        """Seconds since the start."""
-        return self.steps * self.camera.seconds
-
     def move(self, xy: np.ndarray, yaw: float, floor: float = 0.0) -> None:
         """One step, to the given place and heading; `floor`: the height of the ground there."""
         step, turn = xy - self.xy, math.remainder(yaw - self.yaw, 2 * math.pi)
@@ -116,7 +110,8 @@ class MobileBase:
         return self._pose(self._odometry_xy, self._odometry_yaw)
 
     def _pose(self, xy: np.ndarray, yaw: float) -> Pose:
-        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * self.stamp * 0.93  # 0.93: not in step with panoramas
+        stamp = self.steps * self.camera.seconds
+        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * stamp * 0.93  # 0.93: not in step with panoramas
         height = self.floor + self.camera.height + self.noise.bob * math.sin(phase)
         sway = math.radians(self.noise.sway)
         turned = world_R_body(yaw, sway * math.sin(phase / 2 + 1.0), sway * math.sin(phase / 2))
@@ -127,8 +122,8 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
     """Base class of the environments: a camera in a place, and a target.
 
     Args of all: `rules` of the task; `world` ("apartment", or the path of a GLB file); `seeds`, the apartments to draw
-    from; `panorama`, rows of the image (None: none); `with_range`; `instances`: whether to fill ``info["instances"]``;
-    `camera`; `disturbances`; `render_mode` "rgb_array". ``reset(options={"episode": episode})`` plays a given episode.
+    from; `panorama`, rows of the image (None: none); `with_range`; `camera`; `disturbances`; `render_mode` "rgb_array".
+    ``reset(options={"episode": episode})`` plays a given episode.
 
     A task says its name, its default `rules`, its `action_space`, and implements `plan`, `step` and `_measures`.
     """
@@ -144,7 +139,6 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         seeds: range = DEVELOPMENT,
         panorama: int | None = 128,
         with_range: bool = False,
-        instances: bool = True,
         camera: Camera | None = None,
         disturbances: NoiseModel | None = None,
         render_mode: str | None = None,
@@ -155,7 +149,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
             raise WorldError(f"panorama = {panorama} rows; wanted at least 8, or None for no image")
         self.rules = rules or self.rules
         self.world, self.seeds, self.rows, self.with_range = world, seeds, panorama, with_range
-        self.instances, self.render_mode = instances, render_mode
+        self.render_mode = render_mode
         self.camera, self.disturbances = camera or Camera(), disturbances or NoiseModel()
         space: dict[str, spaces.Space[Any]] = {
             "pose": spaces.Box(-POSE_BOUNDS, POSE_BOUNDS, dtype=np.float64),
@@ -223,8 +217,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         self._collisions, self._collided = 0, False
         self._frame()
         info = self._info()
-        if self.instances:
-            info["instances"]["labels"] = self.labels
+        info["instances"]["labels"] = self.labels
         return self._observation(), info
 
     def _frame(self) -> None:
@@ -237,14 +230,14 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
 
     def _camera_view(self) -> Callable[..., Frame]:
         """Renders what the camera shows at this step, with the ball, if any; also after later steps."""
-        place, camera, pose, ball = self.place, self.camera, self.body.pose, self._ball()
+        place, pose, ball = self.place, self.body.pose, self._ball()
 
         def look(rows: int, rgb: bool = True, range: bool = False, ids: bool = False) -> Frame:
             range = range or ball is not None  # needed to draw the ball
             frame = place.renderer.panorama(pose.position, pose.world_R_body, rows, rgb=rgb, range=range, ids=ids)
             if ball is not None:
                 frame = with_ball(frame, pose.position, pose.world_R_body, ball, len(place.scene.instances))
-            return cut(frame, camera)
+            return frame
 
         return look
 
@@ -271,7 +264,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         pose, target = self.body.pose, self._target()
         direction, distance = pose.towards(target) if target is not None else (np.zeros(3), 0.0)
         visible = pixels_of(self.ids, self.episode.targets) >= getattr(self.rules, "visible_pixels", VISIBLE)
-        info: dict[str, Any] = {
+        return {
             "query": self.episode.query,
             "episode_id": self.episode.spec.id,
             "scene": self.place.scene.source,
@@ -286,9 +279,9 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
                 "present": target is not None,
                 "visible": visible,
             },
+            "instances": {"ids": self.ids},
             **self._measures(),
         }
-        return info | ({"instances": {"ids": self.ids}} if self.instances else {})
 
     def _move_to(self, xy: np.ndarray, yaw: float, collided: bool = False) -> None:
         """Move the body to a new place and look again."""

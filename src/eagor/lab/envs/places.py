@@ -1,41 +1,29 @@
-"""Places: a scene with its ground plan and its renderer, cached while in use; and what a camera shows of them.
-
-The worlds render panoramas for every camera, so that all perceptions and methods get what they know. Of a camera that
-does not see all around the picture is 4:3, straight ahead: outside of it there is nothing in the panorama, and a look
-says nothing there.
-"""
+"""Places: a scene with its ground plan and its renderer, cached while in use."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from eagor._values import lazy
-from eagor.evidence import BodyMask
-from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.grids import ErpGrid
 from eagor.lab import worlds
-from eagor.lab.envs.rules import Camera
 from eagor.lab.worlds import ground_of, view_of
 from eagor.lab.worlds.navmesh import GeodesicDistance, NavMesh
-from eagor.lab.worlds.render import Frame
 from eagor.lab.worlds.scene import STRUCTURE, Scene
 from eagor.queries import COLOURS, Query
 
 APARTMENT = "apartment"
 SEEDS = 10_000  # number of apartments
 DEVELOPMENT = range(SEEDS // 5)  # the first fifth is for tuning parameters, never for results
-REPORT = range(SEEDS // 5, SEEDS)
 LOOK_ROWS = 64  # of the id panoramas that decide visibility, and that `truth` reads
 FLOORS = ("floor", "rug")  # categories that one walks on
 LEVEL = 0.02  # metres: where nothing is called a floor, it is what lies as high as the ground, to within this
 UNTARGETED = (*STRUCTURE, "ceiling lamp", "rug", "painting", "vase", "book", "books", "curtain")  # never targets
-SHAPE = 3, 4  # rows and columns of the picture, up to a factor
-MASK_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +46,7 @@ class Place:
     def floor_in(self, ids: np.ndarray, position: np.ndarray, world_R_body: np.ndarray) -> np.ndarray:
         """Which pixels of an image of `ids` ``(rows, 2 rows)``, taken from this pose, show what one walks on, bool.
 
-        That is what the scene calls a floor or a rug. In a scene that names neither it is what lies as high as the
-        ground under the camera.
+        That is a floor or a rug; in a scene that names neither what lies as high as the ground under the camera.
         """
         if len(self._floors):
             return np.isin(ids, self._floors)
@@ -128,32 +115,4 @@ def load_place(world: str, seed: int, radius: float) -> Place:
 
 def pixels_of(ids: np.ndarray, targets: tuple[int, ...]) -> int:
     """The number of pixels of an id image that show one of the targets."""
-    return int(sum(np.count_nonzero(ids == target) for target in targets))
-
-
-@lru_cache(maxsize=8)
-def in_view(camera: Camera, rows: int) -> np.ndarray | None:
-    """The pixels ``(rows, 2 rows)`` of a panorama in the body frame that the camera shows, bool; None: all of them."""
-    if camera.around:
-        return None
-    return PerspectiveGrid(*SHAPE, math.radians(camera.hfov)).project(ErpGrid(rows, 2 * rows).directions)[2]
-
-
-@lru_cache(maxsize=4)
-def mask_of(camera: Camera) -> BodyMask | None:
-    """What the camera can see, as evidence is covered with it; None: everything."""
-    shown = in_view(camera, MASK_ROWS)
-    return None if shown is None else BodyMask(shown)
-
-
-def cut(frame: Frame, camera: Camera) -> Frame:
-    """A rendered panorama without what the camera does not show: the mean colour, no range, no thing (-1)."""
-    parts: dict[str, np.ndarray] = {}
-    for name, nothing in (("rgb", None), ("range", math.inf), ("ids", -1)):
-        whole: Any = getattr(frame, name)
-        if whole is None or camera.around:
-            continue
-        hidden = ~np.asarray(in_view(camera, len(whole)))
-        parts[name] = whole.copy()
-        parts[name][hidden] = np.rint(whole[~hidden].mean(axis=0)) if nothing is None else nothing
-    return replace(frame, **parts)
+    return int(np.isin(ids, targets).sum())

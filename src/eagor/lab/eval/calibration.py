@@ -1,14 +1,13 @@
-"""Fitting how the looks of a perception are read, and how its targets come to move, by log score.
+"""Calibrating a perception on development episodes: how its looks are read, by log score.
 
-Development episodes are recorded once: poses, and looks for two queries, one of which nothing there answers. What a
-detector does is counted on them (`counted`). How response maps are read (`READING`) and how targets move (`MOVING`) is
-searched: a trial reads the recordings with other settings; its score (nats) is the log density given to the true
-direction plus the log of the probability given to the truth about presence, which only honest beliefs maximise (Good,
-1952).
+Episodes are recorded once: poses, and looks for two queries, one of which nothing there answers. What a detector does
+is counted on them, as on labelled looks. How response maps are read is searched: a trial reads the recordings with
+another `Calibration`; its score (nats) is the log density given to the true direction plus the log of the probability
+given to the truth about presence, which only honest beliefs maximise (Good, 1952).
 
 Draws come from a normal distribution in the logarithms of the parameters, which moves to the best quarter of each round
-(cross-entropy method; Rubinstein, 1999). Tried once, with 48 trials on maps: scipy's differential evolution hardly left
-the start. Half of the apartments are searched on, the others judge.
+(cross-entropy method; Rubinstein, 1999). Tried once, with 48 trials: scipy's differential evolution hardly left the
+start. Half of the apartments are searched on, the others judge.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -26,6 +25,7 @@ import numpy as np
 
 from eagor._version import __version__
 from eagor.errors import EagorError, QueryError, WorldError
+from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.lab.agents.methods import BASE
 from eagor.lab.agents.models import is_privileged
@@ -33,15 +33,13 @@ from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, load_place
 from eagor.lab.eval.detector_fit import fitted_model, short
 from eagor.lab.eval.labelled_looks import LabelledLook, check_development
-from eagor.lab.tasks.sim.play import MASS, Rollout, Runner
+from eagor.lab.tasks.sim.play import Rollout, Runner
 from eagor.lab.tasks.sim.tracking import TrackingEpisode
 from eagor.lab.worlds.render import PAINTS
-from eagor.metrics import angular_error_deg
 from eagor.perception import load
 from eagor.perception.calibrated import Calibrated
-from eagor.sphere import FORWARD
 from eagor.statistics import bootstrap_interval
-from eagor.tracking.config import MotionModel, TrackerConfig
+from eagor.tracking.config import TrackerConfig
 from eagor.tracking.follower import Follower
 
 TASKS = ("waypoint", "tracking")
@@ -50,48 +48,30 @@ EVERY = 3  # steps between the readings that are scored: neighbours say nearly t
 SMALLEST = 1e-9  # a probability of presence below it counts as this
 DRAWS, ELITE = 16, 4  # settings in a round, of which so many are kept
 SPREAD, LEAST = 0.25, 0.03  # standard deviation of the first round, of the range of each parameter; the least of any
+# The ranges of `Calibration` that are drawn from, evenly in the logarithm; of the persistence, of 1 minus it. The
+# spread is 0 at its lowest place.
+READING = {
+    "floor": (0.01, 1.0),
+    "neutral": (0.003, 0.3),
+    "temperature": (0.03, 30.0),
+    "persistence": (0.05, 1.0),
+    "spread": (math.radians(2), math.radians(12)),
+}
+_LOW, _HIGH = np.array([*READING.values()]).T
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One number of the fit: drawn evenly in the logarithm between `low` and `high`; `flipped`: of 1 minus it.
-
-    `or_none`: at its lowest place it is 0, which has no logarithm.
-    """
-
-    name: str
-    low: float
-    high: float
-    flipped: bool = False
-    or_none: bool = False
-
-    def value(self, place: float) -> float:
-        """The number at `place` in [0, 1]."""
-        if self.or_none and place <= 0:
-            return 0.0
-        value = math.exp(math.log(self.low) + min(max(place, 0.0), 1.0) * math.log(self.high / self.low))
-        return max(1 - value, 0.0) if self.flipped else value
-
-    def place(self, value: float) -> float:
-        """Where `value` lies in [0, 1]."""
-        inside = min(max(1 - value if self.flipped else value, self.low), self.high)
-        return math.log(inside / self.low) / math.log(self.high / self.low)
+def at_places(calibration: Calibration, places: np.ndarray) -> Calibration:
+    """`calibration` with the numbers of `READING` at `places` ``(5,)``, each in [0, 1] of its range."""
+    values = dict(zip(READING, (_LOW * (_HIGH / _LOW) ** places).tolist(), strict=True))
+    values["persistence"] = max(1 - values["persistence"], 0.0)
+    values["spread"] *= places[-1] > 0
+    return replace(calibration, **{name: short(value) for name, value in values.items()})
 
 
-READING = (  # of `Calibration`
-    Parameter("floor", 0.01, 1.0),
-    Parameter("neutral", 0.003, 0.3),
-    Parameter("temperature", 0.03, 30.0),
-    Parameter("persistence", 0.05, 1.0, flipped=True),
-    Parameter("spread", math.radians(2), math.radians(12), or_none=True),
-)
-MOVING = (  # of `MotionModel`; its `wander` is the slow and the fast kind
-    Parameter("slow", math.radians(0.5), math.radians(6)),
-    Parameter("fast", math.radians(6), math.radians(40)),
-    Parameter("start", 1e-4, 0.1),
-    Parameter("stop", 1e-3, 1.0),
-    Parameter("jump", 1e-4, 1.0),
-)
+def places_of(calibration: Calibration) -> np.ndarray:
+    """The places ``(5,)`` of a calibration's numbers; the nearest, where one is beyond its range."""
+    values = np.array([1 - calibration.persistence if n == "persistence" else getattr(calibration, n) for n in READING])
+    return np.log(np.clip(values, _LOW, _HIGH) / _LOW) / np.log(_HIGH / _LOW)
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
@@ -180,27 +160,20 @@ def counted(recordings: Sequence[Rollout]) -> DetectorModel | None:
 
 
 class Score(NamedTuple):
-    """How a tracker did on one recording, means over its readings; NaN where the target was never there.
+    """How a tracker did on one recording, means over its readings, nats; NaN where the target was never there.
 
     `density`: log density at the true direction; `presence`: log of the probability of the truth, of the target and of
-    what is not there in equal parts; `error`: degrees; `coverage`: how often the truth lay in the 90 % region.
+    what is not there in equal parts.
     """
 
     density: float
     presence: float
-    error: float
-    coverage: float
-
-    @property
-    def total(self) -> float:
-        """What is maximised, nats."""
-        return self.density + self.presence
 
 
-def score(recording: Rollout, config: TrackerConfig, regions: bool = False) -> Score:
-    """A tracker with this configuration on one recording; with `regions`, coverage is read as well."""
+def score(recording: Rollout, config: TrackerConfig) -> Score:
+    """A tracker with this configuration on one recording."""
     follower, absent = Follower(config), Follower(config)
-    present, missing, rows = [], [], []
+    present, missing, densities = [], [], []
     for index, moment in enumerate(recording.steps):
         for each, evidence in ((follower, moment.evidence), (absent, moment.other)):
             each.move(moment.stamp, moment.world_R_body, moment.position)
@@ -211,14 +184,11 @@ def score(recording: Rollout, config: TrackerConfig, regions: bool = False) -> S
         if moment.other is not None:
             missing.append(math.log(max(1 - absent.estimate(moment.stamp).presence, SMALLEST)))
         if recording.truth["present"][index]:
-            estimate, true = follower.estimate(moment.stamp), recording.directions[index]
+            estimate = follower.estimate(moment.stamp)
             present.append(math.log(max(estimate.presence, SMALLEST)))
-            answer = FORWARD if estimate.direction is None else estimate.direction
-            inside = estimate.mass_above(true) < MASS if regions else math.nan
-            rows.append((estimate.log_density(true), angular_error_deg(np.array(answer), true), inside))
-    density, error, coverage = np.mean(rows, axis=0).tolist() if rows else [math.nan] * 3
+            densities.append(estimate.log_density(recording.directions[index]))
     presence = (np.mean(present or [math.nan]) + np.mean(missing or [0.0])) / 2
-    return Score(density, float(presence), error, coverage)
+    return Score(float(np.mean(densities or [math.nan])), float(presence))
 
 
 # --- the fit ----------------------------------------------------------------------------------------------------------
@@ -232,97 +202,74 @@ def fit(
     on_trial: Callable[[], object] = lambda: None,
     on_round: Callable[[Calibrated], object] = lambda fitted: None,
 ) -> Calibrated:
-    """The settings with the best log score on `recordings`, of which apartments are dealt into two halves.
+    """The calibration or the detector's model of a perception, on one half of the apartments of `recordings`.
 
-    `on_trial` is called after each trial, `on_round` with the best so far. Raises `EagorError` if there are too few.
+    The other half judges. `trials`: of response maps; `on_trial` is called after each, `on_round` with the best so far.
+    Raises `EagorError` if there are too few apartments.
     """
     of = [recording.episode.spec.seed for recording in recordings]
     seeds = sorted(set(of))
     halves = [[index for index, seed in enumerate(of) if seeds.index(seed) % 2 == half] for half in (0, 1)]
     if not all(halves):
         raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartment; calibrating needs at least two")
-    fitted = Calibrated(perception, None, detector=counted([recordings[index] for index in halves[0]]))
-    if fitted.detector is None:
-        looks = (moment.evidence for index in halves[0] for moment in recordings[index].steps)
-        now = next(evidence.calibration for evidence in looks if evidence is not None)
-        fitted = replace(fitted, calibration=replace(now, scale_to_max=False))
-    start = best = places(fitted)
+    start = fitted = Calibrated(perception, None, detector=counted([recordings[index] for index in halves[0]]))
     with _mapping(workers, recordings) as run:
-        for best in _rounds(partial(_scores, fitted, halves[0], False), start, trials, run, on_trial):
-            on_round(settings(fitted, best))
-        before, after = run(partial(_scores, fitted, halves[1], True), [start, best])
-    groups = [of[index] for index in halves[1]]
+        if fitted.detector is None:
+            looks = (moment.evidence for index in halves[0] for moment in recordings[index].steps)
+            now = next(evidence.calibration for evidence in looks if evidence is not None)
+            start = replace(fitted, calibration=replace(now, scale_to_max=False))
+            for fitted in _searched(start, partial(_scores, halves[0]), trials, run, on_trial):
+                on_round(fitted)
+        configs = BASE.fitted(start.calibration, None, {}), BASE.fitted(fitted.calibration, fitted.detector, {})
+        groups = [of[index] for index in halves[1]]
+        before, after = (_means(scores, groups) for scores in run(partial(_scores, halves[1]), configs))
     found_by = {
         "apartments": seeds,
         "episodes": len(recordings),
-        "trials": trials,
+        "trials": trials if start.calibration else 0,
         "judged by": sorted(set(groups)),
-        "before": _means(before, groups),
-        "after": _means(after, groups),
+        "before": before,
+        "after": after,
         "version": __version__,
     }
-    return replace(settings(fitted, best), found_by=found_by)
+    return replace(fitted, found_by=found_by)
 
 
-def motion_values(motion: MotionModel) -> dict[str, float]:
-    """The numbers of `MOVING`, as a model has them; of more kinds of wandering the slowest and the fastest."""
-    wander = motion.wander or MotionModel().wander
-    rates = {name: getattr(motion, name) for name in ("start", "stop", "jump")}
-    return {"slow": min(wander), "fast": max(wander), **rates}
+Run = Callable[[Callable[[TrackerConfig], Any], Sequence[TrackerConfig]], Any]
 
 
-def parameters(start: Calibrated) -> tuple[Parameter, ...]:
-    """What is searched from there."""
-    return MOVING if start.calibration is None else READING + MOVING
-
-
-def places(start: Calibrated) -> np.ndarray:
-    """Where the search begins ``(parameters,)``: looks are read as `start` says, targets move as in `BASE`."""
-    values = (vars(start.calibration) if start.calibration else {}) | motion_values(BASE.target_motion)
-    return np.array([parameter.place(values[parameter.name]) for parameter in parameters(start)])
-
-
-def settings(start: Calibrated, at: np.ndarray) -> Calibrated:
-    """The settings at places `at` ``(parameters,)``; else they are those of `start`."""
-    pairs = zip(parameters(start), at.tolist(), strict=True)
-    values: dict[str, Any] = {parameter.name: short(parameter.value(place)) for parameter, place in pairs}
-    moving = {parameter.name: values.pop(parameter.name) for parameter in MOVING}
-    forgetting = {"wander": (moving.pop("slow"), moving.pop("fast")), **moving}
-    calibration = None if start.calibration is None else replace(start.calibration, **values)
-    return replace(start, calibration=calibration, forgetting=forgetting)
-
-
-Run = Callable[[Callable[[np.ndarray], list[Score]], Sequence[np.ndarray]], Any]
-
-
-def _rounds(
-    trial: Callable[[np.ndarray], list[Score]], start: np.ndarray, trials: int, run: Run, on_trial: Callable[[], object]
-) -> Iterator[np.ndarray]:
-    """The best settings after each round."""
-    rng = np.random.default_rng(7)
-    mean, spread = start, np.full(len(start), SPREAD)
+def _searched(
+    start: Calibrated,
+    trial: Callable[[TrackerConfig], list[Score]],
+    trials: int,
+    run: Run,
+    advance: Callable[[], object],
+) -> Iterator[Calibrated]:
+    """The best after each round."""
+    assert start.calibration is not None
+    rng, mean = np.random.default_rng(7), places_of(start.calibration)
+    spread, first = np.full(len(mean), SPREAD), mean
     tried: list[tuple[float, np.ndarray]] = []
     while len(tried) < trials:
-        draws = np.clip(mean + spread * rng.standard_normal((DRAWS, len(start))), 0, 1)
+        draws = np.clip(mean + spread * rng.standard_normal((DRAWS, len(mean))), 0, 1)[: trials - len(tried)]
         if not tried:
-            draws[0] = start
-        draws = draws[: trials - len(tried)]
-        for places, scores in zip(draws, run(trial, list(draws)), strict=True):
-            tried.append((float(np.mean([each.total for each in scores])), places))
-            on_trial()
+            draws[0] = first
+        configs = [BASE.fitted(at_places(start.calibration, places), None, {}) for places in draws]
+        for places, scores in zip(draws, run(trial, configs), strict=True):
+            tried.append((float(np.mean([sum(each) for each in scores])), places))
+            advance()
         tried.sort(key=lambda entry: -entry[0])
         elite = np.array([places for _, places in tried[:ELITE]])
         mean, spread = elite.mean(axis=0), np.maximum(elite.std(axis=0), LEAST)
-        yield tried[0][1]
+        yield replace(start, calibration=at_places(start.calibration, tried[0][1]))
 
 
 def _means(scores: Sequence[Score], groups: Sequence[int]) -> dict[str, list[float | None]]:
     """Means with 95 % intervals over apartments, the `groups` of the scores; None where there is only one."""
-    rows = {"log score": [each.total for each in scores], "log density": [each.density for each in scores]}
-    rows |= {"error_deg": [each.error for each in scores], "coverage_%": [100 * each.coverage for each in scores]}
+    rows = {"log score": [sum(each) for each in scores], "log density": [each.density for each in scores]}
     means: dict[str, list[float | None]] = {}
     for name, values in rows.items():
-        known = np.isfinite(values)  # a target that was never there has no error
+        known = np.isfinite(values)  # a target that was never there has no density
         kept, of = np.array(values)[known], np.array(groups)[known]
         ends: list[float | None] = [None, None]  # one apartment says nothing about the spread
         if len(np.unique(of)) > 1:
@@ -339,22 +286,17 @@ def _begin(recordings: Sequence[Rollout]) -> None:
     _recordings[:] = recordings
 
 
-def _scores(start: Calibrated, indices: Sequence[int], regions: bool, at: np.ndarray) -> list[Score]:
-    """The scores of the settings at places `at`, of the recordings with these indices."""
-    tried = settings(start, at)
-    config = BASE.fitted(tried.calibration, tried.detector, tried.forgetting)
-    return [score(_recordings[index], config, regions) for index in indices]
+def _scores(indices: Sequence[int], config: TrackerConfig) -> list[Score]:
+    """The scores of the recordings with these indices."""
+    return [score(_recordings[index], config) for index in indices]
 
 
 @contextmanager
 def _mapping(workers: int, recordings: Sequence[Rollout]) -> Iterator[Run]:
     """What maps a function over jobs, in this process or in several, where `_recordings` are these."""
     if workers == 1:
-        try:
-            _begin(recordings)
-            yield map
-        finally:
-            _begin([])
+        _begin(recordings)
+        yield map
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the processes that start now
     with multiprocessing.get_context("spawn").Pool(workers, _begin, (recordings,)) as pool:

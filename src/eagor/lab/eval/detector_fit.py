@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,13 +29,11 @@ from scipy.optimize import minimize
 from scipy.special import betaln, digamma, logit, ndtr, stdtrit
 
 from eagor.evidence.detections import bump_norms
-from eagor.evidence.detector import LEAST_OF_SIZE, LEAST_SCORE, LOOK_ALIKES, Alarms, DetectorModel, model_as_json
+from eagor.evidence.detector import LEAST_OF_SIZE, LEAST_SCORE, LOOK_ALIKES, Alarms, DetectorModel
 from eagor.grids import ErpGrid
 from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, in_time, sums
 from eagor.sphere import angular_distance, unit
 from eagor.statistics import bootstrap_interval
-
-__all__ = ["DetectorFit", "HeldOut", "expected_look_alikes", "fit_detector", "fitted_model", "short"]
 
 NEAR = 2.5  # deviations: a detection nearer to a target is beside it
 SKY = ErpGrid(8, 16)  # directions at which it is counted how many looks covered them
@@ -408,19 +406,16 @@ class Candidates:
 # --- the fit ---------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """Means over looks that the fit had not seen, nats: (with the model before, with the fitted one).
+class HeldOut(NamedTuple):
+    """By how much looks that the fit had not seen are read better than with the model before, nats per look.
 
-    `log_density`, per steradian, at the truth after this look alone; None without targets. `log_presence`: log of the
-    probability given to the truth about presence, from 0.5 before the look. `gain`: by how much the two together rose,
-    with a 95 % interval over the parts that were left out.
+    Of the log density at the truth and the log probability of the truth about presence, together (`log_score`); `low`
+    to `high`: the 95 % interval over the parts that were left out.
     """
 
-    log_density: tuple[float, float] | None
-    log_presence: tuple[float, float]
     gain: float
-    interval: tuple[float, float]
+    low: float
+    high: float
 
 
 @dataclass(frozen=True)
@@ -428,8 +423,8 @@ class DetectorFit:
     """A fitted `model`, and what it rests on.
 
     `targets` in view; `matched`: how many of the `detections` are of a target (a sum of probabilities). `intervals`:
-    95 % intervals by name of the number, over `groups`. With one group they are over stretches of its looks, and say
-    nothing of other recordings. `held_out`: None for a single look.
+    95 % intervals by name of the number, over `groups`; with one group over stretches of its looks. `held_out`: None
+    for a single look.
     """
 
     model: DetectorModel
@@ -441,21 +436,12 @@ class DetectorFit:
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
     held_out: HeldOut | None = None
 
-    @property
-    def false_alarms(self) -> float:
-        """How many detections are of no target."""
-        return self.detections - self.matched
-
     def as_json(self) -> dict[str, Any]:
-        """Plain values, for files and ``--json``."""
+        """What it rests on, as plain values."""
         counts = {name: getattr(self, name) for name in ("looks", "groups", "targets", "detections")}
-        counts |= {"matched": round(self.matched, 1), "false_alarms": round(self.false_alarms, 1)}
-        return {
-            "detector": model_as_json(self.model),
-            "counts": counts,
-            "intervals": self.intervals,
-            "held_out": None if self.held_out is None else asdict(self.held_out),
-        }
+        counts |= {"matched": round(self.matched, 1), "false_alarms": round(self.detections - self.matched, 1)}
+        held_out = None if self.held_out is None else self.held_out._asdict()
+        return {"counts": counts, "intervals": self.intervals, "held_out": held_out}
 
 
 def fit_detector(
@@ -533,26 +519,21 @@ def _interval(values: Sequence[float], parts: int) -> tuple[float, float]:
 
 def _held_out(looks: Sequence[LabelledLook], base: DetectorModel, parts: np.ndarray) -> HeldOut:
     """Each look read by `base`, and by the model that was fitted on the other parts alone."""
-    scores = np.empty((len(looks), 2, 2))  # before and after; density and presence
+    gains = np.empty(len(looks))
     for left_out in range(min(FOLDS, int(parts.max()) + 1)):
         fold = parts % FOLDS == left_out
         model = fitted_model([look for look, out in zip(looks, fold, strict=True) if not out], base)
         for index in np.flatnonzero(fold).tolist():
-            scores[index] = [log_scores(looks[index], each) for each in (base, model)]
-    density, presence = scores[..., 0], scores[..., 1]
-    with_targets = ~np.isnan(density[:, 0])
-    gains = np.nan_to_num(np.diff(density))[:, 0] + np.diff(presence)[:, 0]
+            gains[index] = log_score(looks[index], model) - log_score(looks[index], base)
     ends = bootstrap_interval(gains, np.random.default_rng(0), LEVEL, groups=parts)
-    before, after = presence.mean(axis=0).tolist()
-    log_density = tuple(density[with_targets].mean(axis=0).tolist()) if with_targets.any() else None
-    return HeldOut(log_density, (before, after), float(gains.mean()), (ends.low, ends.high))
+    return HeldOut(float(gains.mean()), ends.low, ends.high)
 
 
-def log_scores(look: LabelledLook, model: DetectorModel) -> tuple[float, float]:
-    """Log density at the truth (its mean over targets; NaN without), and log probability of the truth about presence.
+def log_score(look: LabelledLook, model: DetectorModel) -> float:
+    """Log density at the truth (its mean over targets) and log probability of the truth about presence, summed.
 
-    Both after this look alone, from a uniform direction and `PRESENT`. One look cannot tell a look-alike from a false
-    alarm, nor an offset from a spread.
+    After this look alone, from a uniform direction and `PRESENT`. One look cannot tell a look-alike from a false alarm,
+    nor an offset from a spread.
     """
     spread = min(math.hypot(model.spread, model.offset), math.radians(60))
     of_size = min(math.hypot(model.spread_of_size, model.offset_of_size), 2.0)
@@ -565,6 +546,6 @@ def log_scores(look: LabelledLook, model: DetectorModel) -> tuple[float, float]:
     mean = float((scan.ratios / scan.clutter).sum()) / rate  # over the sphere, of the likelihood ratio of a place
     mean = 1 + habits.mean * scan.area / (4 * math.pi) * (mean - 1)
     if not len(targets):
-        return math.nan, -math.log1p(PRESENT / (1 - PRESENT) * mean) if not len(look.targets) else 0.0
+        return 0.0 if len(look.targets) else -math.log1p(PRESENT / (1 - PRESENT) * mean)
     density = np.log(scan.ratio(targets, 1.0)) - math.log(4 * math.pi * mean)
-    return float(density.mean()), -math.log1p((1 - PRESENT) / PRESENT / mean)
+    return float(density.mean()) - math.log1p((1 - PRESENT) / PRESENT / mean)

@@ -64,7 +64,7 @@ class LabelledLook:
         if self.evidence.detections is None:
             raise ResponseError(
                 "a response map has no detections to count; wanted boxes, points or masks. Response maps are read by a "
-                "Calibration (docs/how-to/detector-errors.md)"
+                "Calibration"
             )
         targets = np.atleast_2d(np.asarray(self.targets, dtype=np.float64))
         targets = targets.reshape(-1, 3) if targets.size == 0 else targets
@@ -227,7 +227,6 @@ def _places(looks: Sequence[LabelledLook], segment: np.ndarray, targets: Sequenc
 
 # --- labelled looks from a replay file (docs/replay-format.md) and a file of true directions --------------------------
 
-_TARGETS = "a list of objects with azimuth_deg and elevation_deg; [] if the thing is absent"
 Pose = tuple[np.ndarray, np.ndarray | None]  # world_R_body ``(3, 3)``, and the position ``(3,)`` if it is known
 
 
@@ -266,9 +265,9 @@ class _Target(msgspec.Struct, forbid_unknown_fields=True):
 
 class _Line(msgspec.Struct, forbid_unknown_fields=True):
     stamp: Finite
-    query: Annotated[str, msgspec.Meta(description="words")]
-    targets: Annotated[list[_Target], msgspec.Meta(description=_TARGETS)]
-    group: Annotated[str, msgspec.Meta(min_length=1, description="text, or no such key")] | None = None
+    query: str
+    targets: list[_Target]  # none: the thing is absent
+    group: Annotated[str, msgspec.Meta(min_length=1)] | None = None
 
 
 def _parsed(line: bytes) -> Truth:
@@ -337,24 +336,24 @@ def apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
     that results are taken from.
     """
     check_development(count, "panoramas", seed, PER_PLACE)
-    specs = (EpisodeSpec("labels", APARTMENT, seed + n // PER_PLACE, n % PER_PLACE, n) for n in range(count))
-    return (label for spec in specs if (label := _labelled(spec, rows)) is not None)
+    return _apartment_labels(count, seed, rows)
 
 
-def _labelled(spec: EpisodeSpec, rows: int) -> Labelled | None:
-    camera, grid, rng = Camera(), ErpGrid(LOOK_ROWS, 2 * LOOK_ROWS), spec.rng("labels")
-    place = load_place(spec.world, spec.seed, camera.radius)
-    names = place.nameable()
-    for _ in range(TRIES):
-        position = np.array([*place.ground.sample(rng), camera.height])
-        turned = world_R_body(float(rng.uniform(-math.pi, math.pi)))
-        ids = place.ids(position, turned, LOOK_ROWS)
-        shown = {thing: grid.weights * (ids == thing) for thing in names}
-        sizes = {thing: cap_radius(float(share.sum())) for thing, share in shown.items()}
-        if fit := [thing for thing, size in sizes.items() if SIZES[0] <= size <= SIZES[1]]:
-            thing = int(rng.choice(fit))
-            centre = unit((shown[thing][..., None] * grid.directions).sum(axis=(0, 1)))
-            picture = place.renderer.panorama(position, turned, rows, range=False, ids=False).rgb
-            assert picture is not None
-            return Labelled(picture, str(names[thing]), centre, sizes[thing])
-    return None
+def _apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
+    camera, grid = Camera(), ErpGrid(LOOK_ROWS, 2 * LOOK_ROWS)
+    for number in range(count):
+        spec = EpisodeSpec("labels", APARTMENT, seed + number // PER_PLACE, number % PER_PLACE, number)
+        rng, place = spec.rng("labels"), load_place(spec.world, spec.seed, camera.radius)
+        names = place.nameable()
+        for _ in range(TRIES):
+            position = np.array([*place.ground.sample(rng), camera.height])
+            turned = world_R_body(float(rng.uniform(-math.pi, math.pi)))
+            ids = place.ids(position, turned, LOOK_ROWS)
+            sizes = {thing: cap_radius(float(grid.weights[ids == thing].sum())) for thing in names}
+            if fit := [thing for thing, size in sizes.items() if SIZES[0] <= size <= SIZES[1]]:
+                thing = int(rng.choice(fit))
+                centre = unit(((grid.weights * (ids == thing))[..., None] * grid.directions).sum(axis=(0, 1)))
+                picture = place.renderer.panorama(position, turned, rows, range=False, ids=False).rgb
+                assert picture is not None
+                yield Labelled(picture, str(names[thing]), centre, sizes[thing])
+                break

@@ -22,13 +22,13 @@ import numpy as np
 
 import eagor
 from eagor._checks import parsed
-from eagor._files import append_all, open_regular, put, redacted, written
+from eagor._files import append_all, open_regular, redacted, written
 from eagor.errors import EagorError, FormatError, StorageError
 
-LONGEST = 1 << 28  # bytes: no record is as long
 RUN, RECORDS = "run.json", "records.jsonl"
 # In run.json, for readers only: of which code and samples the first records are, and how many were asked for so far.
 INFORMATION = ("commit", "samples", "versions", "development", "episodes")
+LONGEST = 1 << 28  # bytes: no record is as long
 
 
 class AnotherRunError(EagorError):
@@ -48,38 +48,59 @@ class _Head(msgspec.Struct):
 
 
 class Log:
-    """Appends records to ``records.jsonl`` in `folder`, which it makes. Raises `StorageError`.
+    """Appends records to ``records.jsonl`` in `folder`, which it makes.
 
-    Raises `EagorError` where another process is writing there.
+    Raises `EagorError` where another process is writing there, or a folder cannot be; `StorageError`.
     """
 
     def __init__(self, folder: Path) -> None:
-        self.path = Path(folder) / RECORDS
+        self.folder, self.path = Path(folder), Path(folder) / RECORDS
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open_regular(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
-            try:
-                self._lock()
-                _mend(self._file)
-                _keep_name(self.path.parent)
-            except BaseException:
-                os.close(self._file)
-                raise
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError) as error:
+            raise EagorError(f"{folder} cannot be made a folder ({error.strerror}); choose another") from error
         except OSError as error:
-            raise StorageError(
-                f"cannot write in {folder}: {error.strerror or error}; everything recorded there is safe. Make room "
-                "there and let it be written to, then start the same run again; or choose another folder"
-            ) from error
-
-    def _lock(self) -> None:
+            raise _unwritable(folder, error) from error
+        try:
+            self._file = open_regular(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
+        except OSError as error:
+            raise _unwritable(folder, error) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            os.close(self._file)
             raise EagorError(
-                f"another process is writing into {self.path.parent}; wait for it, or choose another folder"
+                f"another process is writing into {folder}; wait for it, or choose another folder"
             ) from None
         except OSError:
             pass  # a file system without locks
+        try:
+            _mend(self._file)
+        except OSError as error:
+            os.close(self._file)
+            raise _unwritable(folder, error) from error
+
+    def begin(self, config: Mapping[str, Any], samples: Mapping[str, Any] | None = None) -> None:
+        """Make the folder that of the run which `config` describes, or make sure that it already is.
+
+        What `INFORMATION` names (the commit of this package and the `samples` among it) may differ. Raises `EagorError`
+        if the folder holds another run; `FormatError` if its ``run.json`` is no JSON object; `StorageError`.
+        """
+        wanted, path = json.loads(as_line({**config, "commit": commit(), "samples": samples})), self.folder / RUN
+        found = description(self.folder) if os.path.lexists(path) else wanted
+        settings = [key for key in {**found, **wanted} if key not in INFORMATION]
+        if differing := [key for key in settings if found.get(key) != wanted.get(key)]:
+            more = f" and {len(differing) - 4} more" if len(differing) > 4 else ""
+            raise AnotherRunError(
+                f"{self.folder} holds another run, of {found.get('task')}",
+                f"it differs in {', '.join(differing[:4])}{more} ({path} has its settings)",
+                "choose another folder, or ask for what it holds to go on with it",
+            )
+        if wanted.get("episodes", 0) > found.get("episodes", 0):
+            found = {**found, **{key: wanted[key] for key in ("samples", "episodes", "development")}}
+        elif path.exists():
+            return
+        written(path, json.dumps(found, indent=1, ensure_ascii=False) + "\n")
 
     def append(self, record: Mapping[str, Any]) -> None:
         """Write one record and wait until it is on the disk.
@@ -106,69 +127,13 @@ class Log:
         os.close(self._file)
 
 
-def begin(folder: Path, config: Mapping[str, Any], samples: Mapping[str, Any] | None = None) -> None:
-    """Make `folder` the folder of the run that `config` describes, or make sure that it already is.
-
-    What `INFORMATION` names (the commit of this package and the `samples` among it) may differ.
-
-    Raises `EagorError` if the folder holds another run, or can be none; `FormatError` if its ``run.json`` is no JSON
-    object; `StorageError`.
-    """
-    wanted = json.loads(as_line({**config, "commit": commit(), "samples": samples}))
-    path = Path(folder) / RUN
-    if not path.exists():
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
-                raise StorageError(f"could not make {folder}: {error.strerror}; choose another folder") from error
-            raise EagorError(f"{folder} cannot be made a folder ({error.strerror or error}); choose another") from error
-        if claimed(path, _text(wanted)):
-            return
-    found = description(folder)
-    settings = [key for key in {**found, **wanted} if key not in INFORMATION]
-    if differing := [key for key in settings if found.get(key) != wanted.get(key)]:
-        more = f" and {len(differing) - 4} more" if len(differing) > 4 else ""
-        raise AnotherRunError(
-            f"{folder} holds another run, of {found.get('task')}",
-            f"it differs in {', '.join(differing[:4])}{more} ({path} has its settings)",
-            "choose another folder, or ask for what it holds to go on with it",
-        )
-    if wanted.get("episodes", 0) > found.get("episodes", 0):
-        written(path, _text({**found, **{key: wanted[key] for key in ("samples", "episodes", "development")}}))
-
-
-def claimed(path: Path, content: str) -> bool:
-    """Write `content` to `path` as `written` does, but only if no such file exists; returns whether it did.
-
-    If several processes try at once, exactly one succeeds. Raises `StorageError`.
-    """
-
-    def link(part: Path, place: Path) -> None:
-        try:
-            os.link(part, place)  # unlike a rename, it replaces nothing
-        except FileExistsError:
-            raise
-        except OSError:  # a file system without such links
-            os.close(os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL))
-            part.replace(place)
-
-    try:
-        put(path, content, link)
-    except StorageError as error:
-        if isinstance(error.__cause__, FileExistsError) and os.path.lexists(path):
-            return False
-        raise
-    return True
-
-
 def commit() -> str | None:
     """The commit of this package, where it lies in a git checkout; "+" follows it where files have changed since."""
-    home = Path(eagor.__file__).parent
-    words = ["git", "-C", str(home), "describe", "--always", "--dirty=+", "--exclude=*", "--abbrev=12"]
+    git = ["git", "-C", str(Path(eagor.__file__).parent)]
     try:
-        tracked = subprocess.run([*words[:3], "ls-files", "--error-unmatch", "errors.py"], capture_output=True)
-        found = subprocess.run(words, capture_output=True, text=True)
+        tracked = subprocess.run([*git, "ls-files", "--error-unmatch", "errors.py"], capture_output=True)
+        words = ["describe", "--always", "--dirty=+", "--exclude=*", "--abbrev=12"]
+        found = subprocess.run([*git, *words], capture_output=True, text=True)
     except OSError:  # no git here
         return None
     return found.stdout.strip() or None if tracked.returncode == 0 else None
@@ -177,12 +142,11 @@ def commit() -> str | None:
 def description(folder: Path) -> dict[str, Any]:
     """What ``run.json`` says. Raises `FormatError` where there is none, or it is no JSON object."""
     path = Path(folder) / RUN
+    content = _content(path, "name the folder of a run")
+    if content is None:
+        raise FormatError(f"{folder} has no {RUN}; name the folder of a run")
     try:
-        text = _content(path, "name the folder of a run")
-    except FileNotFoundError:
-        raise FormatError(f"{folder} has no {RUN}; name the folder of a run") from None
-    try:
-        found = parsed(text)
+        found = parsed(content)
     except ValueError as error:
         raise FormatError(f"{path} is no JSON ({error}); restore it, or start the run in another folder") from None
     if not isinstance(found, dict):
@@ -197,10 +161,7 @@ def read(folder: Path) -> list[dict[str, Any]]:
     for a line that is no record, but for a last one that a kill left half written; names the file and the line.
     """
     path = Path(folder) / RECORDS
-    try:
-        lines = _content(path, "restore it, or let it be read").split(b"\n")
-    except FileNotFoundError:
-        return []
+    lines = (_content(path, "restore it, or let it be read") or b"").split(b"\n")
     found: dict[str, Any] = {}
     for number, line in enumerate(lines, start=1):
         record = _parsed(line)
@@ -224,14 +185,12 @@ def as_line(record: Mapping[str, Any]) -> bytes:
 
     Raises `EagorError`, which names the place, for NaN, infinity, and what JSON does not know.
     """
-    name = str(record.get("key", "record"))
-    text = json.dumps(_plain(record, name), allow_nan=False, ensure_ascii=False, separators=(",", ":"))
-    text = redacted(text) + "\n"
-    return text.encode("utf-8", "backslashreplace")  # half a pair of surrogates is written as JSON escapes it
+    text = json.dumps(as_plain(record, str(record.get("key", "record"))), ensure_ascii=False, separators=(",", ":"))
+    return f"{redacted(text)}\n".encode("utf-8", "backslashreplace")  # half a pair of surrogates as JSON escapes it
 
 
-def _plain(value: Any, place: str) -> Any:
-    """`value` in Python's own types, checked."""
+def as_plain(value: Any, place: str) -> Any:
+    """`value`, which errors call `place`, in the types that JSON knows. Raises `EagorError` where that cannot be."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, float) and not math.isfinite(value):
@@ -241,25 +200,28 @@ def _plain(value: Any, place: str) -> Any:
     if isinstance(value, Mapping):
         if strange := [key for key in value if not isinstance(key, str)]:
             raise EagorError(f"{place} has the key {strange[0]!r}; wanted text, which is all that JSON can hold there")
-        return {key: _plain(item, f"{place}: {key}") for key, item in value.items()}
+        return {key: as_plain(item, f"{place}: {key}") for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item, f"{place}[{index}]") for index, item in enumerate(value)]
+        return [as_plain(item, f"{place}[{index}]") for index, item in enumerate(value)]
     raise EagorError(
         f"{place} is a {type(value).__name__}, which JSON cannot hold; store numbers, text or lists of them"
     )
 
 
-def _text(found: Mapping[str, Any]) -> str:
-    return json.dumps(found, indent=1, ensure_ascii=False) + "\n"
+def _unwritable(folder: Path, error: OSError) -> StorageError:
+    return StorageError(
+        f"cannot write in {folder}: {error.strerror or error}; everything recorded there is safe. Make room there and "
+        "let it be written to, then start the same run again; or choose another folder"
+    )
 
 
-def _content(path: Path, advice: str) -> bytes:
-    """All of a file of a run. Raises `FileNotFoundError`, and `FormatError` where it cannot be read."""
+def _content(path: Path, advice: str) -> bytes | None:
+    """All of a file of a run, None where there is none. Raises `FormatError` where it cannot be read."""
     try:
         with open(open_regular(path), "rb") as file:
             return file.read()
     except FileNotFoundError:
-        raise
+        return None
     except OSError as error:
         raise FormatError(f"{path} cannot be read ({error.strerror or error}); {advice}") from None
 
@@ -272,15 +234,6 @@ def _mend(file: int) -> None:
         append_all(file, b"\n")
     else:
         os.ftruncate(file, size - len(torn))
-
-
-def _keep_name(folder: Path) -> None:
-    """Have the disk remember which files the folder has."""
-    place = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(place)
-    finally:
-        os.close(place)
 
 
 def _parsed(line: bytes) -> Any:

@@ -1,4 +1,4 @@
-"""The report of one run, or of several runs of one task with published data: report.html, tables.md and tables.csv.
+"""The report of one run, or of several runs of one task with published data: report.html and tables.md.
 
 Every number in them comes from the runs' records or from what the papers printed (`eagor.lab.eval.tables`).
 """
@@ -13,20 +13,18 @@ from typing import Any
 from eagor._files import written
 from eagor.errors import EagorError
 from eagor.lab.envs.places import APARTMENT
-from eagor.lab.eval import replay, steps, tables
+from eagor.lab.envs.rules import Camera
+from eagor.lab.eval import episodes, tables
 from eagor.lab.eval.page import (
-    Curve,
     Facts,
     Fold,
     List,
     Part,
     Pictures,
     Section,
-    Series,
     Table,
     Text,
-    line_chart,
-    look_of,
+    address_of,
     markdown,
     page,
 )
@@ -37,30 +35,26 @@ from eagor.lab.eval.results import (
     OURS,
     PAPERS,
     RESAMPLES,
-    RIVALS,
     Result,
     Run,
     Summary,
     is_rival,
     labels_of,
+    rank,
     read,
     summarise,
 )
-from eagor.lab.tasks.task import config_of, finished
+from eagor.lab.tasks.task import config_of, finished, sample_of
 
 LISTED = 200  # failed cases in a report
-Results = Mapping[str, Sequence[Result]]
 
 
-def write_report(
-    folders: Path | Sequence[Path], open_place: Any = None, out: Path | None = None, episode: str | None = None
-) -> Path:
+def write_report(folders: Path | Sequence[Path], out: Path | None = None, episode: str | None = None) -> Path:
     """Write the report of the runs in `folders`, all of one task, into `out` (None: the first folder).
 
-    Returns the path of its page. `open_place` makes a world again from its name, its seed and the body's radius, for
-    pictures (`eagor.lab.envs.places.load_place` where it is None). `episode`: the name of a page beside it on which an
-    episode can be watched (`eagor.studio.runs`), to link to. Raises `EagorError` where there are no records, or of
-    several tasks; `FormatError` for a folder that is no run's; `StorageError`; `MissingExtraError`.
+    Returns the path of its page. `episode`: the name of a page beside it on which an episode can be watched
+    (`eagor.studio.runs`), to link to. Raises `EagorError` where there are no records, or of several tasks;
+    `FormatError` for a folder that is no run's; `StorageError`; `MissingExtraError`.
     """
     named = [Path(folders)] if isinstance(folders, str | Path) else [Path(folder) for folder in folders]
     if not named:
@@ -72,9 +66,12 @@ def write_report(
         raise EagorError("a run of a simulated task is reported alone; name one folder")
     task, summary = runs[0].task, summarise(runs)
     facts = [fact for run, label in zip(runs, labels_of(runs), strict=True) for fact in _facts(run, label, len(runs))]
-    sections = _simulated(runs[0], summary, open_place) if runs[0].simulated else _published(runs, summary)
+    sections = _simulated(runs[0], summary) if runs[0].simulated else _published(runs, summary)
     if summary["episodes"]:
-        columns = [(f"{m.title}{f' ({m.unit})' if m.unit else ''}", m.what) for m in task.metrics]
+        columns = [
+            (f"{m.title}{f' ({m.unit})' if m.unit else ''}", "; ".join(filter(None, (m.what, m.why))))
+            for m in task.metrics
+        ]
         figures = [tables.main_table(task, summary), Fold("What the columns are", [Facts(columns)])]
         sections.insert(0, Section("figures", "Figures", figures))
     if summary["failed"]:
@@ -89,7 +86,6 @@ def write_report(
     shown = [part for section in sections for part in section.parts if isinstance(part, Table)]
     written(place / "report.html", page(title, lead, [section for section in sections if section.parts]))
     written(place / "tables.md", markdown(title, facts, shown))
-    written(place / "tables.csv", tables.csv_of(task, summary))
     if len(runs) == 1 and not runs[0].simulated:
         written(place / "predictions.jsonl", predictions_of(runs[0].records))
     return place / "report.html"
@@ -199,118 +195,63 @@ def criterion_of(run: Run) -> str:
 # --- the sections of a simulated task ---------------------------------------------------------------------------------
 
 
-def _simulated(run: Run, summary: Summary, open_place: Any) -> list[Section]:
+def _simulated(run: Run, summary: Summary) -> list[Section]:
     task, results = run.task, run.results()
     rivals = {name: found for name, found in results.items() if is_rival(name)}
-    covered = _filled(tables.coverage_table(task, summary, results))
+    ordering, parts = tables.ordering_table(task, results), tables.parts_table(results)
     return [
-        Section("ordering", "How far the paper's ordering carries over", _filled(tables.ordering_table(task, results))),
-        Section("parts", "What the errors are made of", _filled(tables.parts_table(results))),
-        Section("steps", "Error by step", _curves(rivals)),
+        Section("ordering", "How far the paper's ordering carries over", [ordering] if ordering.rows else []),
+        Section("parts", "What the errors are made of", [parts] if parts.rows else []),
+        Section("steps", "Error by step", _by_step(run, rivals)),
         Section("strata", "By kind of episode", tables.strata_tables(task, summary)),
-        Section("coverage", "How honest the stated regions are", [*covered, *_regions(rivals)] if covered else []),
         Section("variants", "Variants", tables.variant_tables(task, summary)),
-        Section("episodes", "Three episodes to look at", replay.three(run, open_place)),
+        Section("episodes", "Three episodes", _three(run)),
     ]
 
 
-def _filled(*found: Table) -> list[Part]:
-    """The tables that have rows."""
-    return [table for table in found if table.rows]
+def _three(run: Run) -> list[Part]:
+    """The best, the median and the worst episode of our default method."""
+    ranked = [result.record for result in rank(run, OURS)]
+    if not ranked:
+        return [Text(f"There is no episode with a result of {OURS}.")]
+    lines = [
+        f"The {kind}: {sample_of(record)}, {record['episode']['query']}. {tables.figures_of(record, run.task)}"
+        for kind, record in (("best", ranked[0]), ("median", ranked[len(ranked) // 2]), ("worst", ranked[-1]))
+    ]
+    how = "To watch one, step by step: eagor studio export RUN --episode NAME --out page.html"
+    return [List(lines), Text(how, "note")]
 
 
-def _curves(rivals: Results) -> list[Part]:
-    """Errors against steps, in two charts: the paper's methods and ours, the further rivals and ours."""
-    found = {name: curve for name, each in rivals.items() if (curve := steps.by_step(each)) is not None}
-    if not found:
+def _by_step(run: Run, rivals: Mapping[str, Sequence[Result]]) -> list[Part]:
+    """Errors against time."""
+    curves = {name: curve for name, found in rivals.items() if (curve := episodes.by_step(found))}
+    if not curves:
         return []
-    top = max(v for curve in found.values() for v in (*curve.y, *curve.high) if v is not None)
-    paper = [name for name in found if name in (*RIVALS, PAPERS)]
-    further = [name for name in found if name not in (*paper, OURS)]
-    pictures = []
-    for label, group in (("the paper's methods", paper), ("further methods", further)):
-        if not group and (pictures or OURS not in found):
-            continue
-        names = [*group, *([OURS] if OURS in found else [])]
-        series = [Series(name, found[name], look_of(name), name == OURS) for name in names]
-        whole = f"Error by step: {label} and {OURS}" if group and OURS in names else "Error by step"
-        chart = line_chart(series, whole, "step", "error, degrees", (0.0, max(1.03 * top, 1e-6)))
-        counts = sorted({max(line.curve.n) for line in series})
-        episodes = f"{counts[-1]} episodes" if len(counts) == 1 else f"{counts[0]} to {counts[-1]} episodes, by method"
-        pictures.append((chart, f"{whole}. Means over {episodes}{_bands(series)}."))
-    note = (
-        "A line ends where fewer than half of its episodes go on: where every method goes its own way, those that "
-        "arrive early leave it, so the right end of a line is about the harder episodes."
+    from eagor.drawing import draw_errors
+
+    seconds = run.settings.get("camera", {}).get("seconds", Camera().seconds)
+    times = [step * seconds for step in range(max(map(len, curves.values())))]
+    ours_first = {name: curves[name] for name in sorted(curves, key=lambda name: name != OURS)}
+    caption = (
+        "Mean error at each step. A line ends where fewer than half of its episodes go on: where every method goes its "
+        "own way, those that arrive early leave it, so the right end of a line is about the harder episodes."
     )
-    return [Pictures(pictures), Text(note, "note")]
-
-
-def _bands(series: Sequence[Series]) -> str:
-    """What a caption says of the bands of these lines; "" where none is drawn."""
-    return "; bands: 95 % intervals" if any(v is not None for line in series for v in line.curve.low) else ""
-
-
-def _regions(rivals: Results) -> list[Part]:
-    """Stated against found, for regions of every mass, where the records say enough."""
-    found = {name: curve for name, each in rivals.items() if (curve := steps.reliability(each)) is not None}
-    if not found:
-        return []
-    series = [Series(name, curve, look_of(name), name == OURS) for name, curve in found.items()]
-    title = "Regions of every mass: stated, and found to hold the truth"
-    labels = "stated mass of the region, %", "steps with the truth inside, %"
-    chart = line_chart(series, title, *labels, (0.0, 100.0), diagonal=True)
-    caption = "On the dotted line statements are true; below it they are overconfident, above it too cautious."
-    return [Pictures([(chart, f"{title}. {caption}")])]
+    return [Pictures([(address_of(draw_errors(times, ours_first)), caption)], "wide")]
 
 
 # --- the sections of answers to published data ------------------------------------------------------------------------
 
 
 def _published(runs: Sequence[Run], summary: Summary) -> list[Section]:
-    task, answers = runs[0].task, summary["answers"]
-    sections = []
-    if (turns := tables.turn_table(summary)).rows:
-        series = []
-        for index, (name, part) in enumerate(answers.items()):
-            if found := part.get("by_turn"):
-                x = tuple(range(1, len(found["success"]) + 1))
-                y, low, high = (tuple(found[key]) for key in ("success", "low", "high"))
-                series.append(_line(index, name, Curve(x, y, low, high, (summary["episodes"],) * len(x))))
-        chart = line_chart(series, "Success by turn", "turn", "success, %", (0.0, 100.0))
-        caption = f"Success had the answer been given at this turn{_bands(series)}."
-        sections.append(Section("turns", "By turn", [Pictures([(chart, caption)]), turns]))
-    if (views := tables.views_table(summary)).rows:
-        sections.append(Section("views", "Views, and stopping", [views, *_statements(answers)]))
-    for number, (run, (name, part)) in enumerate(zip(runs, answers.items(), strict=True)):
-        layers = [tables.tag_table(task, part), tables.cause_table(task, part)]
+    task, sections = runs[0].task, []
+    for name, table in (("turns", tables.turn_table(summary)), ("views", tables.views_table(summary))):
+        sections += [Section(name, table.title, [table])] if table.rows else []
+    for number, (run, (name, part)) in enumerate(zip(runs, summary["answers"].items(), strict=True)):
+        found = tables.failure_tables(task, part)
         if len(runs) > 1:
-            layers = [replace(table, title=f"{table.title}: {name}") for table in layers]
-        parts = _filled(*layers)
-        if parts and (lines := tables.failed_lines(run)[:LISTED]):
-            parts.append(Fold(f"The cases that failed ({len(lines)} shown)", [List(lines)]))
-        sections.append(Section(f"failures-{number}", f"Failures: {name}", parts))
+            found = [replace(table, title=f"{table.title}: {name}") for table in found]
+        layers: list[Part] = [*found]
+        if layers and (lines := tables.failed_lines(run)[:LISTED]):
+            layers.append(Fold(f"The cases that failed ({len(lines)} shown)", [List(lines)]))
+        sections.append(Section(f"failures-{number}", f"Failures: {name}", layers))
     return sections
-
-
-def _line(index: int, name: str, curve: Curve) -> Series:
-    """The line of a run in a chart."""
-    return Series(name, curve, look_of("", index), name.partition(" ")[0] == OURS)
-
-
-def _statements(answers: Mapping[str, Any]) -> list[Part]:
-    """Stated against found: of the submissions, and of what would have been submitted at every turn."""
-    pictures = []
-    for key, title in (("reliability", "of submissions"), ("reliability_by_step", "of the answers at every turn")):
-        series = []
-        for index, (name, part) in enumerate(answers.items()):
-            if rows := [row for row in part.get(key, ()) if row[2]]:
-                x, y, n = (tuple(row[k] for row in rows) for k in (3, 4, 2))
-                none = (None,) * len(rows)
-                series.append(_line(index, name, Curve(x, y, none, none, n)))
-        if any(len(line.curve.x) > 1 for line in series):
-            labels = "stated probability of success", "share that succeeded"
-            chart = line_chart(series, f"Reliability {title}", *labels, (0.0, 1.0), diagonal=True)
-            counts = "; ".join(f"{line.name}: {' '.join(map(str, line.curve.n))}" for line in series)
-            caption = "on the dotted line what is stated is what happens. Cases per mark"
-            pictures.append((chart, f"Reliability {title}: {caption}, {counts}."))
-    return [Pictures(pictures)] if pictures else []

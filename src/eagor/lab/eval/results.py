@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,6 @@ from eagor.lab.tasks.task import Metric, Record, Task, check_records, config_of,
 from eagor.statistics import (
     Interval,
     PairedDifference,
-    bootstrap_interval,
     calibration_error,
     mcnemar,
     paired_difference,
@@ -34,6 +33,7 @@ from eagor.statistics import (
 )
 
 SEED, RESAMPLES, LEVEL = 20260, 2000, 0.95
+ENDS = (1 - LEVEL) / 2, (1 + LEVEL) / 2
 FEW = 10  # groups, below which intervals that resample them are too narrow to be trusted
 SIGNIFICANT = 0.05
 BINS = 10  # of stated probabilities
@@ -174,124 +174,108 @@ def compared_with(name: str, reference: str) -> str:
 # --- values, means, intervals, differences ----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Values:
-    """The values of one metric by sample, and the group of each; `kinds`: of a mean of means, the kind of each."""
+    """The values ``(n,)`` of one metric, and the sample, the group and the kind of each.
 
-    values: dict[str, float]
-    groups: dict[str, Any]
-    kinds: dict[str, str]
+    The mean is that of the means of the kinds, which are all the same where a metric has none.
+    """
+
+    samples: list[str]
+    array: np.ndarray
+    groups: list[Any]
+    kinds: list[str]
 
     def only(self, samples: Sequence[str]) -> Values:
-        """The part with these samples."""
-        return Values(*({name: part[name] for name in samples if part} for part in vars(self).values()))
+        """The part with these samples, in their order."""
+        places = {name: index for index, name in enumerate(self.samples)}
+        at = [places[name] for name in samples]
+        groups, kinds = ([each[index] for index in at] for each in (self.groups, self.kinds))
+        return Values(list(samples), self.array[at], groups, kinds)
 
     @property
-    def array(self) -> np.ndarray:
-        """All values ``(n,)``."""
-        return np.array(list(self.values.values()))
-
-    @property
-    def labels(self) -> list[Any]:
-        """The group of each."""
-        return list(self.groups.values())
+    def columns(self) -> np.ndarray:
+        """The values ``(n, kinds)``, each in the column of its kind, and NaN beside it."""
+        _, kind = np.unique(self.kinds, return_inverse=True)
+        found = np.full((len(kind), int(kind.max(initial=0)) + 1), np.nan)
+        found[np.arange(len(kind)), kind] = self.array
+        return found
 
     @property
     def mean(self) -> float:
-        """Of all values, or of the means of the kinds."""
-        return mean_of_means(self.array, self.kinds)(np.arange(len(self.values))) if self.kinds else self.array.mean()
+        """Of the means of the kinds."""
+        return float(np.nanmean(self.columns, axis=0).mean())
+
+    def interval(self, share: float | None = None) -> list[float] | None:
+        """The 95 % interval of the mean, by whole groups; None with fewer than two.
+
+        A bootstrap; of values that are 0 or `share`, `eagor.statistics.share_interval`.
+        """
+        if len(set(self.groups)) < 2:
+            return None
+        if share is not None and len(set(self.kinds)) == 1 and np.isin(self.array, (0.0, share)).all():
+            ends = share_interval(self.array / share, self.groups, LEVEL)
+            return [share * ends.low, share * ends.high]
+        return np.quantile(np.nanmean(resampled_means(self.columns, self.groups), axis=1), ENDS).tolist()
 
 
 def values_of(results: Sequence[Result], metric: Metric) -> Values:
     """The values of `metric`, of the samples that have one. Raises `EagorError` for a sample with two results."""
-    found = Values({}, {}, {})
-    for result in results:
-        if (value := metric.of(result.answer)) is None:
-            continue
-        name = sample_of(result.record)
-        if name in found.values:
-            raise EagorError(f"{name!r} has two results; give each episode or case an id of its own")
-        found.values[name] = value
-        found.groups[name] = group_of(result.record)
-        if metric.over:
-            found.kinds[name] = metric.over(result.answer)
+    rows = [(result, value) for result in results if (value := metric.of(result.answer)) is not None]
+    samples = [sample_of(result.record) for result, _ in rows]
+    if twice := [name for name, count in Counter(samples).items() if count > 1]:
+        raise EagorError(f"{twice[0]!r} has two results; give each episode or case an id of its own")
+    kinds = [metric.over(result.answer) if metric.over else "" for result, _ in rows]
+    return Values(samples, np.array([v for _, v in rows]), [group_of(result.record) for result, _ in rows], kinds)
+
+
+def resampled_means(columns: np.ndarray, groups: Sequence[Any]) -> np.ndarray:
+    """The means of `columns` ``(n, k)``, NaN where there is no case, in resamples of whole groups ``(RESAMPLES, k)``.
+
+    NaN where a resample has no case. As in `eagor.statistics.bootstrap_interval`, for many columns at once.
+    """
+    member = list(map(list(dict.fromkeys(map(str, groups))).index, map(str, groups)))
+    sums, counts = np.zeros((2, max(member) + 1, columns.shape[1]))
+    np.add.at(sums, member, np.nan_to_num(columns))
+    np.add.at(counts, member, np.isfinite(columns))
+    drawn = np.random.default_rng(SEED).integers(len(sums), size=(RESAMPLES, len(sums)))
+    times = np.apply_along_axis(np.bincount, 1, drawn, minlength=len(sums)).astype(float)
+    with np.errstate(invalid="ignore"):
+        return (times @ sums) / (times @ counts)
+
+
+def mean_intervals(columns: np.ndarray, groups: Sequence[Any]) -> np.ndarray:
+    """95 % intervals ``(2, k)`` of the means of `columns` ``(n, k)``; NaN with cases of fewer than two groups."""
+    found = np.full((2, columns.shape[1]), np.nan)
+    names = np.array(list(map(str, groups)))
+    enough = [len(set(names[there])) > 1 for there in np.isfinite(columns).T]
+    if any(enough):
+        found[:, enough] = np.nanquantile(resampled_means(columns, groups)[:, enough], ENDS, axis=0)
     return found
 
 
-def interval_of(found: Values, share: float | None = None) -> list[float] | None:
-    """The 95 % interval of the mean, by whole groups; None with fewer than two.
-
-    A bootstrap; of values that are 0 or `share`, `eagor.statistics.share_interval`.
-    """
-    if len(set(found.labels)) < 2:
-        return None
-    if share is not None and not found.kinds and np.isin(found.array, (0.0, share)).all():
-        ends = share_interval(found.array / share, found.labels, LEVEL)
-        return [share * ends.low, share * ends.high]
-    if found.kinds:
-        ends = _ends(mean_of_means(found.array, found.kinds), found.labels)
-        return [ends.low, ends.high]
-    low, high = mean_intervals(found.array[:, None], found.labels)
-    return None if low[0] is None or high[0] is None else [low[0], high[0]]
-
-
-def _ends(statistic: Callable[[np.ndarray], float], labels: Sequence[Any]) -> Interval:
-    """The bootstrap's interval of a statistic of the indices of the samples."""
-    return bootstrap_interval(np.arange(len(labels)), np.random.default_rng(SEED), LEVEL, statistic, labels, RESAMPLES)
-
-
-def mean_of_means(values: np.ndarray, kinds: Mapping[str, str]) -> Callable[[np.ndarray], float]:
-    """What takes indices into `values` ``(n,)`` and returns the mean over their `kinds` of the mean over each kind."""
-    place = np.unique(list(kinds.values()), return_inverse=True)[1]
-
-    def mean(indices: np.ndarray) -> float:
-        rows = indices.astype(np.intp)
-        sums, counts = np.bincount(place[rows], values[rows]), np.bincount(place[rows])
-        return float((sums[counts > 0] / counts[counts > 0]).mean())
-
-    return mean
-
-
-def mean_intervals(values: np.ndarray, labels: Sequence[Any]) -> tuple[list[float | None], list[float | None]]:
-    """95 % intervals of the means of the columns of `values` ``(n, k)``, NaN where there is no case.
-
-    `eagor.statistics.bootstrap_interval` with groups, for many columns at once. None with cases of fewer than two
-    groups.
-    """
-    names, member = np.unique([str(label) for label in labels], return_inverse=True)
-    there = np.isfinite(values)
-    sums, counts = np.zeros((2, len(names), values.shape[1]))
-    np.add.at(sums, member, np.where(there, values, 0.0))
-    np.add.at(counts, member, there)
-    if len(names) < 2:
-        return [None] * values.shape[1], [None] * values.shape[1]
-    first = list(dict.fromkeys(member.tolist()))  # groups in the order of their first case, as the bootstrap has them
-    drawn = np.random.default_rng(SEED).integers(len(names), size=(RESAMPLES, len(names)))
-    times = np.stack([(drawn == index).sum(axis=1) for index in range(len(names))], axis=1).astype(float)
-    total = times @ counts[first]
-    means = np.where(total > 0, (times @ sums[first]) / np.maximum(total, 1.0), np.nan)
-    enough = np.count_nonzero(counts, axis=0) >= 2
-    ends = np.nanquantile(np.where(enough, means, 0.0), [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
-    low, high = ([float(v) if there else None for v, there in zip(row, enough, strict=True)] for row in ends)
-    return low, high
+def shared(a: Values, b: Values) -> tuple[Values, Values]:
+    """Both, over the samples that both have."""
+    there = set(b.samples)
+    both = [name for name in a.samples if name in there]
+    return a.only(both), b.only(both)
 
 
 def difference(a: Values, b: Values) -> PairedDifference | None:
     """Mean of a - b over the samples that both have, p before any correction; None with fewer than two groups."""
-    shared = [name for name in a.values if name in b.values]
-    a, b = a.only(shared), b.only(shared)
-    if len(set(a.labels)) < 2:
+    a, b = shared(a, b)
+    if len(set(a.groups)) < 2:
         return None
-    weights = np.ones(len(shared))
-    if a.kinds:  # with these, a plain mean is the mean of the kinds' means
-        _, place, counts = np.unique(list(a.kinds.values()), return_inverse=True, return_counts=True)
-        weights = len(shared) / (len(counts) * counts[place])
+    # With these weights a plain mean is the mean of the kinds' means.
+    sizes = Counter(a.kinds)
+    weights = np.array([len(a.samples) / (len(sizes) * sizes[kind]) for kind in a.kinds])
     rng = np.random.default_rng(SEED)
-    found = paired_difference(weights * a.array, weights * b.array, rng, groups=a.labels, level=LEVEL)
-    if not a.kinds:
+    found = paired_difference(weights * a.array, weights * b.array, rng, groups=a.groups, level=LEVEL)
+    if len(sizes) == 1:
         return found
     # Groups that are drawn hold other shares of the kinds.
-    return replace(found, interval=_ends(mean_of_means(a.array - b.array, a.kinds), a.labels))
+    ends = replace(a, array=a.array - b.array).interval()
+    return found if ends is None else replace(found, interval=Interval(ends[0], ends[1], LEVEL))
 
 
 def lowest_p(groups: int, tests: int = 1) -> float:
@@ -300,10 +284,7 @@ def lowest_p(groups: int, tests: int = 1) -> float:
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """p-values corrected for being many, so that all rejections together are false with at most the stated chance.
-
-    Holm, A simple sequentially rejective multiple test procedure, Scandinavian Journal of Statistics 6, 1979.
-    """
+    """Holm's correction (Scandinavian Journal of Statistics 6, 1979): valid however the tests depend on each other."""
     order = np.argsort(p, kind="stable")
     steps = np.minimum(1.0, (len(p) - np.arange(len(p))) * np.asarray(p, dtype=float)[order])
     corrected = np.empty(len(p))
@@ -330,7 +311,7 @@ def summarise(runs: Run | Sequence[Run]) -> Summary:
       shared samples; p by sign flips of groups, p_holm corrected for all tests. Variants are a family of their own,
       each compared with the method that it varies.
     - "strata" {title: {label: {"episodes", "methods", "intervals", "counts"}}};
-    - of answers to published data: "answers" {name: {"by_turn", "views", "reliability", "sure", "tags", ...}}.
+    - of answers to published data: "answers" {name: {"by_turn", "views", "calibration_error", "sure", "tags", ...}}.
     """
     runs = [runs] if isinstance(runs, Run) else runs
     task = runs[0].task
@@ -339,9 +320,8 @@ def summarise(runs: Run | Sequence[Run]) -> Summary:
         results |= run.results(label)
     records = [record for run in runs for record in run.records]
     good = finished(records)
-    found = {name: {metric.key: values_of(rows, metric) for metric in task.metrics} for name, rows in results.items()}
+    found = _tabled(results, task.metrics)
     reference = next((name for name in (OURS, *found) if name in found and name.startswith(OURS)), OURS)
-    strata = getattr(task, "strata", {})
     summary = {
         "task": task.name,
         "episodes": len({sample_of(record) for record in good}),
@@ -351,7 +331,7 @@ def summarise(runs: Run | Sequence[Run]) -> Summary:
         **_cells(found, task.metrics),
         "reference": reference,
         "differences": _differences(found, task.metrics, reference),
-        "strata": {title: _strata(results, task.metrics, key) for key, title in strata.items()},
+        "strata": {title: _strata(results, task.metrics, key) for key, title in getattr(task, "strata", {}).items()},
         "failures": [
             {"key": record["key"], "attempt": record["attempt"], "error": record.get("error", "")}
             for record in records
@@ -359,9 +339,7 @@ def summarise(runs: Run | Sequence[Run]) -> Summary:
         ],
     }
     if not runs[0].simulated:
-        summary["answers"] = {
-            name: _answers(task, [result.record for result in rows]) for name, rows in results.items()
-        }
+        summary["answers"] = {name: _answers(task, [each.record for each in rows]) for name, rows in results.items()}
     return summary
 
 
@@ -376,41 +354,36 @@ def as_json(summary: Summary, run: Run) -> dict[str, Any]:
     return found
 
 
-def _cells(found: Mapping[str, Mapping[str, Values]], metrics: Sequence[Metric]) -> dict[str, Any]:
+Tabled = Mapping[str, Mapping[str, Values]]  # by method and metric
+
+
+def _tabled(results: Mapping[str, Sequence[Result]], metrics: Sequence[Metric]) -> Tabled:
+    return {name: {metric.key: values_of(rows, metric) for metric in metrics} for name, rows in results.items()}
+
+
+def _cells(found: Tabled, metrics: Sequence[Metric]) -> dict[str, Any]:
     """Values, intervals and counts by method and metric."""
     cells: dict[str, dict[str, dict[str, Any]]] = {"methods": {}, "intervals": {}, "counts": {}}
     for name, row in found.items():
-        for part in cells.values():
-            part[name] = {}
-        for metric in metrics:
-            key, values = metric.key, row[metric.key]
-            there = bool(values.values)
-            cells["methods"][name][key] = float(values.mean) if there else None
-            cells["intervals"][name][key] = (
-                interval_of(values, metric.scale if metric.share else None) if there else None
-            )
-            cells["counts"][name][key] = len(values.values)
+        shares = {metric.key: metric.scale if metric.share else None for metric in metrics}
+        known = {key: values for key, values in row.items() if values.samples}
+        cells["methods"][name] = {key: known[key].mean if key in known else None for key in row}
+        cells["intervals"][name] = {key: known[key].interval(shares[key]) if key in known else None for key in row}
+        cells["counts"][name] = {key: len(values.samples) for key, values in row.items()}
     return cells
 
 
-def _differences(
-    found: Mapping[str, Mapping[str, Values]], metrics: Sequence[Metric], reference: str
-) -> dict[str, dict[str, Any]]:
+def _differences(found: Tabled, metrics: Sequence[Metric], reference: str) -> dict[str, dict[str, Any]]:
     """One family of tests for the methods against the reference, one for the variants against what they vary."""
-    tested = [metric.key for metric in metrics if metric.better is not None]
     result: dict[str, dict[str, Any]] = {}
     for family in (is_rival, is_variant):
-        pairs = {
-            (name, key): difference(row[key], found[other][key])
-            for name, row in found.items()
-            if family(name) and (other := compared_with(name, reference)) in found and other != name
-            for key in tested
-        }
-        there = {pair: _plain(each) for pair, each in pairs.items() if each is not None}
-        for each, p in zip(there.values(), holm([each["p"] for each in there.values()]), strict=True):
+        for name in filter(family, found):
+            if (other := compared_with(name, reference)) in found and other != name:
+                pairs = {m.key: difference(found[name][m.key], found[other][m.key]) for m in metrics if m.better}
+                result[name] = {key: None if each is None else _plain(each) for key, each in pairs.items()}
+        tested = [each for name in filter(family, result) for each in result[name].values() if each]
+        for each, p in zip(tested, holm([each["p"] for each in tested]), strict=True):
             each["p_holm"] = p
-        for name, key in pairs:
-            result.setdefault(name, {})[key] = there.get((name, key))
     return result
 
 
@@ -422,18 +395,17 @@ def _plain(found: PairedDifference) -> dict[str, Any]:
 
 def _strata(results: Mapping[str, Sequence[Result]], metrics: Sequence[Metric], key: str) -> dict[str, Any]:
     """The cells of each stratum of episodes."""
-    words = {True: "yes", False: "no"}
     parts: dict[str, dict[str, list[Result]]] = {}
     for name, rows in results.items():
         for result in rows:
             value = result.record["episode"].get("stratum", {}).get(key)
             if value is not None:
-                label = words[value] if isinstance(value, bool) else str(value)
+                label = {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
                 parts.setdefault(label, {}).setdefault(name, []).append(result)
     return {
         label: {
             "episodes": len({sample_of(result.record) for rows in part.values() for result in rows}),
-            **_cells({n: {m.key: values_of(rows, m) for m in metrics} for n, rows in part.items()}, metrics),
+            **_cells(_tabled(part, metrics), metrics),
         }
         for label, part in sorted(parts.items(), reverse="yes" in parts)
     }
@@ -449,31 +421,17 @@ def _answers(task: Task, records: Sequence[Record]) -> dict[str, Any]:
         # Runs with fewer turns have nothing to say about later ones.
         turns = [[*map(float, r["by_turn"]), *([np.nan] * (longest - len(r["by_turn"])))] for r in rows]
         values = 100 * np.array(turns)
-        low, high = mean_intervals(values, [group_of(record) for record in rows])
+        ends = mean_intervals(values, [group_of(record) for record in rows])
+        low, high = ([None if np.isnan(end) else end for end in side] for side in ends.tolist())
         found["by_turn"] = {"success": np.nanmean(values, axis=0).tolist(), "low": low, "high": high}
     if views := [record for record in records if "views" in record]:
         hits = [record["views"] for record in views if record["score"] == 1]
         found["views"] = float(np.mean([record["views"] for record in views]))
         found["views_to_success"] = float(np.mean(hits)) if hits else None
-    stated = [(r["stated"], r["score"] == 1) for r in records if r.get("stated") is not None]
-    if stated:
-        # What would have been submitted at every turn says more about the statements than the last ones alone.
-        steps = [
-            (step["would"]["p"], bool(step["would"].get(str(record.get("scoring", "official")))))
-            for record in records
-            for step in record.get("steps", ())
-            if (step.get("would") or {}).get("p") is not None
-        ]
-        table, every = (
-            reliability([p for p, _ in rows], [right for _, right in rows], BINS) if rows else ()
-            for rows in (stated, steps)
-        )
-        found["reliability"], found["reliability_by_step"] = (
-            [[row.lower, row.upper, row.n, row.stated, row.frequency] for row in rows] for rows in (table, every)
-        )
-        found["calibration_error"] = calibration_error(table)
+    if stated := [record for record in records if record.get("stated") is not None]:
+        table = reliability([r["stated"] for r in stated], [r["score"] == 1 for r in stated], BINS)
         sure = [record for record in records if record.get("sure")]
-        found["sure"] = {"episodes": len(sure), **_success(sure)}
+        found["calibration_error"], found["sure"] = calibration_error(table), {"episodes": len(sure), **_success(sure)}
     return found
 
 
@@ -483,7 +441,7 @@ def _success(records: Sequence[Record]) -> dict[str, Any]:
         return {"success": None, "interval": None}
     score = Metric("score", "", "", lambda record: record["score"], share=True)
     found = values_of([Result(record, record) for record in records], score)
-    return {"success": float(found.mean), "interval": interval_of(found, 100.0)}
+    return {"success": found.mean, "interval": found.interval(100.0)}
 
 
 def _tags(task: Task, records: Sequence[Record]) -> dict[str, Any]:
@@ -528,7 +486,6 @@ def compare(a: Run, b: Run, methods: Sequence[str] = ()) -> dict[str, Any]:
                 raise EagorError(f"{name} is another episode in each run: its {key} is {x} and {y}")
     pairs = [[side[name] for name in shared] for side in (left, right)]
     figures = {metric.key: _compared(metric, *pairs) for metric in a.task.metrics}
-    keys = dict.fromkeys([*a.settings, *b.settings])
     return {
         "task": a.task.name,
         **({"methods": list(names)} if a.simulated else {}),
@@ -537,7 +494,7 @@ def compare(a: Run, b: Run, methods: Sequence[str] = ()) -> dict[str, Any]:
         "only_in_b": len(right.keys() - left.keys()),
         "settings": {
             key: [a.settings.get(key), b.settings.get(key)]
-            for key in keys
+            for key in dict.fromkeys([*a.settings, *b.settings])
             if key != "samples" and a.settings.get(key) != b.settings.get(key)
         },
         "figures": {key: figure for key, figure in figures.items() if figure is not None},
@@ -565,13 +522,11 @@ def _methods(a: Run, b: Run, names: Sequence[str]) -> tuple[str, str]:
 
 def _compared(metric: Metric, left: Sequence[Result], right: Sequence[Result]) -> dict[str, Any] | None:
     """One metric, sample by sample; None without a sample that both have."""
-    x, y = values_of(left, metric), values_of(right, metric)
-    both = [name for name in x.values if name in y.values]
-    if not both:
+    x, y = shared(values_of(left, metric), values_of(right, metric))
+    if not x.samples:
         return None
-    x, y = x.only(both), y.only(both)
-    found: dict[str, Any] = {"title": metric.title, "n": len(both), "a": float(x.mean), "b": float(y.mean)}
-    found["difference"] = found["a"] - found["b"]
+    found: dict[str, Any] = {"title": metric.title, "n": len(x.samples), "a": x.mean, "b": y.mean}
+    found["difference"] = x.mean - y.mean
     if (paired := difference(x, y)) is not None:
         found |= {key: value for key, value in _plain(paired).items() if key not in found}
     outcomes = np.array([x.array, y.array]) / metric.scale
@@ -582,8 +537,7 @@ def _compared(metric: Metric, left: Sequence[Result], right: Sequence[Result]) -
 
 def rank(run: Run, method: str) -> list[Result]:
     """The results of `method`, best first by the metrics that the task ranks by; no value is the worst."""
-    keys = getattr(run.task, "ranked_by", ()) or ("mae",)
-    metrics = [metric for metric in run.task.metrics if metric.key in keys]
+    metrics = [metric for metric in run.task.metrics if metric.key in (getattr(run.task, "ranked_by", ()) or ("mae",))]
 
     def place(result: Result) -> tuple[float, ...]:
         if not metrics:  # a task without such a figure: the mean error of its steps

@@ -10,8 +10,7 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from eagor._files import as_csv
-from eagor.lab.eval import steps
+from eagor.lab.eval import episodes
 from eagor.lab.eval.page import NOTHING, Cell, Row, Table, cell, in_columns, number, span
 from eagor.lab.eval.results import (
     FEW,
@@ -22,7 +21,6 @@ from eagor.lab.eval.results import (
     Result,
     Run,
     Summary,
-    compared_with,
     difference,
     is_rival,
     is_variant,
@@ -42,10 +40,7 @@ PUBLISHED_TAGS: dict[str, dict[str, tuple[float, float]]] = _PRINTED["failure_ta
 
 DAGGER = {"-": "†", "+": "‡", "": ""}
 WIDTH = 120  # of a terminal
-FIELDS = (
-    "task", "stratum", "method", "column", "unit", "value", "low", "high", "n",
-    "reference", "difference", "difference_low", "difference_high", "p", "p_holm",
-)  # fmt: skip
+SMALL_PRINT = "Small print: 95 % intervals of whole {}s; n: how many episodes have such a case, where not all have."
 
 
 # --- cells ------------------------------------------------------------------------------------------------------------
@@ -54,7 +49,7 @@ FIELDS = (
 def mark(summary: Summary, name: str, metric: Metric) -> str:
     """Whether a method differs from its reference beyond chance: "-" it is worse, "+" it is better, "" neither."""
     found = summary["differences"].get(name, {}).get(metric.key)
-    if found is None or metric.better is None or found["p_holm"] >= SIGNIFICANT or found["difference"] == 0:
+    if found is None or found["p_holm"] >= SIGNIFICANT or found["difference"] == 0:
         return ""
     return "-" if (found["difference"] > 0) == (metric.better == "low") else "+"
 
@@ -91,26 +86,28 @@ def row(name: str, cells: Sequence[Cell]) -> Row:
     return Row(name, tuple(cells), "ours" if name.partition(" ")[0] == OURS else "")
 
 
-def _cell(summary: Summary, name: str, metric: Metric, rivals: Sequence[str] = ()) -> Cell:
-    """A figure, its interval, its mark; the number of its cases where methods differ in that."""
-    small = span(summary["intervals"][name][metric.key], metric.digits, metric.key == "delta")
-    counts = {count[metric.key] for count in summary["counts"].values()} - {0}
-    if len(counts) > 1:
-        small = f"{small} ({summary['counts'][name][metric.key]})".strip()
-    winner = name in best(summary, metric, rivals)
-    return Cell(shown(summary["methods"][name][metric.key], metric), small, DAGGER[mark(summary, name, metric)], winner)
+def figure_rows(summary: Summary, names: Sequence[str], metrics: Sequence[Metric], rivals: Sequence[str]) -> list[Row]:
+    """A row for each of `names`: figures with intervals and marks; the best of the `rivals` stand out.
 
-
-def _rows(summary: Summary, names: Sequence[str], metrics: Sequence[Metric], rivals: Sequence[str]) -> list[Row]:
-    return [row(name, [_cell(summary, name, metric, rivals) for metric in metrics]) for name in names]
+    The number of cases stands beside where some episodes are none.
+    """
+    winners = {metric.key: best(summary, metric, rivals) for metric in metrics}
+    rows = []
+    for name in names:
+        cells = []
+        for metric in metrics:
+            key = metric.key
+            small = [span(summary["intervals"][name][key], metric.digits, key == "delta")]
+            if 0 < (count := summary["counts"][name][key]) < summary["episodes"]:
+                small.append(f"n {count}")
+            text, sign = shown(summary["methods"][name][key], metric), DAGGER[mark(summary, name, metric)]
+            cells.append(Cell(text, "; ".join(filter(None, small)), sign, name in winners[key]))
+        rows.append(row(name, cells))
+    return rows
 
 
 def _heads(metrics: Sequence[Metric], first: str = "method") -> tuple[str, ...]:
     return (first, *map(column_header, metrics))
-
-
-def _part_cell(value: steps.Part | None) -> Cell:
-    return cell(value.mean, (value.low, value.high)) if value else cell(None)
 
 
 # --- of every task ----------------------------------------------------------------------------------------------------
@@ -123,21 +120,25 @@ def main_table(task: Task, summary: Summary) -> Table:
     rivals = list(filter(is_rival, names))
     published = dict(PUBLISHED.get(task.name, {}))
     rows = []
-    for each in _rows(summary, names, metrics, rivals):
+    for each in figure_rows(summary, names, metrics, rivals):
         rows.append(each)
         if each.head in published:
             rows.append(_published_row("as published", published.pop(each.head), metrics))
     rows += [_published_row(f"{name}, published", values, metrics) for name, values in published.items()]
-    unit = summary["unit"]
-    notes = [_cases(summary, names, metrics)]
-    if summary["reference"] in names and len(rivals) > 1 and summary["groups"] > 1:
+    groups, unit, reference = summary["groups"], summary["unit"], summary["reference"]
+    notes = [SMALL_PRINT.format(unit)]
+    if reference in names and len(rivals) > 1 and groups > 1:
         notes.append(
-            f"† worse, ‡ better than {summary['reference']}: p < {SIGNIFICANT} over what both have, by sign flips of "
-            f"{unit}s, Holm's correction over all tests of this table. Bold: the best of its column."
+            f"† worse, ‡ better than {reference}: p < {SIGNIFICANT} over what both have, by sign flips of {unit}s, "
+            "Holm's correction over all tests of this table. Bold: the best of its column."
         )
-        if summary["reference"] == OURS:
-            notes.append(_behind(summary, rivals, metrics))
-    notes += _few(summary, rivals)
+    notes += small_cluster_warning(groups, unit)
+    tests = sum(found is not None for name in rivals for found in summary["differences"].get(name, {}).values())
+    if groups > 1 and tests and (lowest := lowest_p(groups, tests)) >= SIGNIFICANT:
+        notes.append(
+            f"With {groups} {unit}s and {tests} tests no p can be below {min(lowest, 1.0):.2g} after the correction: "
+            "whatever the figures are, none of their differences is told from chance."
+        )
     if PUBLISHED.get(task.name):
         notes.append(
             "As published: measured by the papers in their own setting (worlds, models, perception, rules, the whole "
@@ -157,60 +158,19 @@ def as_text(run: Run, summary: Summary) -> list[str]:
     if not summary["methods"] or not summary["episodes"]:
         return [f"{run.task.title}: no results; {summary['failed']} failed"]
     table = main_table(run.task, summary)
-    ours = Table(table.title, table.heads, tuple(row for row in table.rows if row.kind != "paper"))
+    lines = Table("", table.heads, tuple(row for row in table.rows if row.kind != "paper")).lines(WIDTH)
     groups, unit = summary["groups"], summary["unit"]
     head = f"{table.title}, {groups} {unit}{'s' if groups != 1 else ''}"
     if summary["failed"]:
         head += f"; {summary['failed']} could not be run"
-    lines = ours.lines(WIDTH)
-    marks = [text for sign, text in (("†", "† worse"), ("‡", "‡ better")) if any(sign in line for line in lines)]
+    marks = [text for text in ("† worse", "‡ better") if any(text[0] in line for line in lines)]
     notes = [summary["success"]] if summary.get("success") else []
     if marks:
         other = f"{summary['reference']} (a variant: than what it varies)"
         notes.append(f"{', '.join(marks)} than {other}: p < {SIGNIFICANT}, corrected for the number of tests")
     if any("(" in line for line in lines[1:]):
-        notes.append(f"In brackets: 95 % of whole {summary['unit']}s.")
-    return [head, *lines, *notes, *small_cluster_warning(summary["groups"], summary["unit"])]
-
-
-def _few(summary: Summary, rivals: Sequence[str]) -> list[str]:
-    """What so few groups cannot tell; nothing where there are enough, or none."""
-    groups, unit = summary["groups"], summary["unit"]
-    notes = small_cluster_warning(groups, unit)
-    tests = sum(found is not None for name in rivals for found in summary["differences"].get(name, {}).values())
-    lowest = lowest_p(groups, tests)
-    if groups > 1 and tests and lowest >= SIGNIFICANT:
-        notes.append(
-            f"With {groups} {unit}s and {tests} tests no p can be below {min(lowest, 1.0):.2g} after the correction: "
-            "whatever the figures are, none of their differences is told from chance."
-        )
-    return notes
-
-
-def _behind(summary: Summary, rivals: Sequence[str], metrics: Sequence[Metric]) -> str:
-    """In which columns ours is worse than a rival beyond chance, by how much, and why that is."""
-    found = []
-    for metric in metrics:
-        ahead = [name for name in rivals if mark(summary, name, metric) == "+"]
-        if ahead:
-            figures = ", ".join(f"{name} {shown(summary['methods'][name][metric.key], metric)}" for name in ahead)
-            ours = shown(summary["methods"][OURS][metric.key], metric)
-            found.append(f"{metric.title}: {ours} against {figures}{f' ({metric.why})' if metric.why else ''}")
-    if not found:
-        return f"In no column is {OURS} behind another method beyond chance."
-    return f"Where {OURS} is behind beyond chance: {'; '.join(found)}."
-
-
-def _cases(summary: Summary, names: Sequence[str], metrics: Sequence[Metric]) -> str:
-    """How many cases are behind the figures, column by column, in a few words."""
-    spans: dict[str, list[str]] = {}
-    for metric in metrics:
-        counts = [n for name in names if (n := summary["counts"][name][metric.key])]
-        if counts:
-            low, high = min(counts), max(counts)
-            spans.setdefault(str(high) if low == high else f"{low} to {high}", []).append(metric.title)
-    cases = "; ".join(f"{', '.join(titles)}: {span}" for span, titles in spans.items())
-    return f"Small print: 95 % intervals of whole {summary['unit']}s. Cases behind each figure: {cases}."
+        notes.append(f"In brackets: 95 % of whole {unit}s.")
+    return [head, *lines, *notes, *small_cluster_warning(groups, unit)]
 
 
 def strata_tables(task: Task, summary: Summary) -> list[Table]:
@@ -221,9 +181,9 @@ def strata_tables(task: Task, summary: Summary) -> list[Table]:
             view = {**summary, **part, "differences": {}}
             metrics = shown_metrics(task, view)
             names = [name for name in part["methods"] if not is_variant(name)]
-            rows = _rows(view, names, metrics, list(filter(is_rival, names)))
+            rows = figure_rows(view, names, metrics, list(filter(is_rival, names)))
             what = f"{title}: {label} ({part['episodes']} episodes)"
-            found.append(Table(what, _heads(metrics), tuple(rows), (_cases(view, names, metrics),)))
+            found.append(Table(what, _heads(metrics), tuple(rows)))
     return found
 
 
@@ -233,38 +193,15 @@ def variant_tables(task: Task, summary: Summary) -> list[Table]:
     groups: dict[tuple[str, str], list[str]] = {}
     for name in filter(is_variant, summary["methods"]):
         base, _, text = name.partition(":")
-        keys = ", ".join(item.partition("=")[0] for item in text.split(","))
-        groups.setdefault((base, keys), []).append(name)
+        groups.setdefault((base, ", ".join(item.partition("=")[0] for item in text.split(","))), []).append(name)
     found = []
     for (base, keys), variants in sorted(groups.items()):
         names = [name for name in summary["methods"] if name == base or name in variants]
-        rows = _rows(summary, names, metrics, names)
+        rows = figure_rows(summary, names, metrics, names)
         rows = [Row(f"{base} (as it is)", each.cells, "ours") if each.head == base else each for each in rows]
-        notes = (
-            _cases(summary, names, metrics),
-            f"† worse, ‡ better than {base}: p < {SIGNIFICANT}, Holm's correction over all tests of all variants.",
-        )
-        found.append(Table(f"Variants of {base}: {keys}", _heads(metrics), tuple(rows), notes))
+        note = f"† worse, ‡ better than {base}: p < {SIGNIFICANT}, Holm's correction over all tests of all variants."
+        found.append(Table(f"Variants of {base}: {keys}", _heads(metrics), tuple(rows), (note,)))
     return found
-
-
-def csv_of(task: Task, summary: Summary) -> str:
-    """One row per stratum ("" for all), method and metric, at full precision; empty where there is no case."""
-    rows: list[list[Any]] = []
-    parts: dict[str, Any] = {"": summary}
-    for title, labels in summary["strata"].items():
-        parts |= {f"{title}: {label}": part for label, part in labels.items()}
-    for stratum, part in parts.items():
-        for method, values in part["methods"].items():
-            for metric in task.metrics:
-                key = metric.key
-                ends = part["intervals"][method][key] or (None, None)
-                line = [task.name, stratum, method, key, metric.unit, values[key], *ends, part["counts"][method][key]]
-                if found := part.get("differences", {}).get(method, {}).get(key):
-                    line += [compared_with(method, summary["reference"])]
-                    line += [found[name] for name in ("difference", "low", "high", "p", "p_holm")]
-                rows.append(line + [None] * (len(FIELDS) - len(line)))
-    return as_csv([FIELDS, *rows])
 
 
 # --- of simulated tasks; a table without a case has no rows -----------------------------------------------------------
@@ -288,12 +225,12 @@ def ordering_table(task: Task, results: Mapping[str, Sequence[Result]]) -> Table
             ends = span((gain.interval.low, gain.interval.high), metric.digits, True) if gain else ""
             cells.append(Cell(shown(gain and gain.difference, metric, True), ends, verdicts[-1]))
         rows += [Row(f"over {rival}: published", tuple(claimed), "paper"), Row(f"over {rival}: measured", tuple(cells))]
-    counts = {word: verdicts.count(word) for word in ("holds", "open", "reversed")}
+    holds, undecided, other = (verdicts.count(word) for word in ("holds", "open", "reversed"))
     notes = (
         f"Margins of {PAPERS} (the method as published) over the paper's rivals; positive: it is better. Of "
-        f"{sum(counts.values())} comparisons {counts['holds']} hold (the 95 % interval lies on the published side of 0 "
-        f"and p < {SIGNIFICANT}), {counts['reversed']} are reversed (on the other side), {counts['open']} are open. "
-        "Each is judged for itself, without a correction for their number.",
+        f"{holds + undecided + other} comparisons {holds} hold (the 95 % interval lies on the published side of 0 and "
+        f"p < {SIGNIFICANT}), {other} are reversed (on the other side), {undecided} are open. Each is judged for "
+        "itself, without a correction for their number.",
         "Measured: paired over the episodes that both have. Published margins are differences of the printed figures.",
     )
     title = f"What {PAPERS} gains over the paper's rivals"
@@ -310,45 +247,30 @@ def verdict(published: float, measured: PairedDifference | None) -> str:
     return "open"
 
 
-def coverage_table(task: Task, summary: Summary, results: Mapping[str, Sequence[Result]]) -> Table:
-    """How often the truth lay in the 90 % region: all steps, in sight, out of sight."""
-    rows = []
-    for metric in task.metrics:
-        for name, values in summary["methods"].items():
-            if metric.key == "coverage" and not is_variant(name) and values["coverage"] is not None:
-                sides = (_part_cell(steps.coverage(results[name], visible)) for visible in (True, False))
-                rows.append(row(name, [_cell(summary, name, metric), *sides]))
-    note = (
-        "Share of steps, percent, at which the true direction lay in the stated 90 % region; 90 is right, less is "
-        "overconfident, more is too cautious. Methods that state no region are left out."
-    )
-    heads = ("method", "all steps, %", "target in sight, %", "target out of sight, %")
-    return Table("Coverage of the 90 % regions", heads, tuple(rows), (note,))
-
-
 def parts_table(results: Mapping[str, Sequence[Result]]) -> Table:
-    """What the errors are made of, and how far off the distance is."""
+    """What the errors are made of, how far off the distance is, and how honest the regions are."""
     rows, share = [], ""
     for name, found in results.items():
         if is_variant(name):
             continue
-        parts = [steps.error_in(found, part) for part in steps.PARTS]
-        rows.append(
-            row(name, list(map(_part_cell, [*parts, steps.error_in(found, steps.SEEN), steps.distance_error(found)])))
-        )
-        if name == OURS:
-            shares = [f"{100 * part.share:.0f} % {what}" for what, part in zip(steps.PARTS, parts, strict=True) if part]
-            share = f" Of the steps of {OURS}: {', '.join(shares)}." if shares else ""
+        means, shares = episodes.parts(found)
+        pairs = ((mean, ends) for mean, *ends in (means.get(part, (None, None, None)) for part in episodes.COLUMNS))
+        rows.append(row(name, [cell(mean, ends) for mean, ends in pairs]))
+        if name == OURS and shares:
+            parts = ", ".join(f"{100 * each:.0f} % {part}" for part, each in shares.items())
+            share = f" Of the steps of {OURS}: {parts}."
     notes = (
         "Mean direction error over the steps of each kind, over the episodes that have such steps. Before the target "
         "was ever in sight nothing can be known of it but where it is not: that part is the price of the search, and "
         "an estimator that made no mistake would have the others at 0. The fourth column is the second and the third."
         + share,
-        f"Distance: mean relative error once the camera has moved by {100 * steps.BASELINE:.0f} % of it since the "
-        "first sighting, for methods that state one.",
+        f"Distance: mean relative error once the camera has moved by {100 * episodes.BASELINE:.0f} % of it since the "
+        "first sighting, for methods that state one. Covered: share of steps at which the true direction lay in the "
+        "stated 90 % region; 90 is right, less is overconfident, more is too cautious.",
     )
-    heads = ("method", *(f"{part} ↓, °" for part in (*steps.PARTS, steps.SEEN)), "distance ↓, %")
-    return Table("What the errors are made of", heads, tuple(rows), notes)
+    heads = ["method", *(f"{part} ↓, °" for part in episodes.COLUMNS[:4]), "distance ↓, %"]
+    heads += [f"{part}, %" for part in episodes.COLUMNS[5:]]
+    return Table("What the errors are made of", tuple(heads), tuple(rows), notes)
 
 
 # --- of answers to published data -------------------------------------------------------------------------------------
@@ -360,8 +282,7 @@ def turn_table(summary: Summary) -> Table:
     longest = max((len(part["success"]) for part in found.values()), default=0)
     rows = []
     for name, part in found.items():
-        turns = zip(*(part[key] for key in ("success", "low", "high")), strict=True)
-        cells = [Cell(number(value), span(ends, 0)) for value, *ends in turns]
+        cells = [Cell(number(value), span(ends, 0)) for value, *ends in zip(*part.values(), strict=True)]
         rows.append(row(name, [*cells, *[Cell(NOTHING)] * (longest - len(cells))]))
     note = (
         "Per cent of the episodes whose answer would have succeeded, had it been given at this turn; after a "
@@ -374,17 +295,11 @@ def views_table(summary: Summary) -> Table:
     """How many views it took, and whether those that were sure were right."""
     rows = []
     for name, part in summary["answers"].items():
-        if "views" not in part:
-            continue
-        sure, error = part.get("sure", {}), part.get("calibration_error")
-        cells = [
-            cell(part["views"], digits=2),
-            cell(part["views_to_success"], digits=2),
-            Cell(str(sure.get("episodes", NOTHING))),
-            cell(sure.get("success"), sure.get("interval")),
-            cell(None if error is None else 100 * error),
-        ]
-        rows.append(row(name, cells))
+        if "views" in part:
+            sure, error = part.get("sure", {}), part.get("calibration_error")
+            cells = [cell(part[key], digits=2) for key in ("views", "views_to_success")]
+            cells += [Cell(str(sure.get("episodes", NOTHING))), cell(sure.get("success"), sure.get("interval"))]
+            rows.append(row(name, [*cells, cell(None if error is None else 100 * error)]))
     heads = (
         "agent", "views ↓", "views of successes ↓", "submitted because sure", "of those right ↑, %",
         "calibration error ↓, %",
@@ -393,50 +308,55 @@ def views_table(summary: Summary) -> Table:
     return Table("Views, and stopping", heads, tuple(rows), (note,))
 
 
-def tag_table(task: Task, part: Mapping[str, Any]) -> Table:
-    """The first layer of the failures: what was known before the run."""
-    published = PUBLISHED_TAGS.get(task.name, {})
-    rows = []
+def failure_tables(task: Task, part: Mapping[str, Any]) -> list[Table]:
+    """What was known of the failures before the run, and why cases failed, crossed with that; those that have rows."""
+    published, kinds, whys = PUBLISHED_TAGS.get(task.name, {}), [], []
     for tag, found in part["tags"].items():
         cells = Cell(str(found["episodes"])), cell(found["share"]), cell(found["success"], found["interval"])
-        rows.append(Row(tag, cells))
+        kinds.append(Row(tag, cells))
         if tag in published:
-            rows.append(Row("published", (Cell(NOTHING), *(Cell(f"{value:g}") for value in published[tag])), "paper"))
+            cells = (Cell(NOTHING), *(Cell(f"{value:g}") for value in published[tag]))
+            kinds.append(Row("published", cells, "paper"))
+    causes, count = part["causes"], sum(part["causes"].values())
+    for cause, n in causes.items():
+        crossed = [Cell(str(tag["causes"].get(cause, 0))) for tag in part["tags"].values()]
+        whys.append(Row(cause.replace("_", " "), (Cell(str(n)), cell(100 * n / count), *crossed)))
     note = (
         "The kind of a case was known before it was played. Small print: 95 % of whole clusters. Published: the "
         "paper's, of its own agent and model."
     )
-    return Table("What was asked", ("kind", "cases", "of all, %", "success ↑, %"), tuple(rows), (note,))
-
-
-def cause_table(task: Task, part: Mapping[str, Any]) -> Table:
-    """The second layer: why cases failed, crossed with the first."""
-    causes, tags = part["causes"], part["tags"]
-    meanings, count = getattr(task, "causes", {}), sum(part["causes"].values())
-    rows = []
-    for cause, n in causes.items():
-        crossed = [Cell(str(tag["causes"].get(cause, 0))) for tag in tags.values()]
-        rows.append(Row(cause.replace("_", " "), (Cell(str(n)), cell(100 * n / count), *crossed)))
+    meanings = getattr(task, "causes", {})
     notes = tuple(f"{cause.replace('_', ' ')}: {meanings[cause]}." for cause in causes if cause in meanings)
-    return Table("Why cases failed", ("cause", "cases", "of failures, %", *tags), tuple(rows), notes)
+    tables = [
+        Table("What was asked", ("kind", "cases", "of all, %", "success ↑, %"), tuple(kinds), (note,)),
+        Table("Why cases failed", ("cause", "cases", "of failures, %", *part["tags"]), tuple(whys), notes),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def figures_of(record: Mapping[str, Any], task: Task, method: str = OURS) -> str:
+    """The figures of a method in an episode, in words."""
+    values = [(metric, metric.of(record["methods"][method])) for metric in task.metrics]
+    figures = ", ".join(f"{m.title} {shown(value, m)}{m.unit}" for m, value in values if value is not None)
+    return f"{method}: {figures}."
+
+
+def failures(run: Run) -> list[tuple[Mapping[str, Any], str]]:
+    """The records that failed and why, worst first: by their score, then by how far off they are."""
+    those = [(record, cause) for record in finished(run.records) if (cause := run.task.failure(record))]
+    return sorted(those, key=lambda item: (item[0].get("score", 0), -(item[0].get("error") or 0)))
 
 
 def failed_lines(run: Run) -> list[str]:
-    """One line for each failure, worst first: by its score, then by how far off it is."""
+    """One line for each failure, worst first."""
     lines = []
     for record, cause in failures(run):
         question, answer = record.get("words") or record.get("question") or "", record.get("answer")
         given = ", ".join(f"{k} {v}" for k, v in answer.items()) if isinstance(answer, Mapping) else str(answer or "")
-        tags = ", ".join(record.get("tags", ()))
         off = f", {record['error']:.0f}° off" if record.get("error") is not None else ""
+        tags = ", ".join(record.get("tags", ()))
         lines.append(f"{record['case']}  {cause}  [{tags}]  {question!r}: {given or 'no answer'}{off}")
     return lines
-
-
-def failures(run: Run) -> list[tuple[Mapping[str, Any], str]]:
-    """The records that failed and why, worst first."""
-    those = [(record, cause) for record in finished(run.records) if (cause := run.task.failure(record))]
-    return sorted(those, key=lambda item: (item[0].get("score", 0), -(item[0].get("error") or 0)))
 
 
 # --- a comparison, for a terminal -------------------------------------------------------------------------------------
@@ -457,13 +377,15 @@ def comparison_in_words(found: Mapping[str, Any], run: Run) -> list[str]:
     for metric in run.task.metrics:
         if (figure := found["figures"].get(metric.key)) is None:
             continue
-        ends = (figure["low"], figure["high"]) if "low" in figure else None
         line = [f"{column_header(metric)} ({figure['n']})", shown(figure["a"], metric), shown(figure["b"], metric)]
-        line += [shown(figure["difference"], metric, True), span(ends, metric.digits, True) or "-"]
-        line.append(f"{figure['p']:.2g}" if ends else "-")
+        line.append(shown(figure["difference"], metric, True))
+        if "p" in figure:
+            line += [span((figure["low"], figure["high"]), metric.digits, True), f"{figure['p']:.2g}"]
+        else:
+            line += "--"
         if outcomes:
             test = figure.get("mcnemar")
-            line += [str(test["only_a"]), str(test["only_b"]), f"{test['p']:.2g}"] if test else ["-"] * 3
+            line += [str(test["only_a"]), str(test["only_b"]), f"{test['p']:.2g}"] if test else "---"
         rows.append(line)
     lines += in_columns(rows)
     note = f"; McNemar takes {case}s as independent" if outcomes else ""

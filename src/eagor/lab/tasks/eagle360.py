@@ -20,13 +20,22 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from eagor._checks import shown
-from eagor.errors import EagorError, FormatError
+from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
-from eagor.lab.agents.models import is_privileged, recalibrator, shared, shared_chat
-from eagor.lab.tasks.hstar.data import head_of, phrase_of, thing_of
-from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, first_known, score_metric
-from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
+from eagor.lab.agents.models import is_privileged
+from eagor.lab.tasks.published import (
+    TALKING,
+    PublishedConfig,
+    PublishedTask,
+    Recalibrate,
+    first_known,
+    level_metrics,
+    queries_of,
+    read_json,
+    score_metric,
+    words_of,
+)
+from eagor.lab.tasks.task import Metric, Payload, Record, Sample
 from eagor.media.panorama import read_panorama, resized, view
 from eagor.perception.partial import look_at_view
 from eagor.perception.vlm import IMAGE, Message
@@ -135,13 +144,7 @@ class Item(msgspec.Struct, omit_defaults=True):
 
 def read_samples(data: str) -> list[Sample]:
     """The questions in ``test.json`` below `data`; pictures are there or in ``images``. Raises `FormatError`."""
-    path = Path(data) / "test.json"
-    try:
-        items = msgspec.json.decode(path.read_bytes(), type=list[Item])
-    except OSError as error:
-        raise FormatError(f"{data} has no readable test.json ({error.strerror}); wanted EAGLE-360's files") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise FormatError(f"{path}: {error}; wanted EAGLE-360's list of questions") from None
+    items = read_json(Path(data) / "test.json", list[Item], "is not EAGLE-360's list of questions")
     found = []
     for number, item in enumerate(items):
         parts = item.panoramic_image.strip("/").split("/")  # absolute ones are of another machine
@@ -169,12 +172,11 @@ def grid_of(azimuth: float, elevation: float, fov: float) -> PerspectiveGrid:
     return PerspectiveGrid(PIXELS, PIXELS, math.radians(min(max(fov, 1.0), 170.0)), turn)
 
 
-def explore(perception: Any, image: np.ndarray, question: str, looks: int, read: Callable) -> Iterator[Step]:
+def explore(perception: Any, image: np.ndarray, question: str, looks: int, read: Recalibrate) -> Iterator[Step]:
     """Global first, then local: at the belief's best place that was not looked at so closely yet."""
     tracker, views = DirectionTracker(), list[tuple[np.ndarray, float]]()
     words = re.sub(r"\b(in|within|from) (this|the) (panorama|panoramic|image|picture|scene)\b.*", "", question)
-    queries = thing_of(words), phrase_of(words), head_of(words)
-    query, evidence = first_known(queries, lambda query: perception(image, query, stamp=0.0))
+    query, evidence = first_known(queries_of(words), lambda query: perception(image, query, stamp=0.0))
     for number in range(looks + 1):
         stamp = 1e-3 * number  # the camera stands still
         tracker.add_pose(stamp, np.eye(3))
@@ -256,15 +258,12 @@ class Eagle360(PublishedTask):
     truth = ""
     metrics = (
         score_metric("overall", "bFOV", "answers within half of the box's diagonal", lambda record: record["score"]),
-        *(
-            score_metric(face, face.capitalize(), f"the same of things {face}", lambda r, face=face: _on(r, face))
-            for face in FACES
-        ),
+        *level_metrics(FACES, "the same of things"),
         score_metric("within_50", "Within 50°", "answers within 50 degrees", lambda r: float(r["error"] < 50)),
         score_metric("answered", "Answered", "with an answer", lambda r: float(r["answer"] is not None)),
         Metric("distance", "Distance", "from the truth; none counts as 180", lambda r: r["error"], "°", "low", 1.0),
         Metric("views", "Looks", "closer looks", lambda r: r["views"], "", "low", 1.0, 2),
-    )  # fmt: skip
+    )
 
     def info(self, data: Path) -> dict[str, Any]:
         payloads = [sample.payload for sample in read_samples(str(data))]
@@ -276,42 +275,32 @@ class Eagle360(PublishedTask):
     def samples(self, config: Config) -> list[Sample]:
         return read_samples(config.data)
 
-    def check(self, config: Config) -> None:
-        if config.perception and is_privileged(shared(config.perception)):
+    def open_perception(self, config: Config) -> Any:
+        made = super().open_perception(config)
+        if is_privileged(made):
             raise EagorError(f"{config.perception} reads what a simulator knows; {self.name} has photographs only")
+        return made
 
-    def runner(self, config: Config) -> Callable[[Payload], Record]:
-        perception = shared(config.perception) if config.perception else None
-        chat, read = shared_chat(config.model) if config.model else None, recalibrator(settings_of(config))
-
-        def run(payload: Payload) -> Record:
+    def player(self, config: Config, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
+        def play(payload: Payload) -> Record:
             true, question = payload["metadata"], payload["question"]
             if config.agent == "oracle":
-                steps = [Step((true["azimuth_degrees"], true["elevation_degrees"]))]
-            elif config.agent == "constant":
-                steps = [Step((0.0, 0.0))]
-            else:
-                image = read_panorama(payload["picture"])
-                looks = config.projections if config.agent != "global" else 0
-                if chat is not None:
-                    steps = list(converse(chat, image, question, looks))
-                else:
-                    steps = list(explore(perception, image, question, looks, read))
-            return record_of(payload, steps)
+                return record_of(payload, [Step((true["azimuth_degrees"], true["elevation_degrees"]))])
+            if config.agent == "constant":
+                return record_of(payload, [Step((0.0, 0.0))])
+            image, looks = read_panorama(payload["picture"]), config.projections if config.agent != "global" else 0
+            if chat is not None:
+                return record_of(payload, list(converse(chat, image, question, looks)))
+            return record_of(payload, list(explore(perception, image, question, looks, read)))
 
-        return run
+        return play
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: Config) -> Record:
-        text = prediction.get("text")
         if {"azimuth", "elevation"} <= prediction.keys():
             text = "<answer>azimuth {azimuth} elevation {elevation}</answer>".format(**prediction)
-        if not isinstance(text, str):
-            raise FormatError(f"a prediction has {shown([*prediction], 200)}; wanted azimuth and elevation, or text")
+        else:
+            text = words_of(prediction, ("text",), "azimuth and elevation, or text")
         return record_of(sample.payload, [Step(parse_answer(text, strict=True), text=text)])
-
-
-def _on(record: Record, face: str) -> float | None:
-    return record["score"] if record["level"] == face else None
 
 
 def record_of(payload: Payload, steps: Sequence[Step]) -> dict[str, Any]:

@@ -1,28 +1,31 @@
-"""What tasks with published data share: a config with a folder and an agent, the record of one answer, seeds.
+"""What tasks with published data share: settings, the record of one answer, the reading of files, the words of tasks.
 
 One agent plays such a run. Predictions that were made elsewhere are scored by the same rules (`PublishedTask.score`).
 """
 
 from __future__ import annotations
 
-import warnings
+import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 import msgspec
 from msgspec import Meta
 
+from eagor._checks import parsed, shown
 from eagor._version import __version__
-from eagor.errors import EagorError, QueryError
+from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import Evidence
-from eagor.lab.tasks.task import Metric, Record, Sample
+from eagor.lab.tasks.task import Metric, Payload, Record, Sample
+from eagor.queries import singular
 
 TALKING = "vlm"  # the agent that asks a model, in every task
 
 Share = Annotated[float, Meta(ge=0, le=1)]
-Count = Annotated[int, Meta(ge=0)]
+Recalibrate = Callable[[Evidence], Evidence]  # what the calibration of a run makes of a look
+Kind = TypeVar("Kind")
 
 
 class PublishedConfig(msgspec.Struct, kw_only=True):
@@ -56,9 +59,8 @@ class AnswerStep(msgspec.Struct):
 class PublishedRecord(msgspec.Struct, kw_only=True):
     """What reports read in a record; anything else may be there, too.
 
-    `score`: 1 is success. `level`: the stratum's title; `tags`: known before the run; `cause`: why it failed;
-    `by_turn`: 1 if an answer at that turn would have succeeded; `views`: number of looks; `stated`: probability of
-    success, stated with the answer; `sure`: whether it stopped because it was sure.
+    `score`: 1 is success. `level`: the stratum's title; `tags`: known before the run; `by_turn`: 1 if an answer at that
+    turn would have succeeded; `views`: number of looks; `stated`: probability of success; `sure`: why it stopped.
     """
 
     case: str
@@ -68,7 +70,7 @@ class PublishedRecord(msgspec.Struct, kw_only=True):
     tags: list[str] = []
     cause: str | None = None
     by_turn: list[bool | Share] = []
-    views: Count = 0
+    views: Annotated[int, Meta(ge=0)] = 0
     stated: Share | None = None
     sure: bool | float | None = None
     scoring: str = ""
@@ -81,7 +83,7 @@ class PublishedRecord(msgspec.Struct, kw_only=True):
 class PublishedTask:
     """The parts of an `eagor.lab.tasks.task.Task` that do not depend on its data.
 
-    A task adds `name`, `title`, `what`, `metrics`, `samples`, `runner`, `info` and `score`, and says
+    A task adds `name`, `title`, `what`, `metrics`, `samples`, `player` (or `runner`), `info` and `score`, and says
 
     - `agents`: {name: what it does}, the default first; `looking`: those that need a perception;
     - `truth`: what the perception truth is in this task, in words; "" if there is none.
@@ -98,8 +100,22 @@ class PublishedTask:
     Config: ClassVar[type[PublishedConfig]] = PublishedConfig
     Record: ClassVar[type[msgspec.Struct]] = PublishedRecord
 
-    def check(self, config: Any) -> None:
-        """Raise `EagorError` for a config that this task cannot run with; makes the perception, if any."""
+    def open_perception(self, config: Any) -> Any:
+        """The perception that the config names, made once per process. Raises `EagorError` if it cannot be."""
+        from eagor.lab.agents.models import shared  # imports perceptions: not for those who only list tasks
+
+        return shared(config.perception)
+
+    def player(self, config: Any, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
+        """What plays a sample with the perception and the model of the config, None where it names none."""
+        raise NotImplementedError
+
+    def runner(self, config: Any) -> Callable[[Payload], Record]:
+        from eagor.lab.agents.models import recalibrator, shared_chat
+
+        perception = self.open_perception(config) if config.perception else None
+        chat = shared_chat(config.model) if config.model else None
+        return self.player(config, perception, chat, recalibrator(config.calibrated))
 
     def resolve(self, config: Any) -> Any:
         """The config with its agent, what that agent needs, and no more. Raises `EagorError`."""
@@ -126,9 +142,10 @@ class PublishedTask:
             calibrated=config.calibrated if looks else None,
             versions={"eagor": __version__},
         )
-        self.check(found)
+        if found.perception:
+            self.open_perception(found)
         if found.model:
-            from eagor.lab.agents.models import shared_chat  # imports perceptions: not for those who only list tasks
+            from eagor.lab.agents.models import shared_chat
 
             shared_chat(found.model)
         return found
@@ -143,10 +160,7 @@ class PublishedTask:
         raise NotImplementedError
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: Any) -> Record:
-        """The record of a prediction made elsewhere: {"text": the model's words} or the task's own keys.
-
-        Raises `FormatError` for a prediction without any of the keys.
-        """
+        """The record of a prediction made elsewhere: "text", or own keys. Raises `FormatError` without any of them."""
         raise NotImplementedError
 
 
@@ -155,6 +169,70 @@ def score_metric(
 ) -> Metric:
     """A metric in per cent of what `read` finds in a record."""
     return Metric(key, title, what, read, digits=2, share=True, over=over)
+
+
+def level_metrics(levels: Sequence[str], what: str) -> list[Metric]:
+    """For each of the levels the score of the records of that level; `what` they are, before the level's name."""
+
+    def read(level: str) -> Callable[[Record], float | None]:
+        return lambda record: record["score"] if record.get("level") == level else None
+
+    return [score_metric(level, level.capitalize(), f"{what} {level}", read(level)) for level in levels]
+
+
+def words_of(prediction: Mapping[str, Any], keys: Sequence[str], wanted: str) -> str:
+    """The text in a prediction: of the first of the `keys` that it has. Raises `FormatError`: it `wanted` that."""
+    text = next((prediction[key] for key in keys if key in prediction), None)
+    if not isinstance(text, str):
+        raise FormatError(f"a prediction has {shown(', '.join(prediction), 200)}; wanted {wanted}")
+    return text
+
+
+def case_seed(seed: int, case: str) -> list[int]:
+    """The seed of one case; independent of all other cases."""
+    return [seed, zlib.crc32(case.encode())]
+
+
+def read_json(path: Path, kind: type[Kind], fault: str) -> Kind:
+    """The content of a file. Raises `FormatError`, which says its `fault`, if it cannot be read as this kind."""
+    try:
+        return msgspec.convert(parsed(path.read_bytes().decode("utf-8-sig"), strict=True), kind)
+    except (OSError, ValueError, msgspec.ValidationError) as error:
+        raise FormatError(f"{path} {fault} ({error})") from None
+
+
+# --- the words of a task ----------------------------------------------------------------------------------------------
+
+_VERBS = r"^(?:please\s+)?(?:find|locate|look for|search for|go to|navigate to|get to|move to|reach|walk to|show me)\s+"
+_ARTICLES = r"^(?:the|a|an|some|any|your|my|one of the|way to the|path to the|way to|path to)\s+"
+_BREAKS = (
+    r"\s+(?:of|on|in|at|by|with|near|next|under|above|behind|below|beside|between|from|that|which|whose|to|for|along|"
+    r"inside|outside|against|across|around|where|labell?ed|named|called|saying|showing|reading)\s+|[,;(]"
+)
+
+
+def thing_of(task: str) -> str:
+    """The target of a task such as "Find the red chair by the door.": "red chair by the door"."""
+    text = " ".join(task.split()).rstrip(".!? ")
+    for part in (_VERBS, _ARTICLES):
+        text = re.sub(part, "", text, flags=re.IGNORECASE)
+    return text or task
+
+
+def phrase_of(task: str) -> str:
+    """The target without its surroundings: "red chair"."""
+    return re.split(_BREAKS, thing_of(task), maxsplit=1)[0].strip() or thing_of(task)
+
+
+def head_of(task: str) -> str:
+    """The noun of the target, singular and lower case: "chair"."""
+    words = re.findall(r"[a-z][a-z-]*", phrase_of(task).lower())
+    return singular(words[-1]) if words else thing_of(task).lower()
+
+
+def queries_of(task: str) -> list[str]:
+    """What a perception is asked for: the task's words; shorter ones for a perception that knows only single nouns."""
+    return [thing_of(task), phrase_of(task), head_of(task)]
 
 
 def first_known(queries: Sequence[str], look: Callable[[str], Evidence]) -> tuple[str, Evidence]:
@@ -166,25 +244,3 @@ def first_known(queries: Sequence[str], look: Callable[[str], Evidence]) -> tupl
         except QueryError:
             continue
     return last, look(last)
-
-
-def case_seed(seed: int, case: str) -> list[int]:
-    """The seed of one case; independent of all other cases."""
-    return [seed, zlib.crc32(case.encode())]
-
-
-def picture_size(file: Path, upright: bool = False) -> tuple[int, int] | None:
-    """Width and height of a picture, None if it cannot be read; `upright`: after its orientation tag was followed."""
-    from PIL import Image
-
-    from eagor.media.panorama import FORMATS, ORIENTATION
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            with Image.open(file, formats=FORMATS) as picture:
-                turned = upright and picture.getexif().get(ORIENTATION, 1) >= 5  # by a quarter
-                width, height = picture.size
-                return (height, width) if turned else (width, height)
-        except Exception:  # decoders may raise anything for damaged files
-            return None

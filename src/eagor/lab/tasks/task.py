@@ -1,11 +1,9 @@
 """One protocol for everything that can be run, scored and reported: simulated tasks and tasks with published data.
 
 A task names its samples, makes a runner that turns a sample into a record, and says how to read figures from records.
-Running and resuming, statistics, reports, comparisons and predictions are the same for all tasks (`eagor.lab.eval`).
-Packages add theirs under the entry-point group ``eagor.tasks``: a `Task`, or a function that makes one without
-arguments. `check_task` tests it.
-
-`eagor.lab.tasks.sim.task` has what simulated tasks share, `eagor.lab.tasks.published` what tasks with data share.
+`eagor.lab.eval` does the rest for all tasks. Packages add theirs under the entry-point group ``eagor.tasks``: a `Task`,
+or a function that makes one without arguments. `check_task` tests it. `eagor.lab.tasks.sim.task` has what simulated
+tasks share, `eagor.lab.tasks.published` what tasks with data share.
 """
 
 from __future__ import annotations
@@ -46,9 +44,8 @@ Payload = Any
 class Sample:
     """One unit of work: an episode, a question.
 
-    `id` depends on the world or the data alone, never on order, limit or shard. Samples of one `group` (an apartment,
-    a picture) share their luck: one worker plays them, and intervals resample them together. A record may name a finer
-    "cluster". `payload`: JSON for the runner.
+    `id` depends on the world or the data alone, never on order, limit or shard. Samples of one `group` (an apartment, a
+    picture) share their luck: one worker plays them, and intervals resample them together. `payload`: JSON.
     """
 
     id: str
@@ -159,6 +156,9 @@ def work(settings: Mapping[str, Any]) -> Callable[[Payload], Record]:
     return task.runner(config_of(task, settings))
 
 
+# --- the config of a run ----------------------------------------------------------------------------------------------
+
+
 def configure(task: Task, values: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> Any:
     """The config of a run, completed and checked; arguments and errors as of `read_config`."""
     config = read_config(task, values, changes)
@@ -166,28 +166,23 @@ def configure(task: Task, values: Mapping[str, Any], changes: Mapping[str, str] 
 
 
 def read_config(task: Task, values: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> Any:
-    """The config of a run, as it was given.
+    """The config as it was given: `values` by field, None for the default; `changes`: text by the name of a field.
 
-    `values`: by field, None for the default. `changes`: text by the name of a field, or of one within a field
-    (``max_steps`` of the rules). Raises `EagorError` for unknown names and wrong values.
+    Or of one within a field (``max_steps`` of the rules). Raises `EagorError` for unknown names and wrong values.
     """
     values = task.defaults(values) if hasattr(task, "defaults") else values  # type: ignore[attr-defined]
     found = {"task": task.name, **{key: value for key, value in values.items() if value is not None}}
     kinds = _fields(task.Config)
     if unknown := [key for key in found if key not in kinds]:
         raise EagorError(f"{task.name} has no {', '.join(unknown)}; it has {', '.join(kinds)}")
-    inner = {name: _fields(kind) for name, kind in kinds.items() if _fields(kind)}
-    for name in inner:  # msgspec does not complete a dataclass
-        found[name] = {**settings_of(kinds[name]()), **settings_of(found.get(name, {}))}
+    home = {key: name for name, kind in kinds.items() for key in _fields(kind)}
     for key, value in (changes or {}).items():
-        home = next((name for name, names in inner.items() if key in names), None)
-        if home is not None:
-            found[home][key] = value
+        if key in home:
+            found[home[key]] = settings_of(found.get(home[key], {})) | {key: value}
         elif key in kinds:
             found[key] = value
         else:
-            can = [name for name, kind in kinds.items() if description_of(kind)]
-            can += sorted(each for names in inner.values() for each in names)
+            can = [name for name, kind in kinds.items() if description_of(kind)] + sorted(home)
             raise EagorError(f"{task.name} has no {key!r} to set; it has {', '.join(can)}")
     return config_of(task, found)
 
@@ -221,13 +216,13 @@ def _in_words(task: Task, values: Mapping[str, Any], error: str) -> str:
     why, at, path = error.partition(" - at `$.")
     if not at:
         return f"{task.name}: {why}"
-    kind, value = task.Config, values
-    for name in re.split(r"[.\[]", path.rstrip("`")):
+    path, kind, value = path.rstrip("`"), task.Config, values
+    for name in re.split(r"[.\[]", path):
         kind = _fields(kind).get(name, kind)
         value = value.get(name, value) if isinstance(value, Mapping) else value
     choices, what = choices_of(kind), description_of(kind)
     wanted = f"; wanted {', '.join(map(str, choices))}" if choices else ""
-    return f"{path.rstrip('`')} = {shown(value)}: {why}{wanted}{f' ({what})' if what else ''}"
+    return f"{path} = {shown(value)}: {why}{wanted}{f' ({what})' if what else ''}"
 
 
 def choices_of(kind: Any) -> tuple[Any, ...]:
@@ -238,10 +233,8 @@ def choices_of(kind: Any) -> tuple[Any, ...]:
 
 def description_of(kind: Any) -> str:
     """What a field of this type is, in words."""
-    for meta in getattr(kind, "__metadata__", ()):
-        if isinstance(meta, msgspec.Meta) and meta.description:
-            return meta.description
-    return ""
+    said = (meta.description for meta in getattr(kind, "__metadata__", ()) if isinstance(meta, msgspec.Meta))
+    return next(filter(None, said), "")
 
 
 # --- reading records --------------------------------------------------------------------------------------------------
@@ -269,10 +262,9 @@ def group_of(record: Record) -> Any:
 def check_records(task: Task, records: Sequence[Record]) -> None:
     """Raise `FormatError`, which names the record and the place, for one that does not fit the task's ``Record``."""
     shape = getattr(task, "Record", None)
-    for record in records if shape is not None else ():
+    for record in finished(records) if shape is not None else ():
         try:
-            if record["status"] == "ok":
-                msgspec.convert(record, shape)
+            msgspec.convert(record, shape)
         except msgspec.ValidationError as error:
             raise FormatError(
                 f"the record {shown(record['key'], 200)} (attempt {record['attempt']}): {error}. Restore its line, or "
@@ -291,9 +283,8 @@ def check_task(task: Task, **values: Any) -> list[Record]:
     require(_is_json(plain), f"has the config {plain}, which JSON cannot hold")
     require(configure(task, plain) == config, f"resolves {plain} to another config the second time")
     samples = task.samples(config)
-    counts = Counter(sample.id for sample in samples)
     require(samples, "has no samples; wanted at least one. Is that its data?")
-    twice = sorted(name for name, count in counts.items() if count > 1)
+    twice = sorted(name for name, count in Counter(sample.id for sample in samples).items() if count > 1)
     require(not twice, f"gives several samples the id {', '.join(twice)}; wanted a unique id for each")
     require(
         samples == task.samples(config),
@@ -307,7 +298,7 @@ def check_task(task: Task, **values: Any) -> list[Record]:
 
 def _checked_record(task: Task, sample: Sample, run: Callable[[Payload], Record]) -> Record:
     require(_is_json(sample.payload), f"gives {sample.id} a payload that JSON cannot hold")
-    record = dict(run(sample.payload))
+    record = run(sample.payload)
     require(_is_json(record), f"records {shown(record, 200)} of {sample.id}, which JSON cannot hold")
     record = json.loads(json.dumps(record))
     case = sample_of(record)

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -42,8 +41,7 @@ from eagor.queries import COLOURS, SYNONYMS, singular
 
 __all__ = ["export_glb", "import_glb"]
 
-FORMAT = "eagor semantic 1"
-STRENGTH = "KHR_materials_emissive_strength"
+FORMAT: Literal["eagor semantic 1"] = "eagor semantic 1"
 LAB_VOXEL = 0.2  # metres: the height of habitat-lab's voxels
 ON_MESH = 0.01  # metres of habitat-lab's mesh above the floor of an exported scene: rugs are in the same voxel
 FOOTING = LAB_VOXEL - ON_MESH  # metres below the floor at which an exported scene begins ...
@@ -115,43 +113,33 @@ def footing_of(corners: np.ndarray, floor: float) -> np.ndarray:
 def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18) -> Path:
     """Write a scene to the file `target` (.glb), and its companions beside it; returns the path of the GLB.
 
-    Each material of each instance is a node, `<category>_<id>`, or `<category>_<id>_m<material>` if the instance has
-    several. `<name>.navmesh.json` is for a body of this `radius` (metres) that is as high and climbs as
-    `Ground.from_scene` takes it for; its voxels are of about the size of a cell there and fit the radius. Existing
-    files are overwritten. Raises `StorageError` if a file cannot be written.
+    Each material of each instance is a node, `<category>_<id>_m<material>`; lights are in the JSON alone.
+    `<name>.navmesh.json` is for a body of this `radius` (metres) that is as high and climbs as `Ground.from_scene`
+    takes it for; its voxels are of about the size of a cell there and fit the radius. Existing files are overwritten.
+    Raises `StorageError` if a file cannot be written.
     """
     target = Path(target)
-    blob, nodes = _blob(scene)
+    blob = _blob(scene)
     written(target, blob)
     navmesh = {
         "cell_size": voxel_for(radius, 0.05), "cell_height": 0.05, "agent_height": 1.5, "agent_radius": radius,
         "agent_max_climb": 0.12, "agent_max_slope": 45.0,
     }  # fmt: skip
-    semantic = {
-        "format": FORMAT, "glb_sha256": hashlib.sha256(blob).hexdigest(), "scene_hash": scene.hash,
-        "source": scene.source,
-        "instances": [vars(thing) | {"nodes": names} for thing, names in zip(scene.instances, nodes, strict=True)],
-        "materials": [
-            {"gltf": name, "name": material.name, "colour": material.colour, "emission": float(material.emission)}
-            for name, material in zip(_names(scene.materials), scene.materials, strict=True)
-        ],
-        "rooms": [vars(room) for room in scene.rooms], "lamps": [vars(lamp) for lamp in scene.lamps],
-        "daylight": scene.daylight, "facts": scene.facts,
-    }  # fmt: skip
+    semantic = Semantics(
+        FORMAT, hashlib.sha256(blob).hexdigest(), scene.hash, scene.source, [*scene.instances], [*scene.rooms],
+        [*scene.lamps], [replace(each, texture=None) for each in scene.materials], scene.daylight, scene.facts,
+    )  # fmt: skip
     stage = {"render_asset": target.name, "collision_asset": target.name, **STAGE}
     for kind, content in (("semantic", semantic), ("stage_config", stage), ("navmesh", navmesh)):
-        text = json.dumps(content, indent=1, default=lambda array: array.tolist())
+        text = msgspec.json.format(
+            msgspec.json.encode(content, enc_hook=lambda value: value.tolist()), indent=1
+        ).decode()
         written(target.with_suffix(f".{kind}.json"), text + "\n")
     return target
 
 
-def _names(materials: Sequence[Material]) -> list[str]:
-    """The names of the materials in a file: they are all different."""
-    return [f"{index} {material.name}" for index, material in enumerate(materials)]
-
-
-def _blob(scene: Scene) -> tuple[bytes, list[list[str]]]:
-    """A scene as the content of a GLB, and the names of the nodes of each instance."""
+def _blob(scene: Scene) -> bytes:
+    """A scene as the content of a GLB."""
     need("a GLB file", "sim", "trimesh")
     import trimesh
     from PIL import Image
@@ -159,48 +147,33 @@ def _blob(scene: Scene) -> tuple[bytes, list[list[str]]]:
     from trimesh.visual.material import PBRMaterial
     from trimesh.visual.texture import TextureVisuals
 
-    ours = dict(zip(_names(scene.materials), scene.materials, strict=True))
     looks = []
-    for name, look in ours.items():
+    for index, look in enumerate(scene.materials):
         image = None if look.texture is None else Image.fromarray(np.ascontiguousarray(look.texture[..., :3]))
-        pbr = PBRMaterial(name=name, baseColorTexture=image, metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True)
-        pbr.emissiveTexture = image if look.emission > 0 else None
-        looks.append(pbr)
-    parts = np.unique(np.stack([scene.instance, scene.material], axis=1), axis=0)
-    several = np.bincount(parts[:, 0], minlength=len(scene.instances)) > 1
+        linear = to_linear(np.asarray(look.colour, dtype=np.float64))
+        light = np.minimum(linear * look.emission, 1.0) if look.emission > 0 else None
+        looks.append(
+            PBRMaterial(
+                name=f"{index} {look.name}", baseColorFactor=[*linear, 1.0], baseColorTexture=image, metallicFactor=0.0,
+                roughnessFactor=1.0, doubleSided=True, emissiveFactor=light,
+            )
+        )  # fmt: skip
     model = trimesh.Scene()
-    nodes: list[list[str]] = [[] for _ in scene.instances]
-    for owner, look in parts.tolist():
+    for owner, look in np.unique(np.stack([scene.instance, scene.material], axis=1), axis=0).tolist():
         chosen = (scene.instance == owner) & (scene.material == look)
         corners = [scene.vertices[scene.triangles[chosen]].reshape(-1, 3), scene.uv[chosen].reshape(-1, 2)]
         # One vertex for each pair of position and texture coordinates.
         distinct, index = np.unique(np.column_stack(corners).astype(np.float32), axis=0, return_inverse=True)
         visual = TextureVisuals(uv=distinct[:, 3:], material=looks[look])
         mesh = trimesh.Trimesh(to_gltf(distinct[:, :3]), index.reshape(-1, 3), visual=visual, process=False)
-        name = re.sub(r"\W+", "_", scene.instances[owner].category) + f"_{owner}" + f"_m{look}" * bool(several[owner])
-        nodes[owner].append(name)
+        name = re.sub(r"\W+", "_", scene.instances[owner].category) + f"_{owner}_m{look}"
         model.add_geometry(mesh, node_name=name, geom_name=name)
     corners = scene.vertices[scene.triangles].astype(np.float64)
     level = level_triangles(corners)
     if level[0].any():
         mesh = trimesh.Trimesh(to_gltf(footing_of(corners, floor_height(corners, *level))), [[0, 1, 2]], process=False)
         model.add_geometry(mesh, node_name=FOOTING_NODE, geom_name=FOOTING_NODE)
-
-    def exact(tree: dict[str, Any]) -> None:
-        """Write colours and emission as linear numbers, which trimesh rounds to 8 bits."""
-        for entry in tree.get("materials", []):
-            material = ours[entry["name"]]
-            linear = to_linear(np.asarray(material.colour, dtype=np.float64))
-            entry["pbrMetallicRoughness"]["baseColorFactor"] = [*linear.tolist(), 1.0]
-            if material.emission > 0:
-                light = linear * material.emission
-                strength = max(1.0, float(light.max()))
-                entry["emissiveFactor"] = (light / strength).tolist()
-                if strength > 1:
-                    entry["extensions"] = {STRENGTH: {"emissiveStrength": strength}}
-                    tree["extensionsUsed"] = [STRENGTH]
-
-    return to_bytes(model, include_normals=False, tree_postprocessor=exact), nodes
+    return to_bytes(model, include_normals=False)
 
 
 # --- import -----------------------------------------------------------------------------------------------------------
@@ -221,12 +194,11 @@ def import_glb(path: Path | str) -> Scene:
     """The scene in a GLB (or .gltf) file, converted from Y up to z up; its position is kept.
 
     With the semantic JSON of `export_glb` beside it, instances, rooms, lamps and materials are restored exactly;
-    `facts["exported hash"]` is the hash of the exported scene, if the GLB was not changed since. Without it every node
-    with triangles is an instance; its category and colour (if any) come from the words of its name or of a parent's.
-    Normals, vertex colours and all textures except the base colour's are ignored. Missing texture coordinates become
-    (0, 0), missing materials white.
+    `facts["exported hash"]` is the hash of the exported scene. Without it every node with triangles is an instance; its
+    category and colour (if any) come from the words of its name or of a parent's. Normals, vertex colours and all
+    textures except the base colour's are ignored. Missing texture coordinates become (0, 0), missing materials white.
 
-    Raises `WorldError` if the file is missing, empty, corrupt or without triangles, or does not fit the JSON.
+    Raises `WorldError` if the file is missing, empty, corrupt or without triangles, or is not that of the JSON.
     """
     path = Path(path)
     blob = _read(path)
@@ -247,17 +219,18 @@ def import_glb(path: Path | str) -> Scene:
         return _joined(parts, range(len(parts)), instances=tuple(things), materials=tuple(materials), source=source)
     try:
         known = read_semantics(companion.read_bytes())
-        parts, owners = _matched(known, parts, materials)
-        textures = {material.name: material.texture for material in materials}
-        named = zip(known.materials, _names(known.materials), strict=True)
-        unchanged = known.glb_sha256 == hashlib.sha256(blob).hexdigest()
+        if known.glb_sha256 != hashlib.sha256(blob).hexdigest():
+            raise WorldError("the GLB is not the one that was exported with it")
+        owners = [int(re.findall(r"_(\d+)(?:_m\d+)?$", part.names[0])[0]) for part in parts]
+        places = [int(look.name.partition(" ")[0]) for look in materials]
+        textures = {place: look.texture for place, look in zip(places, materials, strict=True)}
         return _joined(
-            parts, owners, instances=tuple(known.instances), source=source,
-            materials=tuple(replace(material, texture=textures.get(name)) for material, name in named),
-            rooms=tuple(known.rooms), lamps=tuple(known.lamps), daylight=known.daylight,
-            facts=known.facts | ({"exported hash": known.scene_hash} if unchanged else {}),
+            [replace(part, material=places[part.material]) for part in parts], owners,
+            instances=tuple(known.instances), rooms=tuple(known.rooms), lamps=tuple(known.lamps),
+            materials=tuple(replace(each, texture=textures.get(k)) for k, each in enumerate(known.materials)),
+            daylight=known.daylight, facts=known.facts | {"exported hash": known.scene_hash}, source=source,
         )  # fmt: skip
-    except (WorldError, ValueError) as error:
+    except (WorldError, ValueError, IndexError) as error:
         raise WorldError(
             f"{companion} cannot be used ({str(error)[:300]}); wanted what export_glb writes; export again, or "
             "remove it to import the GLB by itself"
@@ -304,8 +277,7 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
     model = trimesh.load_scene(path) if text else trimesh.load_scene(io.BytesIO(blob), file_type="glb")
     looks = [getattr(getattr(mesh, "visual", None), "material", None) for mesh in model.geometry.values()]
     _check_pictures((getattr(look, "baseColorTexture", None) for look in looks), size)
-    entries, pixels = tree.get("materials", []), {}
-    parts, materials, known = [], [], {}
+    parts, materials, known, pixels = [], [], {}, {}
     for mesh in model.dump():  # with the transforms of their nodes
         node, geometry = mesh.metadata["node"], mesh.metadata["name"]
         if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or node == FOOTING_NODE:
@@ -313,7 +285,7 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
         pbr = getattr(model.geometry[geometry].visual, "material", None)
         if id(pbr) not in known:
             known[id(pbr)] = len(materials)
-            materials.append(from_pbr(pbr, entries, pixels))
+            materials.append(from_pbr(pbr, pixels))
         names = (*model.graph.transforms.shortest_path(model.graph.base_frame, node)[:0:-1], str(geometry))
         vertices, triangles = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
         if triangles.min() < 0 or triangles.max() >= len(vertices):
@@ -327,28 +299,23 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
     return parts, materials
 
 
-def from_pbr(pbr: Any, entries: list[dict[str, Any]], pixels: dict[int, np.ndarray]) -> Material:
-    """trimesh's material (or None) as ours, with the JSON `entries`; `pixels` caches decoded pictures by identity."""
+def from_pbr(pbr: Any, pixels: dict[int, np.ndarray]) -> Material:
+    """trimesh's material (or None) as ours; `pixels` caches decoded pictures by identity."""
     if pbr is None:
         return Material("default")
-    name = str(getattr(pbr, "name", None) or "material")
-    same = [entry for entry in entries if entry.get("name") == name]
-    entry = same[0] if len(same) == 1 else {}
-    rounded = getattr(pbr, "baseColorFactor", None)
-    linear = np.ones(3) if rounded is None else np.asarray(rounded, dtype=np.float64)[:3] / 255
-    linear = np.asarray(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", linear), dtype=np.float64)[:3]
-    image = getattr(pbr, "baseColorTexture", None)
+    factor, image = getattr(pbr, "baseColorFactor", None), getattr(pbr, "baseColorTexture", None)
+    linear = np.ones(3) if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255
     if image is not None and id(image) not in pixels:
         pixels[id(image)] = np.asarray(image.convert("RGB"))
     light = getattr(pbr, "emissiveFactor", None)
     light = np.zeros(3) if light is None else np.asarray(light, dtype=np.float64)
-    brightest = float((light * entry.get("extensions", {}).get(STRENGTH, {}).get("emissiveStrength", 1.0)).max())
-    emission = 0.0
+    emission = brightest = float(light.max())
     if brightest > 0 and linear.max() < _DARK:  # a lamp of black material: its light is its colour
-        linear, emission = light / light.max(), brightest
+        linear = light / brightest
     elif brightest > 0:
         emission = brightest / float(linear.max())
     red, green, blue = to_coded(np.clip(linear, 0, 1)).tolist()
+    name = str(getattr(pbr, "name", None) or "material")
     return Material(name, (red, green, blue), None if image is None else pixels[id(image)], emission)
 
 
@@ -386,34 +353,37 @@ def _check_pictures(pictures: Iterable[Any], size: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Semantics:
-    """What a semantic JSON, or a file of boxes, says of a scene."""
+    """What a semantic JSON says of a scene; the first two and the instances' names and bounds suffice by hand."""
 
-    format: Literal["eagor semantic 1", "eagor boxes 1"]
+    format: Literal["eagor semantic 1"]
+    glb_sha256: str = ""
+    scene_hash: str = ""
+    source: str = ""
     instances: list[Instance] = field(default_factory=list)
-    boxes: list[Instance] = field(default_factory=list)
     rooms: list[Room] = field(default_factory=list)
     lamps: list[Lamp] = field(default_factory=list)
     materials: list[Material] = field(default_factory=list)
     daylight: tuple[float, float, float] = (1.0, 1.0, 1.0)
     facts: dict[str, Any] = field(default_factory=dict)
-    glb_sha256: str = ""
-    scene_hash: str = ""
-    nodes: list[list[str]] = field(default_factory=list)
 
 
 def read_semantics(text: bytes) -> Semantics:
-    """The content of a file; `nodes` are those of each instance. Raises `ValueError`, msgspec's errors among them."""
+    """The content of a semantic JSON. Raises `ValueError`, msgspec's errors among them."""
     tree = parsed(text)
-    for kind in ("instances", "boxes"):
-        if isinstance(tree, dict) and isinstance(tree.get(kind), list):
-            tree[kind] = [{"colour": None, "room": None} | e if isinstance(e, dict) else e for e in tree[kind]]
+    if isinstance(tree, dict) and isinstance(tree.get("instances"), list):
+        bare = {"colour": None, "room": None}
+        tree["instances"] = [bare | each if isinstance(each, dict) else each for each in tree["instances"]]
     known = msgspec.convert(tree, Semantics, dec_hook=_array)
-    triples = [a for thing in (*known.instances, *known.boxes) for a in (thing.low, thing.high)]
+    triples = [a for thing in known.instances for a in (thing.low, thing.high)]
     triples += [a for lamp in known.lamps for a in (lamp.position, lamp.power)]
     if any(a.shape != (3,) for a in triples) or any(r.rectangles.shape[1:] != (4,) for r in known.rooms):
         raise ValueError("a corner, a lamp or a room without its three or four numbers")
-    nodes = [entry.get("nodes", []) for entry in tree.get("instances", [])]
-    return replace(known, nodes=msgspec.convert(nodes, list[list[str]]))
+    for thing in known.instances:
+        if (thing.low > thing.high).any():
+            raise ValueError(f"a box from {thing.low.tolist()} to {thing.high.tolist()}")
+        if thing.colour is not None and thing.colour not in COLOURS:
+            raise ValueError(f"the colour {shown(thing.colour)}, which is none of {', '.join(COLOURS)}")
+    return known
 
 
 def _array(_: type, value: Any) -> np.ndarray:
@@ -421,18 +391,3 @@ def _array(_: type, value: Any) -> np.ndarray:
     if not (np.abs(array) <= 1e9).all():
         raise ValueError("a number that is not finite, or above 1e9")
     return array
-
-
-def _matched(known: Semantics, parts: list[_Part], materials: list[Material]) -> tuple[list[_Part], list[int]]:
-    """The parts in the order of the semantic JSON, with its materials, and the instance of each."""
-    owner = {name: index for index, names in enumerate(known.nodes) for name in names}
-    by_name = {part.names[0]: part for part in parts}
-    place = {name: index for index, name in enumerate(_names(known.materials))}
-    strange = {*owner} ^ {*by_name} or {material.name for material in materials} - {*place}
-    if strange or known.format != FORMAT:
-        raise WorldError(
-            "the GLB and its semantic JSON do not have the same nodes and materials: "
-            f"{shown(', '.join(sorted(strange)[:3]), 200)} only in one of the two"
-        )
-    parts = [replace(by_name[name], material=place[materials[by_name[name].material].name]) for name in owner]
-    return parts, list(owner.values())

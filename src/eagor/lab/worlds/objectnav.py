@@ -34,7 +34,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -49,10 +49,10 @@ from eagor.conventions import (
     to_gltf,
     xyzw_from_rotation,
 )
-from eagor.errors import EagorError, FormatError, StorageError, WorldError
+from eagor.errors import EagorError, StorageError, WorldError
 from eagor.lab.worlds.glb import ON_MESH, STAGE, export_glb
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.habitat.simulator import import_habitat, mesh_settings, read_category, run_apart
+from eagor.lab.worlds.habitat import CPU, Source, mesh_settings, read_category, run_apart, simulator_of
 from eagor.lab.worlds.navmesh import NavMesh
 from eagor.lab.worlds.render import Renderer
 from eagor.lab.worlds.scene import STRUCTURE, Scene
@@ -149,42 +149,21 @@ _Triple = tuple[_Finite, _Finite, _Finite]
 
 class _State(msgspec.Struct):
     position: _Triple
-    rotation: Any = None
 
 
 class _View(msgspec.Struct):
     agent_state: _State
-    iou: Any = 0.0
 
 
-class _Goal(msgspec.Struct, kw_only=True):
-    """The entry of a goal in `goals_by_category`; Habitat wants each of these keys, and we read those with a type."""
+class _Goal(msgspec.Struct):
+    """What we read of a goal in `goals_by_category`."""
 
     position: _Triple
-    radius: Any = None
     object_id: int | str
-    object_name: Any = None
-    object_name_id: Any = None
     object_category: str
-    room_id: Any = None
-    room_name: Any = None
     view_points: list[_View]
 
-    @classmethod
-    def of(cls, goal: Goal) -> _Goal:
-        """The entry; from each view point the agent faces the goal."""
-        across, along, _ = (goal.position - goal.view_positions).T
-        half = (np.arctan2(along, across) - np.pi / 2) / 2  # Habitat's agents look along -z, which is our y
-        still = np.zeros(len(half))
-        turns = np.stack([still, np.sin(half), still, np.cos(half)], axis=1).tolist()
-        places, name = to_gltf(goal.view_positions).tolist(), spelt(goal.category)
-        return cls(
-            position=to_gltf(goal.position).tolist(), object_id=goal.instance, object_name=f"{name}_{goal.instance}",
-            object_category=name, room_name=goal.room,
-            view_points=[_View(_State(place, turn)) for place, turn in zip(places, turns, strict=True)],
-        )  # fmt: skip
-
-    def made(self) -> Goal:
+    def goal(self) -> Goal:
         views = np.array([view.agent_state.position for view in self.view_points]).reshape(-1, 3)
         place = from_gltf(np.array(self.position))
         return Goal(read_category(self.object_category), self.object_id, place, from_gltf(views))
@@ -197,32 +176,18 @@ class _Info(msgspec.Struct, omit_defaults=True):
     eagor: Origin | None = None
 
 
-class _Episode(msgspec.Struct, kw_only=True):
-    """The entry of an episode; as for `_Goal`, and any other key would stop Habitat."""
+class _Episode(msgspec.Struct):
+    """What we read of an episode."""
 
-    episode_id: str | int | None = None
     scene_id: str
-    scene_dataset_config: str | None = None
-    additional_obj_config_paths: Any = []
     start_position: _Triple
     start_rotation: tuple[_Finite, _Finite, _Finite, _Finite]
-    info: _Info | None = None
-    goals: Any = []
-    start_room: Any = None
-    shortest_paths: Any = None
     object_category: str
+    episode_id: str | int | None = None
+    scene_dataset_config: str | None = None
+    info: _Info | None = None
 
-    @classmethod
-    def of(cls, episode: Episode) -> _Episode:
-        return cls(
-            episode_id=episode.identifier, scene_id=episode.scene, scene_dataset_config=episode.dataset_config,
-            start_position=to_gltf(episode.position).tolist(),
-            start_rotation=xyzw_from_rotation(pose_to_habitat(episode.world_R_body)).tolist(),
-            info=_Info(episode.geodesic, episode.euclidean, episode.nearest, episode.origin),
-            object_category=spelt(episode.category),
-        )  # fmt: skip
-
-    def made(self, index: int) -> Episode:
+    def episode(self, index: int) -> Episode:
         """The `index`-th of its file. Raises `EagorError` for a quaternion of length zero."""
         info = self.info or _Info()
         return Episode(
@@ -238,15 +203,41 @@ class _File(msgspec.Struct):
     goals_by_category: dict[str, list[_Goal]] = {}
 
 
+def _goal_entry(goal: Goal) -> dict[str, Any]:
+    """A goal with all keys that Habitat wants; from each view point the agent faces the goal."""
+    across, along, _ = (goal.position - goal.view_positions).T
+    half = (np.arctan2(along, across) - np.pi / 2) / 2  # Habitat's agents look along -z, which is our y
+    still = np.zeros(len(half))
+    turns = np.stack([still, np.sin(half), still, np.cos(half)], axis=1).tolist()
+    places, name = to_gltf(goal.view_positions).tolist(), spelt(goal.category)
+    states = [{"position": place, "rotation": turn} for place, turn in zip(places, turns, strict=True)]
+    return {
+        "position": to_gltf(goal.position).tolist(), "radius": None, "object_id": goal.instance,
+        "object_name": f"{name}_{goal.instance}", "object_name_id": None, "object_category": name, "room_id": None,
+        "room_name": goal.room, "view_points": [{"agent_state": state, "iou": 0.0} for state in states],
+    }  # fmt: skip
+
+
+def _episode_entry(episode: Episode) -> dict[str, Any]:
+    """An episode with all keys that Habitat wants; any other would stop it."""
+    info = _Info(episode.geodesic, episode.euclidean, episode.nearest, episode.origin)
+    return {
+        "episode_id": episode.identifier, "scene_id": episode.scene, "scene_dataset_config": episode.dataset_config,
+        "additional_obj_config_paths": [], "start_position": to_gltf(episode.position).tolist(),
+        "start_rotation": xyzw_from_rotation(pose_to_habitat(episode.world_R_body)).tolist(),
+        "info": msgspec.to_builtins(info), "goals": [], "start_room": None, "shortest_paths": None,
+        "object_category": spelt(episode.category),
+    }  # fmt: skip
+
+
 def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisodes]) -> Path:
     """Write the files of a split; returns the path of `<split>.json.gz`. The same episodes give the same bytes.
 
     The scenes have files of different names. Raises `StorageError` if a file cannot be written.
     """
-    folder = Path(folder) / split
+    folder = Path(folder, split)
     occur = {spelt(category) for scene in scenes for category in scene.goals}
-    # The six of HM3D keep their numbers, even if not all of them occur.
-    every = (*HM3D_CATEGORIES, *sorted(occur.difference(HM3D_CATEGORIES)))
+    every = (*HM3D_CATEGORIES, *sorted(occur.difference(HM3D_CATEGORIES)))  # those of HM3D keep their numbers
     numbers = {category: number for number, category in enumerate(every) if category in occur}
     head = {"category_to_task_category_id": numbers, "category_to_scene_annotation_category_id": numbers}
 
@@ -255,9 +246,9 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
 
     for scene in scenes:
         file = PurePosixPath(scene.episodes[0].scene).name
-        goals = {_key(file, spelt(category)): [_Goal.of(g) for g in things] for category, things in scene.goals.items()}
-        content = _File([_Episode.of(episode) for episode in scene.episodes], goals)
-        write(folder / "content" / f"{file.partition('.')[0]}.json.gz", msgspec.to_builtins(content))
+        goals = {_key(file, spelt(name)): [_goal_entry(goal) for goal in goals] for name, goals in scene.goals.items()}
+        content = {"episodes": [_episode_entry(each) for each in scene.episodes], "goals_by_category": goals}
+        write(folder / "content" / f"{file.partition('.')[0]}.json.gz", content)
     return write(folder / f"{split}.json.gz", {"episodes": []})
 
 
@@ -283,18 +274,18 @@ def _scenes_in(path: Path) -> list[SceneEpisodes]:
         with gzip.open(path) as file:
             text = file.read(most + 1)
         if len(text) > most:
-            raise FormatError(f"it holds more than {most} bytes, packed in {size}")
+            raise ValueError(f"it holds more than {most} bytes, packed in {size}")
         content = msgspec.convert(parsed(text, strict=True), _File)
     except (EOFError, zlib.error) as error:
         raise WorldError(f"{path} is cut off or corrupt ({error}); copy or write it again") from error
-    except (OSError, FormatError, ValueError, msgspec.ValidationError) as error:  # OSError also if it is not gzipped
+    except (OSError, ValueError) as error:  # OSError also if it is not gzipped
         raise WorldError(
             f"{path} cannot be read: {str(error)[:300]}; wanted ObjectNav episodes as of HM3D v1 or v2, gzipped JSON"
         ) from error
     by_scene: dict[str, list[Episode]] = {}
     for index, entry in enumerate(content.episodes):
         try:
-            by_scene.setdefault(entry.scene_id, []).append(entry.made(index))
+            by_scene.setdefault(entry.scene_id, []).append(entry.episode(index))
         except EagorError as error:
             raise WorldError(f"{path}, episode {index}: {error}") from error
     found = []
@@ -302,7 +293,7 @@ def _scenes_in(path: Path) -> list[SceneEpisodes]:
         goals: dict[str, tuple[Goal, ...]] = {}
         for key, entries in content.goals_by_category.items():
             if len(by_scene) == 1 or key.startswith(_key(scene, "")):  # those of a file with one scene belong to it
-                for goal in (entry.made() for entry in entries):
+                for goal in (entry.goal() for entry in entries):
                     goals[goal.category] = (*goals.get(goal.category, ()), goal)
         for index, episode in enumerate(episodes):
             if episode.category not in goals:
@@ -430,7 +421,8 @@ WITHOUT = (
 )
 
 
-class Source(NamedTuple):
+@dataclass(frozen=True)
+class SceneSource:
     """A scene to export: its `number` and `name`, of which its folder is named, and how it is made."""
 
     number: int
@@ -443,30 +435,17 @@ def has_meshes() -> bool:
     return find_spec("habitat_sim") is not None
 
 
-def make_mesh(stage: str, settings: str, target: str) -> None:
-    """Write the navigation mesh `target` of a stage configuration. Runs in a process of its own."""
-    habitat_sim = import_habitat()
-    simulator = habitat_sim.SimulatorConfiguration()
-    simulator.scene_id, simulator.create_renderer, simulator.load_semantic_mesh = stage, False, False
-    simulator.gpu_device_id = -1
-    agent = habitat_sim.agent.AgentConfiguration()
-    agent.sensor_specifications = []
-    with habitat_sim.Simulator(habitat_sim.Configuration(simulator, [agent])) as sim:
-        wanted = mesh_settings(habitat_sim, json.loads(Path(settings).read_text()))
-        if sim.recompute_navmesh(sim.pathfinder, wanted):
-            sim.pathfinder.save_nav_mesh(target)
-
-
-def write_mesh(glb: Path) -> None:
-    """Write ``<name>.navmesh`` beside an exported GLB. Raises `WorldError` if Habitat-Sim makes none."""
-    ends = (".stage_config.json", ".navmesh.json", ".navmesh")
-    _, said = run_apart(make_mesh, *(str(glb.with_suffix(end)) for end in ends))
-    if not glb.with_suffix(".navmesh").is_file():
-        raise WorldError(f"Habitat-Sim made no navigation mesh of {glb.stem}: {said}")
+def make_mesh(glb: str) -> None:
+    """Write ``<name>.navmesh`` beside an exported GLB. Runs in a process of its own."""
+    path = Path(glb)
+    settings = mesh_settings(json.loads(path.with_suffix(".navmesh.json").read_text()))
+    with simulator_of(Source(str(path.with_suffix(".stage_config.json"))), CPU, ()) as sim:
+        if sim.recompute_navmesh(sim.pathfinder, settings):
+            sim.pathfinder.save_nav_mesh(str(path.with_suffix(".navmesh")))
 
 
 def export_dataset(
-    sources: Sequence[Source], folder: Path | str, *, name: str = "eagor", split: str = "val", episodes: int = 10,
+    sources: Sequence[SceneSource], folder: Path | str, *, name: str = "eagor", split: str = "val", episodes: int = 10,
     categories: Sequence[str] = (), radius: float = 0.18, on_done: Callable[[dict[str, Any]], object] = lambda _: None,
 ) -> tuple[Path, list[dict[str, Any]]]:  # fmt: skip
     """Write the folder; returns the episodes' ``<split>.json.gz``, and what was written of each scene.
@@ -497,9 +476,11 @@ def export_dataset(
             roomy, place = roomy_ground(scene, ground), f"./data/{config.as_posix()}"
             goals = make_goals(scene, roomy, categories)
             made = make_episodes(scene, ground, roomy.points, goals, episodes, f"{name}/{file}", place)
-            export_glb(scene, part / home / file, radius=radius)
+            glb = export_glb(scene, part / home / file, radius=radius)
             if has_meshes():
-                write_mesh(part / home / file)
+                _, error = run_apart(make_mesh, str(glb))
+                if not glb.with_suffix(".navmesh").is_file():
+                    raise WorldError(f"Habitat-Sim made no navigation mesh of {glb.stem}: {error}")
             scenes.append(SceneEpisodes(made, goals))
             files.append(file)
             things = [goal for each in goals.values() for goal in each]

@@ -31,7 +31,6 @@ from rclpy.signals import SignalHandlerOptions
 from eagor.errors import DeviceError, EagorError
 from eagor.live.threads import LoopClock
 from eagor.media import Frame, Pose
-from eagor.media.bag_sources import apart
 from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC
 from eagor.media.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
 from eagor.media.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds, store
@@ -242,7 +241,8 @@ class RosCamera(TopicSource):
         rate: float | None = None,
         **lenses: Any,
     ) -> None:
-        self.latency, self.dropped, self.problem, self._apart = latency, 0, None, apart(rate)
+        self.latency, self.dropped, self.problem = latency, 0, None
+        self._apart = 0.99 / rate if rate else 0.0  # seconds between two pictures, a little less for rounding
         super().__init__(ears)
         try:
             named = topics_of(topic or None, "topics")

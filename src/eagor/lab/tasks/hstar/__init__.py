@@ -1,23 +1,397 @@
 """H*Bench: look around in a panorama through a perspective camera, and name the direction of the target.
 
-It has two halves, object search (HOS) and path search (HPS). `rules` (with prompts and the camera) are the
-benchmark's own, quirks included; `data` reads its files; `agents` has all who play, and our search; `bench` is for
-`eagor bench`.
+It has two halves, object search (HOS) and path search (HPS). Here is its protocol: which submissions succeed, what
+models are told, what their replies mean, what a view shows. It reproduces the published environment
+(humanoid-vstar/hstar at 7a52247), quirks included. Yaw in degrees: 0 is the middle of the panorama, positive to the
+RIGHT, 0 to 360. Pitch in degrees, positive up.
+
+Of the prompts, all that the protocol defines is verbatim: actions, tags, order of a turn's parts, feedback. The
+explanations and the worked example are in our own words (texts.json).
+
+The camera is rendered pixel for pixel like the published one. In two places that is half a pixel off our conventions:
+the ray of column j is (j - w / 2) / f, and a panorama's column centres lie at whole numbers. `render_view` keeps both;
+`View.grid` describes the same pixels in our terms.
 """
 
-from eagor.lab.tasks.hstar.data import Episode, read_episodes
-from eagor.lab.tasks.hstar.rules import (
-    Action,
-    Reply,
-    View,
-    Window,
-    parse_action,
-    render_view,
-    submit_succeeds,
-    window_of,
-)
+from __future__ import annotations
 
-__all__ = [
-    "Action", "Episode", "Reply", "View", "Window", "parse_action", "read_episodes", "render_view", "submit_succeeds",
-    "window_of",
-]  # fmt: skip
+import json
+import math
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import msgspec
+import numpy as np
+from PIL import ImageOps
+
+from eagor._checks import shown, within
+from eagor._values import lazy
+from eagor.conventions import direction_from_hstar, hstar_from_direction
+from eagor.errors import EagorError, FormatError, ImageError
+from eagor.grids import PerspectiveGrid
+from eagor.media.panorama import checked_picture, read_image
+from eagor.perception.vlm import IMAGE
+from eagor.sphere import azimuth_elevation, direction, world_R_body
+
+Kind = Literal["hos", "hps"]
+Scoring = Literal["official", "strict"]
+SCORINGS: tuple[Scoring, ...] = get_args(Scoring)
+LEVELS = {"hos": ("easy", "medium", "hard"), "hps": ("easy", "medium", "hard", "extreme")}
+
+MAX_TURNS = 10
+YAW_TOLERANCE = {"hos": 30, "hps": 10}  # degrees to both sides of the middle, for narrower targets
+PITCH_TOLERANCE = 20
+FARTHEST = 3600.0  # degrees in an annotation; more is taken for a mistake
+FARTHEST_ANSWER = 10**6  # degrees in an answer
+
+
+class Episode(msgspec.Struct, frozen=True):
+    """One start for one target; `id` is ``scene/entry/start``, which share all but the start in a `cluster`.
+
+    `item`: the task, and the annotated box in degrees, as written (without pitch in HPS); `others`: those of the rest
+    of the scene. `start`: yaw of the first view, whose pitch is 0. `level`: 0, 1, ..., None if unknown.
+    """
+
+    id: str
+    cluster: str
+    scene: str
+    kind: Kind
+    item: dict[str, Any]
+    others: list[dict[str, Any]]
+    start: int | float
+    level: int | None
+    panorama: str
+
+    @property
+    def level_name(self) -> str:
+        """The level in words; "unknown" if there is none."""
+        names = LEVELS[self.kind]
+        return names[self.level] if self.level is not None and self.level < len(names) else "unknown"
+
+
+# --- success ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Window:
+    """Where a submission succeeds, degrees: yaw from `yaw[0]` to the right up to `yaw[1]`, both in [0, 360)."""
+
+    yaw: tuple[float, float]
+    pitch: tuple[float, float]
+
+    @property
+    def wraps(self) -> bool:
+        """Whether it runs across yaw 0."""
+        return self.yaw[0] > self.yaw[1]
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """(yaw, pitch) of its middle."""
+        width = (self.yaw[1] - self.yaw[0]) % 360.0
+        return (self.yaw[0] + width / 2) % 360.0, (self.pitch[0] + self.pitch[1]) / 2
+
+    def contains(self, yaw: float, pitch: float, scoring: Scoring = "official") -> bool:
+        """Whether submitting (yaw, pitch) succeeds.
+
+        ``official`` ignores the pitch if the window wraps, as the published environment does; ``strict`` never does.
+        """
+        yaw, high_enough = normalised(yaw), self.pitch[0] <= pitch <= self.pitch[1]
+        if self.wraps:
+            return (yaw >= self.yaw[0] or yaw <= self.yaw[1]) and (scoring == "official" or high_enough)
+        return self.yaw[0] <= yaw <= self.yaw[1] and high_enough
+
+
+def normalised(yaw: float) -> float:
+    """`yaw` (degrees) in [0, 360)."""
+    return (yaw + 360) % 360
+
+
+def window_of(item: Mapping[str, Any]) -> Window:
+    """The window of one entry of annotation.json, without ``pitch`` one of HPS; a narrow one is widened.
+
+    Raises `FormatError` if the angles are not pairs of finite numbers.
+    """
+    path = item.get("pitch") is None
+    left, right = _pair(item, "yaw")
+    right += 360 if left > right else 0
+    tolerance = YAW_TOLERANCE["hps" if path else "hos"]
+    if right - left < 2 * tolerance:
+        middle = (left + right) / 2
+        left, right = middle - tolerance, middle + tolerance
+    low, high = (-90.0, 90.0) if path else _pair(item, "pitch")
+    if high - low < 2 * PITCH_TOLERANCE:
+        middle = (low + high) / 2
+        low, high = max(-90.0, middle - PITCH_TOLERANCE), min(90.0, middle + PITCH_TOLERANCE)
+    return Window((normalised(left), normalised(right)), (low, high))
+
+
+def _pair(item: Mapping[str, Any], key: str) -> tuple[float, float]:
+    value = item.get(key)
+    if not (isinstance(value, list | tuple) and len(value) == 2 and all(within(x, -FARTHEST, FARTHEST) for x in value)):
+        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles of at most {FARTHEST:g} degrees")
+    return float(value[0]), float(value[1])
+
+
+def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: str = "official") -> bool:
+    """Whether submitting (yaw, pitch), degrees, finds the target of one entry of annotation.json.
+
+    `item` has ``yaw`` [left, right] and, in HOS, ``pitch`` [low, high]. `scoring`: see `Window.contains`. Raises
+    `EagorError` for another scoring, `FormatError` for an item without usable angles.
+    """
+    if scoring not in SCORINGS:
+        raise EagorError(f"scoring = {scoring!r}; wanted {' or '.join(SCORINGS)}")
+    return window_of(item).contains(yaw, pitch, scoring)
+
+
+# --- what models are told, and what their replies mean ----------------------------------------------------------------
+
+TEXTS = json.loads(Path(__file__).with_name("texts.json").read_text(encoding="utf-8"))
+_FORM = "\n".join(["You can take 1 action(s) at a time.", *TEXTS["form"]])  # ends every turn
+
+
+def system_text(kind: str) -> str:
+    """The system message for ``hos`` or ``hps``."""
+    lines = [TEXTS["goal"][kind], *TEXTS["actions"], "", "Example:"]
+    feedback: list[str] = []
+    for index, (thought, action, pose) in enumerate(TEXTS["example"], start=1):
+        lines += [f"Round {index}:", *feedback, f"image_{index}", _reply(thought, action)]
+        feedback = [f"Env_feedback: {succeeded(pose)}."]
+    lines += ["Round 4:", "Env_feedback: Success", _FORM, f"e.g. {_reply(*TEXTS['example'][0][:2])}"]
+    return "\n".join(lines)
+
+
+def _reply(thought: str, action: str) -> str:
+    return f"<think>{thought}</think><answer>{action}</answer>"
+
+
+def succeeded(pose: str) -> str:
+    """The environment's feedback after a successful turn."""
+    return f"Last action executed successfully, your current direction (yaw,pitch) is {pose}"
+
+
+def turn_text(task: str, view: View, reply: Reply | None) -> str:
+    """The text with a view: after a `reply` the action as understood, its outcome, and the camera's direction now."""
+    instruction = f"{IMAGE}\nHuman Instruction: {task}\nDecide your next action.\n{_FORM}"
+    if reply is None:
+        return f"[initial observation]:\n{instruction}"
+    valid, feedback = "[]", "Last action is not executed successfully."
+    if reply.action is not None:
+        valid, feedback = f"[{reply.actions[0]!r}]", succeeded(f"({view.yaw:g},{view.pitch:g})")
+    return (
+        f"After your answer, the extracted valid action is {valid}.\nThe environment feedback is: {feedback}\n"
+        f"done: False\nAfter that, the observation is:\n{instruction}"
+    )
+
+
+@dataclass(frozen=True)
+class Action:
+    """An action: ``rotate`` by, or ``submit``, (yaw, pitch) in whole degrees."""
+
+    kind: Literal["rotate", "submit"]
+    yaw: int
+    pitch: int
+
+    def __str__(self) -> str:
+        return f"{self.kind}({self.yaw},{self.pitch})"
+
+
+@dataclass(frozen=True)
+class Reply:
+    """A parsed reply: the thought, the actions, whether the form was kept."""
+
+    think_content: str
+    actions: list[str]
+    format_correct: bool
+
+    @property
+    def action(self) -> Action | None:
+        """The single action; None if there is not exactly one or it cannot be carried out."""
+        return read_action(self.actions[0]) if len(self.actions) == 1 else None
+
+
+def parse_action(text: str) -> Reply:
+    """The parsed reply of a model, in the published form ``free_think``: the first ``<answer>`` anywhere counts.
+
+    Tags that are left inside of a thought or an answer are taken out, so ``<answer><answer>submit(10,0)</answer>``
+    submits. Of several actions (separated by ``|``) the first counts.
+    """
+    # The published patterns without their backtracking, which takes minutes for some replies: where the first place of
+    # a tag does not fit, no later one does.
+    text = text.replace("<image>", "")
+    thought, answer, whole = "", _between(text), text.strip()
+    join = re.search(r"</think>\s*<answer>", whole)
+    ends = whole.startswith("<think>") and whole.endswith("</answer>")
+    kept = ends and join is not None and join.end() <= len(whole) - len("</answer>")
+    before, thinks, after = text.partition("</think>")
+    if text.startswith("<think>") and thinks and _between(after) is not None:
+        thought, answer = before, _between(after)
+    actions = [part.strip() for part in _without_tags(answer or "").split("|") if part.strip()]
+    return Reply(_without_tags(thought), actions[:1], kept)
+
+
+def _between(text: str) -> str | None:
+    """What is between the first ``<answer>`` and the next ``</answer>``; None without them."""
+    _, opened, rest = text.partition("<answer>")
+    answer, closed, _ = rest.partition("</answer>")
+    return answer if opened and closed else None
+
+
+def _without_tags(text: str) -> str:
+    for tag in ("<think>", "</think>", "<answer>", "</answer>"):
+        text = text.replace(tag, "").strip()
+    return text
+
+
+def read_action(text: str) -> Action | None:
+    """The action in `text`, such as ``rotate(-45,0)``; None if the environment could not carry it out."""
+    kind = next((kind for kind in ("rotate", "submit") if text.startswith(kind)), None)
+    if kind is None:
+        return None
+    parts = text.replace(kind, "").strip("()").split(",")
+    try:
+        yaw, pitch = int(parts[0].strip()), int(parts[1].strip())
+    except (ValueError, IndexError):
+        return None
+    if max(abs(yaw), abs(pitch)) > FARTHEST_ANSWER:  # means the same, and a float can hold it
+        yaw, pitch = yaw % 360, max(-FARTHEST_ANSWER, min(FARTHEST_ANSWER, pitch))
+    return Action(kind, yaw, pitch)  # type: ignore[arg-type]
+
+
+# --- the camera -------------------------------------------------------------------------------------------------------
+
+HFOV_DEG = 100.0
+RESOLUTION = 1080  # rows; columns are rows // 9 * 16
+CROSS = (0, 255, 0)
+ARM = 10  # pixels of the cross to each side of the centre
+
+
+@dataclass(frozen=True)
+class View:
+    """The camera's direction, degrees."""
+
+    yaw: float
+    pitch: float
+
+    @lazy
+    def world_R_view(self) -> np.ndarray:
+        """The pose ``(3, 3)`` in our world frame: x at yaw 0, y to the left, z up."""
+        return world_R_body(-math.radians(self.yaw), -math.radians(self.pitch))
+
+    @classmethod
+    def facing(cls, heading: np.ndarray) -> View:
+        """The view at a `heading` ``(2,)``: azimuth and elevation, radians, world frame."""
+        yaw, pitch = hstar_from_direction(direction(heading[0], heading[1]))
+        return cls(round(float(yaw), 6) % 360, round(float(pitch), 6))
+
+    def grid(self, rows: int = RESOLUTION, columns: int | None = None) -> PerspectiveGrid:
+        """The view's cells in the world frame."""
+        return PerspectiveGrid(rows, columns or rows // 9 * 16, math.radians(HFOV_DEG), self.world_R_view)
+
+    def after(self, action: Action | None) -> View:
+        """The view after `action`; only ``rotate`` changes it: yaw wraps, pitch ends straight up and straight down."""
+        if action is None or action.kind != "rotate":
+            return self
+        return View(float(normalised(self.yaw + action.yaw)), float(max(-90, min(90, self.pitch + action.pitch))))
+
+
+def headings_of(yaws: Any, pitches: Any) -> np.ndarray:
+    """Azimuth and elevation ``(..., 2)``, radians, world frame, of views' yaws and pitches ``(...)``, degrees."""
+    return np.stack(azimuth_elevation(direction_from_hstar(yaws, pitches)), axis=-1)
+
+
+@lru_cache(maxsize=2)
+def open_panorama(path: str) -> np.ndarray:
+    """The picture ``(H, W, 3)`` uint8, turned by its orientation tag as published. Read-only.
+
+    Raises `ImageError` if it is missing or not a picture.
+    """
+    try:
+        image = read_image(path, os.path.getsize(path), ImageOps.exif_transpose)
+    except Exception as error:  # decoders may raise anything for damaged files
+        raise ImageError(f"the panorama {path} cannot be read ({type(error).__name__}: {error}); fetch it") from error
+    image.setflags(write=False)
+    return image
+
+
+def render_view(
+    panorama: np.ndarray, yaw: float, pitch: float, resolution: int = RESOLUTION, cross: bool = True
+) -> np.ndarray:
+    """The camera's view ``(rows, columns, 3)`` uint8 of a panorama ``(H, W, 3)`` uint8 of any proportions.
+
+    Bilinear, wrapped around both axes as published, with the green cross. The published environment interpolates with
+    weights in steps of 1/32, so single pixels differ by a few levels. Raises `ImageError` for any other array.
+    """
+    from scipy.ndimage import map_coordinates
+
+    panorama = checked_picture(panorama)
+    height, width = panorama.shape[:2]
+    longitude, latitude = _rays(resolution, float(pitch))
+    x = longitude * np.float32(width / 360.0) + np.float32((0.5 + (yaw % 360.0) / 360.0) * width)
+    places = np.stack([latitude * np.float32(height / 180.0) + np.float32(height / 2), x])
+    bands = [map_coordinates(panorama[..., band], places, np.float32, order=1, mode="grid-wrap") for band in range(3)]
+    out = (np.stack(bands, axis=-1) + np.float32(0.5)).astype(np.uint8)
+    if cross:
+        row, column, upright, level = _cross(out)
+        out[upright, column] = out[row, level] = CROSS
+    return out
+
+
+@lru_cache(maxsize=8)
+def _rays(resolution: int, pitch: float) -> tuple[np.ndarray, np.ndarray]:
+    """Longitude (right of the view's yaw) and latitude (DOWN) of each pixel's ray ``(rows, columns)``, degrees."""
+    grid = View(0.0, pitch).grid(resolution)
+    rays = grid.unproject(np.arange(grid.width), np.arange(grid.height)[:, None])
+    longitude, latitude = (-np.degrees(angle).astype(np.float32) for angle in azimuth_elevation(rays))
+    return longitude, latitude
+
+
+def without_cross(picture: np.ndarray) -> np.ndarray:
+    """A view ``(rows, columns, 3)`` uint8 with its cross filled in by the mean of the pixels beside each line.
+
+    For perceptions: a query for something green would find the cross. Raises `ImageError` for anything but a picture.
+    """
+    pixels = checked_picture(picture, "a view").astype(np.float64)
+    row, column, upright, level = _cross(pixels)
+    out = pixels.copy()
+    out[row, level] = (pixels[row - 1, level] + pixels[row + 1, level]) / 2
+    out[upright, column] = (pixels[upright, column - 1] + pixels[upright, column + 1]) / 2
+    out[row, column] = pixels[row - 1 : row + 2 : 2, column - 1 : column + 2 : 2].mean(axis=(0, 1))
+    return np.rint(out).astype(np.uint8)
+
+
+def _cross(picture: np.ndarray) -> tuple[int, int, slice, slice]:
+    """The middle row and column of a view, the rows of the cross's upright line, and the columns of its level one."""
+    row, column = picture.shape[0] // 2, picture.shape[1] // 2
+    return row, column, slice(max(0, row - ARM), row + ARM + 1), slice(max(0, column - ARM), column + ARM + 1)
+
+
+def visible_share(view: View, yaw: tuple[float, float], pitch: tuple[float, float] | None) -> float:
+    """The visible fraction of a box (degrees; without pitch, of a window of 10 degrees at the horizon)."""
+    return float(inside(view, box_points(yaw, pitch)).mean())
+
+
+def level_of(view: View, yaw: tuple[float, float], pitch: tuple[float, float]) -> int:
+    """0 if at least half of the box is in the view, 1 if some of it is, 2 if none."""
+    share = visible_share(view, yaw, pitch)
+    return 0 if share >= 0.5 else 1 if share > 0 else 2
+
+
+def inside(view: View, directions: np.ndarray) -> np.ndarray:
+    """Which directions ``(n, 3)`` of the world the view shows, bool ``(n,)``."""
+    return view.grid().project(directions)[2]
+
+
+def box_points(yaw: tuple[float, float], pitch: tuple[float, float] | None) -> np.ndarray:
+    """Directions ``(576, 3)`` that sample a box evenly by solid angle."""
+    low, high = pitch if pitch is not None else (-10.0, 10.0)
+    parts = (np.arange(24) + 0.5) / 24
+    sines = np.sin(np.radians(low)) + parts * (np.sin(np.radians(high)) - np.sin(np.radians(low)))
+    yaws, pitches = np.meshgrid(
+        yaw[0] + parts * ((yaw[1] - yaw[0]) % 360.0), np.degrees(np.arcsin(np.clip(sines, -1, 1)))
+    )
+    return direction_from_hstar(yaws, pitches).reshape(-1, 3)

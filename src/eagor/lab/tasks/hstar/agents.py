@@ -3,75 +3,41 @@
 An agent gets the current view, may look, and returns an action. At every turn it also returns the answer that it would
 submit if the episode ended there, so that success by turn needs no further runs. Those that look are given a
 `Detector`: any perception, or ``truth``, a simulated detector of known quality based on the annotations.
-
-Ours is a `Search`: every look updates a `Belief` about the target in the world frame. Directions that were looked at
-without a response lose belief, others keep theirs. What a view tells is the mutual information between the outcome of
-the look and the target's direction; `eagor.lab.agents.steering` chooses by it. The submission is the window with the
-most belief.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from dataclasses import replace
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from msgspec import Meta
-from scipy.ndimage import convolve1d
 
 from eagor._arrays import to_numpy
-from eagor._values import lazy
-from eagor.baselines import Centroid, CircularCentroid, HistogramFilter
-from eagor.belief import Belief
+from eagor.baselines import Centroid, HistogramFilter
 from eagor.conventions import hstar_from_direction
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.coverage import looked_at
 from eagor.evidence.detections import resolved
 from eagor.evidence.shapes import MIN_SPREAD
-from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.harmonics.peaks import decoding_grid
-from eagor.lab.agents.models import digest, shared
-from eagor.lab.agents.steering import Searcher
-from eagor.lab.tasks.hstar.data import Episode, Kind, head_of, open_panorama, phrase_of, thing_of
-from eagor.lab.tasks.hstar.rules import (
-    HFOV_DEG,
-    MAX_TURNS,
-    PITCH_TOLERANCE,
-    RESOLUTION,
-    YAW_TOLERANCE,
-    Action,
-    Form,
-    Reply,
-    Scoring,
-    View,
-    box_points,
-    headings_of,
-    inside,
-    parse_action,
-    render_view,
-    size_of,
-    system_text,
-    turn_text,
-    window_of,
-    without_cross,
-)
-from eagor.lab.tasks.published import PublishedConfig, case_seed, first_known
+from eagor.grids import PerspectiveGrid
+from eagor.lab.agents.steering import next_heading
+from eagor.lab.tasks import hstar
+from eagor.lab.tasks.hstar.search import DEGREE, ELSEWHERE, HEADINGS, SURE, Answer, Search
+from eagor.lab.tasks.published import PublishedConfig, Recalibrate, case_seed, first_known, queries_of
 from eagor.perception import Perception
-from eagor.perception.partial import coverage, look_at_view
+from eagor.perception.partial import look_at_view
 from eagor.perception.truth import Noise, Report, displaced, drawn
 from eagor.perception.vlm import Chat, Message
 from eagor.sphere import world_R_body
-from eagor.tracking.looking import even_and_usual, information
 
 AGENTS = {
     "eagor": "one belief over all directions from all views; looks where it expects to learn most, submits when sure",
     "vlm": "the model alone, shown view after view, answers with actions",
     "centroid": "submits the mean pixel of the first view that responds; follows a fixed sweep until then",
-    "cent-circ": "the same with a circular mean of the yaw",
     "grid": "a Bayes filter on a grid of directions, over the fixed sweep",
     "sweep": "ten views in a fixed order, then the best single response of them",
     "single": "submits what the first view says",
@@ -79,34 +45,21 @@ AGENTS = {
     "random": "submits a random direction near the horizon at once",
     "constant": "submits straight ahead at once",
 }
-LOOKING = ("eagor", "centroid", "cent-circ", "grid", "sweep", "single")
+LOOKING = ("eagor", "centroid", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
 RESPONDS = 0.3  # response from which on a per-view agent counts a detection
-# Tuned on development apartments (random trials, benchmarks/search.py --fit of commit 5a35d191): the calibration of
-# truth, the model of a look, and the probability that is stated; the prior on development scenes with things at all
-# heights.
-CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)
-DEGREE = 15  # of the harmonics
-HIT, ALARM = 0.7, 0.2  # model of a look: probabilities of a detection of a target in view, and of a false alarm
-# Share of a look that repeats the one before, as a model's errors persist; of the one before that, its square; ...
-REPEATS = 0.48
-HEIGHT, TILT = -15.0, 20.0  # degrees: mean and standard deviation of the elevation where things usually are
-SURE, ELSEWHERE = 0.95, 0.5  # defaults of the settings of these names
-# Of the probability stated for a window with the share p of the belief: logit(stated) = SHIFT + SLOPE logit(p) (Platt
-# 1999), by the log score at each of ten turns. Looks are read cautiously, so the belief is underconfident.
-SHIFT, SLOPE = 1.44, 1.24
+CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)  # of truth; tuned as `Search` was
 
 
 class HStarConfig(PublishedConfig, kw_only=True):
     """The settings of a run of H*Bench."""
 
-    scoring: Annotated[Scoring, Meta(description="what counts as success")] = "official"
-    turns: Annotated[int, Meta(ge=1, le=50, description="views at most; the benchmark allows ten")] = MAX_TURNS
+    scoring: Annotated[hstar.Scoring, Meta(description="what counts as success")] = "official"
+    turns: Annotated[int, Meta(ge=1, le=50, description="views at most; the benchmark allows ten")] = hstar.MAX_TURNS
     sure: Annotated[float, Meta(gt=0, le=1, description="probability of success from which on eagor submits")] = SURE
     elsewhere: Annotated[float, Meta(gt=0, le=1, description="share of eagor's prior that is even")] = ELSEWHERE
-    resolution: Annotated[int, Meta(ge=18, le=8640, description="rows of a view; 1080 is official")] = RESOLUTION
-    form: Annotated[Form, Meta(description="of the model's replies")] = "free_think"
+    resolution: Annotated[int, Meta(ge=18, le=8640, description="rows of a view; 1080 is official")] = hstar.RESOLUTION
     window: Annotated[int, Meta(ge=1, le=50, description="turns of conversation that the model is shown")] = 5
 
 
@@ -120,55 +73,40 @@ class ViewEvidence(NamedTuple):
     world_R_capture: np.ndarray
 
 
-Detector = Callable[[View], ViewEvidence]  # for the target of one episode
-
-
-def open_perception(spec: str) -> Perception | Noise:
-    """A perception, or the noise of ``truth``, ``truth:ideal``, ``truth:miss=0.3,spread=4``.
-
-    A perception is made once per process. Raises `EagorError` if it cannot be made, and errors of its server.
-    """
-    name, _, text = spec.partition(":")
-    return Noise.parse(text) if name == "truth" else shared(spec)
+Detector = Callable[[hstar.View], ViewEvidence]  # for the target of one episode
 
 
 def open_detector(
     perception: Perception | Noise,
-    episode: Episode,
+    episode: hstar.Episode,
     seed: int,
-    resolution: int = RESOLUTION,
-    read: Callable[[Evidence], Evidence] = lambda evidence: evidence,
+    resolution: int = hstar.RESOLUTION,
+    read: Recalibrate = lambda evidence: evidence,
 ) -> Detector:
-    """`perception` (from `open_perception`) for one episode; `seed`: of truth's mistakes, `read`: recalibrates."""
+    """A perception, or the noise of ``truth``, for one episode; `seed`: of truth's mistakes, `read`: recalibrates.
+
+    A perception sees the view as the benchmark draws it, with the cross filled in: it is no evidence.
+    """
     if isinstance(perception, Noise):
         yaw, pitch = episode.item["yaw"], episode.item.get("pitch")
-        detect: Detector = SimulatedDetector(yaw, pitch, perception, case_seed(seed, episode.id))
-    else:
-        queries = [words_of(episode.item["task"]) for words_of in (thing_of, phrase_of, head_of)]
-        detect = partial(_look, perception, episode.panorama, queries, resolution)
+        detect = SimulatedDetector(yaw, pitch, perception, case_seed(seed, episode.id))
+        return lambda view: (look := detect(view))._replace(evidence=read(look.evidence))
+    queries = queries_of(episode.item["task"])
 
-    def recalibrated(view: View) -> ViewEvidence:
-        evidence, pose = detect(view)
-        return ViewEvidence(read(evidence), pose)
+    def look(view: hstar.View) -> ViewEvidence:
+        image = hstar.without_cross(
+            hstar.render_view(hstar.open_panorama(episode.panorama), view.yaw, view.pitch, resolution)
+        )
+        upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
+        grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(hstar.HFOV_DEG), upright)
+        query, evidence = first_known(queries, lambda query: look_at_view(perception, image, grid, query))
+        del queries[: queries.index(query)]  # what it does not know it is not asked for in the next view
+        return ViewEvidence(read(evidence), world_R_body(-math.radians(view.yaw)))
 
-    return recalibrated
-
-
-def _look(perception: Perception, picture: str, queries: list[str], resolution: int, view: View) -> ViewEvidence:
-    """What a perception sees in the view as the benchmark draws it, with the cross filled in: it is no evidence.
-
-    It is asked for the target in the task's words; a perception that knows only single nouns gets shorter phrases.
-    `queries`: those; what it does not know is taken out, and is not asked for in the next view.
-    """
-    image = without_cross(render_view(open_panorama(picture), view.yaw, view.pitch, resolution))
-    upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
-    grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(HFOV_DEG), upright)
-    query, evidence = first_known(queries, lambda query: look_at_view(perception, image, grid, query))
-    del queries[: queries.index(query)]
-    return ViewEvidence(evidence, world_R_body(-math.radians(view.yaw)))
+    return look
 
 
-LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
+LENS = PerspectiveGrid(27, 48, math.radians(hstar.HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
 NARROWEST = resolved(DEGREE)  # radians, standard deviation of truth's reports: what a belief can hold
 WHOLE = 0.5  # visible share of a box from which on it is detected as well as a whole one
 
@@ -176,28 +114,26 @@ WHOLE = 0.5  # visible share of a box from which on it is detected as well as a 
 class SimulatedDetector:
     """A detector of known quality in one episode, which remembers its mistakes from look to look.
 
-    The noise is that of simulated worlds (`eagor.perception.truth.Noise`), with two differences. Detection depends on
-    the visible fraction of the target's box, and a false alarm lies anywhere in the view and stays there in the world.
-    Each look draws the same number of random values: agents that look elsewhere get the same draws. Nothing is
-    rendered.
+    The noise is that of simulated worlds (`eagor.perception.truth.Noise`), but detection depends on the visible part of
+    the target's box, and a false alarm lies anywhere in the view and stays there in the world. Each look draws the same
+    number of random values: agents that look elsewhere get the same draws.
     """
 
     def __init__(
         self, yaw: tuple[float, float], pitch: tuple[float, float] | None, noise: Noise, seed: int | list[int]
     ) -> None:
-        self._points, self._noise = box_points(yaw, pitch), noise
-        self._rng = np.random.default_rng(seed)
+        self._points, self._noise, self._rng = hstar.box_points(yaw, pitch), noise, np.random.default_rng(seed)
         self._persistence = 0.0  # of the first look, which has nothing to keep
         # Of the target and of the false alarm: reported or not, score, place in the view (of the false alarm), 0 to 1.
         self._luck = np.zeros((2, 4))
         self._error = np.zeros((2, 3))  # standard normal, in the world's axes
         self._alarm: np.ndarray | None = None  # direction of the false alarm in the world, once a view had it
 
-    def __call__(self, view: View) -> ViewEvidence:
+    def __call__(self, view: hstar.View) -> ViewEvidence:
         response = drawn(self.reports(view), LENS, self._noise.floor)
         return ViewEvidence(Evidence.from_response(response, LENS, CALIBRATION), view.world_R_view)
 
-    def reports(self, view: View) -> list[Report]:
+    def reports(self, view: hstar.View) -> list[Report]:
         """The next look as a list of reports, in the view's own frame. Mistakes persist or are drawn anew."""
         draws, error = self._rng.random((2, 5)), self._rng.standard_normal((2, 3))
         fresh = draws[:, 0] >= self._persistence
@@ -206,7 +142,7 @@ class SimulatedDetector:
         if fresh[1]:
             self._alarm = None
         noise, pose, reports = self._noise, view.world_R_view, []
-        visible = inside(view, self._points)
+        visible = hstar.inside(view, self._points)
         share = min(1.0, float(visible.mean()) / WHOLE)
         if visible.any() and self._luck[0, 0] < (1 - noise.miss) * share:
             error = pose.T @ self._error[0] * noise.spread
@@ -214,7 +150,7 @@ class SimulatedDetector:
         if self._luck[1, 0] < noise.false_alarm:
             if self._alarm is None:
                 self._alarm = pose @ LENS.unproject(*(self._luck[1, 2:] * (LENS.width, LENS.height)))
-            if inside(view, self._alarm[None])[0]:
+            if hstar.inside(view, self._alarm[None])[0]:
                 reports.append(self._report("false alarm", 1, (self._alarm @ pose)[None], np.zeros(3)))
         return reports
 
@@ -232,264 +168,101 @@ class SimulatedDetector:
         return Report(kind, None, placed, covariance, score)
 
 
-# --- our search -------------------------------------------------------------------------------------------------------
-
-STEP = 5  # degrees: cells of the map for planning and decisions
-CELLS = PatchGrid(180 // STEP, 360 // STEP)
-YAWS = np.arange(0, 360, 15)
-PITCHES = (-60, -30, 0, 30, 60)
-_HEADINGS = headings_of(np.tile(YAWS, len(PITCHES)), np.repeat(PITCHES, len(YAWS)))
-
-
-class Answer(NamedTuple):
-    """A submission in whole degrees, and its probability of success according to the belief, NaN if it has none."""
-
-    yaw: int
-    pitch: int
-    probability: float = math.nan
-
-
-def prior_of(kind: Kind, elsewhere: float = ELSEWHERE) -> np.ndarray:
-    """Prior probability of each of `CELLS` ``(H, W)``, up to a factor.
-
-    A share `elsewhere` is even over the sphere; the rest has a normal density in the elevation. For paths all is even.
-    """
-    if kind == "hps":
-        return CELLS.weights
-    return even_and_usual(np.degrees(CELLS.latitudes)[:, None], CELLS.weights, HEIGHT, TILT, elsewhere)
-
-
-def stated(share: float) -> float:
-    """The calibrated probability that the window with this share of the belief is right."""
-    share = min(max(share, 1e-6), 1 - 1e-6)
-    return 1 / (1 + math.exp(-SHIFT - SLOPE * math.log(share / (1 - share))))
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """The state after some looks: an `eagor.lab.agents.search_space.Space`. Immutable: `update` returns a new one.
-
-    Per cell of `CELLS`: `prior`, up to a factor; `shown`, the visible fraction so far, 0 to 1; `stale`, the fraction of
-    the next look that repeats earlier ones. A look counts for less towards the border of its view, as its evidence does
-    there (`eagor.evidence.coverage.taper`). `headings` ``(n, 2)``: those of the views that are weighed; azimuth and
-    elevation, radians, world frame.
-    """
-
-    kind: Kind
-    prior: np.ndarray
-    belief: Belief
-    shown: np.ndarray
-    stale: np.ndarray
-    headings = _HEADINGS
-
-    @classmethod
-    def begin(cls, kind: Kind, elsewhere: float = ELSEWHERE) -> Search:
-        """The state before the first look; `elsewhere`: of the prior (`prior_of`)."""
-        nothing = np.zeros(CELLS.shape)
-        return cls(kind, prior_of(kind, elsewhere), Belief.uniform(DEGREE), nothing, nothing)
-
-    def update(self, evidence: Evidence, world_R_capture: np.ndarray, view: View) -> Search:
-        """The state after one more look: its evidence, the pose of the evidence's frame, and the view.
-
-        The look counts for less where it repeats recent ones: a model's errors persist.
-        """
-        belief = self.belief
-        if not self.stale.any():
-            belief = belief.update(evidence, world_R_capture)
-        elif evidence.detections is None:
-            new = self._new_at(evidence.grid.directions @ world_R_capture.T)
-            belief = belief.update(replace(evidence, drawn=evidence.log_ratio * new), world_R_capture)
-        else:
-            basis, grid = belief.basis, decoding_grid(DEGREE)
-            new = self._new_at(grid.directions @ world_R_capture.T)
-            log_ratio = basis.synthesise(evidence.coefficients(DEGREE), grid)
-            belief = belief.plus(basis.rotate(basis.analyse(log_ratio * new, grid), world_R_capture))
-        shares, weights = _shown_by(view)
-        shown, stale = np.maximum(self.shown, shares), REPEATS * np.maximum(self.stale, weights)
-        return Search(self.kind, self.prior, belief, shown, stale)
-
-    def _new_at(self, directions: np.ndarray) -> np.ndarray:
-        """The fraction ``(...)`` of a look at directions ``(..., 3)`` of the world that is new."""
-        x, y, _ = CELLS.project(directions)
-        rows = np.clip(y.astype(np.intp), 0, CELLS.height - 1)
-        return 1 - self.stale[rows, x.astype(np.intp) % CELLS.width]
-
-    @lazy
-    def probability(self) -> np.ndarray:
-        """The probability of each cell of `CELLS` ``(H, W)``; sums to 1.
-
-        The belief counts only where something was looked at: elsewhere it is ringing from its finite degree.
-        """
-        field = np.asarray(self.belief.log_ratio(CELLS)) * self.shown
-        found = np.exp(field - field.max()) * self.prior
-        return found / found.sum()
-
-    def answer(self) -> Answer:
-        """The submission whose window holds most of the belief, centred on that belief."""
-        p = self.probability
-        high, wide = (CELLS.height if self.kind == "hps" else PITCH_TOLERANCE // STEP), YAW_TOLERANCE[self.kind] // STEP
-        # What the smallest window around each cell holds; cells at its border count half.
-        mass = _sums(p, np.r_[0.5, np.ones(2 * high - 1), 0.5], np.r_[0.5, np.ones(2 * wide - 1), 0.5])
-        # Of equal windows the one with its belief in the middle.
-        near = np.where(mass >= mass.max() - 1e-9, _sums(p, np.ones(3), np.ones(3)), -1.0)
-        row, column = np.unravel_index(int(near.argmax()), p.shape)
-        rows = np.arange(max(0, row - high), min(CELLS.height, row + high + 1))
-        columns = np.arange(column - wide, column + wide + 1) % CELLS.width
-        part = p[np.ix_(rows, columns)]
-        yaws = -np.degrees(CELLS.longitudes)[columns]
-        offset = (yaws - yaws[wide] + 180.0) % 360.0 - 180.0
-        yaw = yaws[wide] + float((part * offset).sum() / part.sum())
-        pitch = float((part * np.degrees(CELLS.latitudes)[rows][:, None]).sum() / part.sum())
-        pitch = 0 if self.kind == "hps" else max(-90, min(90, round(pitch)))
-        return Answer(round(yaw) % 360, pitch, stated(float(mass[row, column])))
-
-    def tells(self) -> np.ndarray:
-        """Expected information of each of the views ``(n,)`` about the target's direction, nats."""
-        shown = [_shown_by(View(0.0, pitch))[1] for pitch in PITCHES]
-        return np.concatenate([_information(self.probability, 1 - self.stale, weights) for weights in shown])
-
-
-def _information(p: np.ndarray, new: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Mutual information (nats) of a look, for each of `YAWS`; `shown`: the fraction of each cell in view from yaw 0.
-
-    A target in view is reported there with the probability `HIT`, less where the look repeats another; otherwise there
-    is a false report with probability `ALARM`, uniform over the view.
-    """
-    rows, columns = np.nonzero(shown)
-    places = (columns[None] + (YAWS // STEP)[:, None]) % CELLS.width  # cells in view, for each yaw
-    here, share = p[rows[None], places], HIT * shown[rows, columns] * new[rows[None], places]
-    area = CELLS.weights[rows, columns]
-    return information(here, share, ALARM, area / area.sum())
-
-
-@lru_cache(maxsize=256)
-def _shown_by(view: View) -> tuple[np.ndarray, np.ndarray]:
-    """The fraction of each cell ``(H, W)`` that a view shows, and its weight: less towards the border.
-
-    The evidence of a view rises from its border as sin^2 and is full pi / (DEGREE + 1) inside.
-    """
-    rays = CELLS.directions @ view.world_R_view
-    rows, columns = size_of()
-    half_width = math.tan(math.radians(HFOV_DEG) / 2)
-    half_height = half_width * rows / columns
-    to_sides = (half_width * rays[..., 0] - np.abs(rays[..., 1])) / math.hypot(1, half_width)
-    to_ends = (half_height * rays[..., 0] - np.abs(rays[..., 2])) / math.hypot(1, half_height)
-    depth = np.arcsin(np.clip(np.minimum(to_sides, to_ends), -1, 1))
-    shares = coverage(*CELLS.shape, view.grid(rows, columns))
-    return shares, shares * np.sin(np.clip(depth * (DEGREE + 1) / 2, 0, math.pi / 2)) ** 2
-
-
-def _sums(p: np.ndarray, tall: np.ndarray, wide: np.ndarray) -> np.ndarray:
-    """The sums of `p` about each cell ``(H, W)``, with these weights of the rows and of the columns around it."""
-    return convolve1d(convolve1d(p, wide, axis=1, mode="wrap"), tall, axis=0, mode="constant")
-
-
 # --- agents -----------------------------------------------------------------------------------------------------------
 
 
 class Turn(NamedTuple):
     """One turn: an action (None: an invalid one), the answer it would submit now, and notes for the record."""
 
-    action: Action | None
+    action: hstar.Action | None
     would: Answer
     notes: Mapping[str, Any]
 
 
-Agent = Callable[[View, bool], Turn]  # the turn at this view; True: it is the last one
+Agent = Callable[[hstar.View, bool], Turn]  # the turn at this view; True: it is the last one
 
 
 def make_agent(
-    config: HStarConfig, episode: Episode, detector: Detector | None = None, chat: Chat | None = None
+    config: HStarConfig, episode: hstar.Episode, detector: Detector | None = None, chat: Chat | None = None
 ) -> Agent:
     """The agent of a run for one episode; those in `LOOKING` need a detector, the one that talks a model."""
     if chat is not None:
-        return VlmAgent(episode, chat, config.form, config.window, config.resolution)
+        return VlmAgent(episode, chat, config.window, config.resolution)
     if detector is not None:
         if config.agent == "eagor":
             return EagorAgent(Search.begin(episode.kind, config.elsewhere), detector, config.sure)
         return SweepAgent(config.agent, episode.start, detector)
+    yaw, pitch, probability = episode.start, 0.0, math.nan
     if config.agent == "oracle":
-        yaw, pitch = window_of(episode.item).centre
-        return blind(yaw, max(-90, min(90, pitch)), 1.0)
-    if config.agent == "random":
+        (yaw, pitch), probability = hstar.window_of(episode.item).centre, 1.0
+    elif config.agent == "random":
         rng = np.random.default_rng(case_seed(config.seed, episode.id))
-        return blind(int(rng.integers(360)), float(rng.normal(-10, 15)))
-    return blind(episode.start, 0)
+        yaw, pitch = int(rng.integers(360)), float(rng.normal(-10, 15))
+    answer = Answer(round(yaw) % 360, round(max(-90, min(90, pitch))), probability)
+    return lambda view, last: Turn(_submit(answer), answer, {})
 
 
-def _submit(answer: Answer) -> Action:
-    return Action("submit", answer.yaw, answer.pitch)
+def _submit(answer: Answer) -> hstar.Action:
+    return hstar.Action("submit", answer.yaw, answer.pitch)
 
 
-def _rotate(now: View, to: View) -> Action:
+def _rotate(now: hstar.View, to: hstar.View) -> hstar.Action:
     """The rotation from one view to another, the short way around."""
-    return Action("rotate", round((to.yaw - now.yaw + 180) % 360 - 180), round(to.pitch - now.pitch))
+    return hstar.Action("rotate", round((to.yaw - now.yaw + 180) % 360 - 180), round(to.pitch - now.pitch))
 
 
 class EagorAgent:
-    """Our agent: an `eagor.lab.agents.steering.Searcher` over the views of a `Search`; it submits if it is `sure`.
+    """Our agent: looks where that tells most (a `Search`), and submits if it is `sure`.
 
     Every turn of the camera costs one of the episode's turns, whatever its angle.
     """
 
     def __init__(self, search: Search, detector: Detector, sure: float = SURE) -> None:
-        self._detector, self.searcher = detector, Searcher(search, commit_threshold=sure)
+        self.search, self._detector, self._sure = search, detector, sure
 
-    def __call__(self, view: View, last: bool) -> Turn:
+    def __call__(self, view: hstar.View, last: bool) -> Turn:
         look = self._detector(view)
-        search = self.searcher.space = self.searcher.space.update(look.evidence, look.world_R_capture, view)
-        answer = search.answer()
-        to = self.searcher.face(view.heading, answer.probability)
-        action = _submit(answer) if last or to is None else _rotate(view, View.facing(to))
+        self.search = self.search.update(look.evidence, look.world_R_capture, view)
+        answer, to = self.search.answer(), None
+        if answer.probability < self._sure:
+            to = next_heading(HEADINGS, self.search.tells(), hstar.headings_of(view.yaw, view.pitch))
+        action = _submit(answer) if last or to is None else _rotate(view, hstar.View.facing(to))
         return Turn(action, answer, _peak(look) | {"sure": to is None})
 
 
 class VlmAgent:
     """Asks a `Chat`, which sees the last `window` turns. Until it submits, its answer is the camera's direction."""
 
-    def __init__(self, episode: Episode, chat: Chat, form: str, window: int, resolution: int) -> None:
-        self._episode, self._chat, self._form, self._resolution = episode, chat, form, resolution
+    def __init__(self, episode: hstar.Episode, chat: Chat, window: int, resolution: int) -> None:
+        self._episode, self._chat, self._resolution = episode, chat, resolution
         self._most = 2 * window - 1  # messages beside that of the system
-        self._system = Message("system", system_text(episode.kind, form))
         self._messages: list[Message] = []
-        self._reply: Reply | None = None
+        self._reply: hstar.Reply | None = None
 
-    def __call__(self, view: View, last: bool) -> Turn:
-        task, form = self._episode.item["task"], self._form
-        text = turn_text(task, form, view, self._reply)
-        picture = render_view(open_panorama(self._episode.panorama), view.yaw, view.pitch, self._resolution)
+    def __call__(self, view: hstar.View, last: bool) -> Turn:
+        picture = hstar.render_view(hstar.open_panorama(self._episode.panorama), view.yaw, view.pitch, self._resolution)
+        text = hstar.turn_text(self._episode.item["task"], view, self._reply)
         self._messages.append(Message("user", text, (picture,)))
-        messages = [self._system, *self._messages[-self._most :]]
-        answer = self._chat(messages)
-        self._messages.append(Message("assistant", answer.text))
-        self._reply = parse_action(answer.text, form)
+        system = Message("system", hstar.system_text(self._episode.kind))
+        reply = self._chat([system, *self._messages[-self._most :]])
+        self._messages.append(Message("assistant", reply.text))
+        self._reply = hstar.parse_action(reply.text)
         action = self._reply.action
-        notes: dict[str, Any] = {
-            "raw": answer.text,
-            "prompt": digest(messages),
-            "format": self._reply.format_correct,
-            "valid": action is not None,
-            "pixels": list(picture.shape[:2]),
-        }
-        if answer.prompt_tokens is not None:
-            notes["tokens"] = [answer.prompt_tokens, answer.completion_tokens]
+        notes: dict[str, Any] = {"raw": reply.text, "format": self._reply.format_correct, "valid": action is not None}
+        notes["pixels"] = list(picture.shape[:2])
+        if reply.prompt_tokens is not None:
+            notes["tokens"] = [reply.prompt_tokens, reply.completion_tokens]
         if action is not None and action.kind == "submit":
             return Turn(action, Answer(action.yaw, action.pitch), notes)
         return Turn(action, Answer(round(view.yaw) % 360, round(view.pitch)), notes)
-
-
-def blind(yaw: float, pitch: float, probability: float = math.nan) -> Agent:
-    """Submits one direction immediately."""
-    answer = Answer(round(yaw) % 360, round(pitch), probability)
-    return lambda view, last: Turn(_submit(answer), answer, {})
 
 
 class SweepAgent:
     """Looks along `SWEEP`, and submits after the last look what it reads then; `name` says how it reads.
 
     ``sweep``: the strongest response of all views so far. ``single``: that of the first view, at once. ``grid``: a
-    Bayes filter on a grid of directions, fixed in the world. ``centroid`` and ``cent-circ``: the mean of the first view
-    that responds, at once; until then the middle of the view.
+    Bayes filter on a grid of directions, fixed in the world. ``centroid``: the mean pixel of the first view that
+    responds, at once; until then the middle of the view.
     """
 
     def __init__(self, name: str, start: float, detector: Detector) -> None:
@@ -498,13 +271,13 @@ class SweepAgent:
         self._best, self._strongest = np.zeros(3), -1.0
         self._filter = HistogramFilter()
 
-    def __call__(self, view: View, last: bool) -> Turn:
+    def __call__(self, view: hstar.View, last: bool) -> Turn:
         look = self._detector(view)
         direction, content = self._read(look)
         yaw, pitch = hstar_from_direction(direction)
         answer = Answer(round(float(yaw)) % 360, round(float(pitch)))
         to = None if last or content else next(self._left, None)
-        action = _submit(answer) if to is None else _rotate(view, View((self._start + to[0]) % 360, to[1]))
+        action = _submit(answer) if to is None else _rotate(view, hstar.View((self._start + to[0]) % 360, to[1]))
         return Turn(action, answer, _peak(look))
 
     def _read(self, look: ViewEvidence) -> tuple[np.ndarray, bool]:
@@ -515,24 +288,18 @@ class SweepAgent:
             turned = replace(self._filter, body_R_grid=pose.T, calibration=evidence.calibration)
             self._filter = turned.update(evidence)
             return pose @ self._filter.direction(), False
-        if self._name in MEANS:
+        if self._name == "centroid":
+            response = _response(evidence)
             if height < RESPONDS:
-                return pose @ np.asarray(evidence.grid.directions[_middle(_response(evidence))]), False
-            return pose @ MEANS[self._name].update(_without_floor(evidence)).direction(), True
+                return pose @ np.asarray(evidence.grid.directions[_middle(response)]), False
+            # Without its lowest response, which would draw the mean towards the middle of the view.
+            floor = max(0.5 * response.max(), float(response[response >= 0].min()) + 1e-6)
+            cleared = np.where(response < floor, 0.0, response)
+            high = Evidence.from_response(np.clip(cleared, 0, 1), evidence.grid, evidence.calibration)
+            return pose @ Centroid().update(high).direction(), True
         if height > self._strongest + 1e-6:
             self._best, self._strongest = direction, height
         return self._best, self._name == "single"
-
-
-MEANS = {"centroid": Centroid(), "cent-circ": CircularCentroid()}
-
-
-def _without_floor(evidence: Evidence) -> Evidence:
-    """The evidence minus its lowest response; otherwise means would be biased towards the middle."""
-    response = _response(evidence)
-    floor = float(response[response >= 0].min())
-    cleared = np.where(response < max(0.5 * response.max(), floor + 1e-6), 0.0, response)
-    return Evidence.from_response(np.clip(cleared, 0, 1), evidence.grid, evidence.calibration)
 
 
 def peak_of(look: ViewEvidence) -> tuple[np.ndarray, float]:

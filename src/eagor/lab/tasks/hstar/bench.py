@@ -1,46 +1,160 @@
-"""H*Bench for `eagor bench`: object search (HOS) and path search (HPS); episodes, their records, causes of failures."""
+"""H*Bench for `eagor bench`: its files, an episode and its record, the causes of failures, the two tasks.
+
+The layout is ``<anything>/<scene>/annotation.json`` beside the scene's panorama, as in the unpacked archives: the first
+``*.png`` by name, otherwise the first ``*.jpg``. As in the published environment, ``.PNG`` and ``.jpeg`` are other
+endings, whose scenes are skipped (`read_scenes` names them). An entry with ``pitch`` is an object to find (HOS), one
+without is a path to take (HPS). There is one episode per entry and start.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import random
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import numpy as np
+from msgspec import Meta, field
 
 from eagor._checks import shown
 from eagor.conventions import direction_from_hstar
 from eagor.errors import FormatError
-from eagor.lab.agents.models import recalibrator, shared_chat
-from eagor.lab.tasks.hstar import data as files
-from eagor.lab.tasks.hstar.agents import (
-    AGENTS,
-    LOOKING,
-    RESPONDS,
-    Agent,
-    HStarConfig,
-    make_agent,
-    open_detector,
-    open_perception,
-)
-from eagor.lab.tasks.hstar.data import LEVELS, Episode, Kind, head_of, tag_of
-from eagor.lab.tasks.hstar.rules import (
-    FARTHEST_ANSWER,
-    MAX_TURNS,
-    SCORINGS,
-    Scoring,
-    View,
-    parse_action,
-    submit_succeeds,
-    visible_share,
-    window_of,
-)
-from eagor.lab.tasks.published import PublishedTask, score_metric
-from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
+from eagor.lab.tasks import hstar, published
+from eagor.lab.tasks.hstar.agents import AGENTS, LOOKING, RESPONDS, Agent, HStarConfig, make_agent, open_detector
+from eagor.lab.tasks.published import PublishedTask, Recalibrate
+from eagor.lab.tasks.task import Metric, Payload, Record, Sample
+from eagor.perception.truth import Noise
+from eagor.queries import singular
 from eagor.sphere import angular_distance
+
+# --- the published files ----------------------------------------------------------------------------------------------
+
+ANNOTATION = "annotation.json"
+STARTS = (0, 90, 180, 270)  # degrees of yaw, for entries without any
+SHUFFLE = 42  # the published environment shuffles its episodes with this seed
+
+Real = Annotated[float, Meta(ge=-hstar.FARTHEST, le=hstar.FARTHEST)]  # degrees
+Degrees = (
+    Annotated[int, Meta(ge=-int(hstar.FARTHEST), le=int(hstar.FARTHEST))] | Real
+)  # records show them as the file has them
+Level = Annotated[int, Meta(ge=0)]
+
+
+class Entry(msgspec.Struct):
+    """One target in annotation.json: its box in degrees, the yaws to begin at, and the level of each or of all."""
+
+    task: str
+    yaw: tuple[Degrees, Degrees]
+    pitch: tuple[Degrees, Degrees] | None = None
+    starts: list[Real] | None = field(name="initial yaw", default=None)
+    level: list[Level | None] | Level | None = None
+
+    @property
+    def item(self) -> dict[str, Any]:
+        """Its task, yaw and, for an object, pitch."""
+        pitch = {} if self.pitch is None else {"pitch": list(self.pitch)}
+        return {"task": self.task, "yaw": list(self.yaw), **pitch}
+
+
+Scene = tuple[Path, list[Entry]]  # its picture and its targets
+
+
+def read_scenes(data: Path) -> tuple[dict[str, Scene], list[str]]:
+    """All scenes in `data`, by name, and the folders with annotations that have no such picture, left out as published.
+
+    A scene is named by its folder alone if that is unique. Raises `FormatError` if there is none, or one is malformed.
+    """
+    if not data.exists():
+        raise FormatError(f"there is no {data}; wanted the folder of the unpacked archive of H*Bench")
+    pictures: dict[Path, Path] = {}
+    skipped = []
+    for folder in sorted(path.parent for path in data.rglob(ANNOTATION)):
+        found = sorted(folder.glob("*.png")) or sorted(folder.glob("*.jpg"))
+        if found:
+            pictures[folder] = found[0]
+        else:
+            skipped.append(str(folder))
+    if not pictures:
+        why = f"; {skipped[0]} has {ANNOTATION}, but no such picture" if skipped else ""
+        packed = [data] if data.is_file() else sorted(data.glob("*.zip"))
+        why += f"; {packed[0]} has to be unpacked first" if packed else ""
+        raise FormatError(f"{data} holds no scene of H*Bench, {ANNOTATION} beside a .png or .jpg (lower case){why}")
+    count = Counter(folder.name for folder in pictures)
+    scenes: dict[str, Scene] = {}
+    for folder, picture in pictures.items():
+        name = folder.name if count[folder.name] == 1 else folder.relative_to(data).as_posix()
+        fault = (
+            'is no list of targets, each with a task such as "Find the red chair", yaw and pitch as two angles of at '
+            f"most {hstar.FARTHEST:g} degrees, initial yaw as a list of such, level as 0, 1, 2, ..."
+        )
+        scenes[name] = picture, published.read_json(folder / ANNOTATION, list[Entry], fault)
+    return dict(sorted(scenes.items())), skipped
+
+
+def read_episodes(data: Path, kind: hstar.Kind) -> list[hstar.Episode]:
+    """The episodes of one kind, in the published order: by folder, then shuffled with the seed 42.
+
+    Raises `FormatError` if there is none of this kind, or the data is not H*Bench's.
+    """
+    scenes, _ = read_scenes(data)
+    episodes = [each for name, scene in scenes.items() for each in _episodes(name, *scene) if each.kind == kind]
+    if not episodes:
+        wanted = "with pitch (objects)" if kind == "hos" else "without pitch (paths)"
+        raise FormatError(f"{data} has {len(scenes)} scenes, but no annotation {wanted}: it is not {kind.upper()} data")
+    random.Random(SHUFFLE).shuffle(episodes)
+    return episodes
+
+
+def _episodes(scene: str, panorama: Path, entries: list[Entry]) -> Iterator[hstar.Episode]:
+    items = [entry.item for entry in entries]
+    for index, entry in enumerate(entries):
+        kind: hstar.Kind = "hos" if entry.pitch is not None else "hps"
+        starts = STARTS if entry.starts is None else entry.starts
+        levels = entry.level if isinstance(entry.level, list) else [entry.level] * len(starts)
+        cluster, others = f"{scene}/{index}", items[:index] + items[index + 1 :]
+        names = Counter[str]()
+        for start, level in zip(starts, levels, strict=False):  # the shorter of the two lists decides, as published
+            name = f"{cluster}/{start:g}"
+            names[name] += 1
+            name += f"-{names[name]}" if names[name] > 1 else ""
+            if level is None and entry.pitch is not None:
+                level = hstar.level_of(hstar.View(start, 0.0), entry.yaw, entry.pitch)
+            yield hstar.Episode(name, cluster, scene, kind, items[index], others, start, level, str(panorama))
+
+
+# --- the tags of targets ----------------------------------------------------------------------------------------------
+
+FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
+COMMON = frozenset(hstar.TEXTS["nouns"])  # things that any detector knows well: of homes, offices, shops and streets
+_TEXT = (
+    r"""["“”«»]|(?<!\w)'[^']+'|\b(?:sign|says?|saying|labell?ed|logo|number|letters?|word|text|reading|written|named|"""
+    r"""called|brand)\b|\d"""
+)
+
+
+def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) -> str:
+    """The tag of a target; `others` are the scene's other entries. The paper names the tags; the rules are ours.
+
+    ``ocr_fine``: the words quote or name text, numbers or a brand (a capital inside the words), or the box is tiny.
+    ``multi_instance``: another entry of the scene has the same noun. ``rare``: the noun is not among `COMMON`.
+    """
+    task, yaw, pitch = str(item["task"]), item["yaw"], item.get("pitch")
+    phrase, head = published.phrase_of(task), published.head_of(task)
+    branded = phrase.isupper() or any(word[:1].isupper() for word in phrase.split())
+    tiny = pitch is not None and (yaw[1] - yaw[0]) % 360.0 < FINE and pitch[1] - pitch[0] < FINE
+    if re.search(_TEXT, published.thing_of(task).lower()) or branded or tiny:
+        return "ocr_fine"
+    if any(published.head_of(str(other["task"])) == head for other in others):
+        return "multi_instance"
+    return "plain" if {head, singular(head)} & COMMON else "rare"
+
+
+# --- the tasks --------------------------------------------------------------------------------------------------------
 
 # In order of precedence: the first that applies is the cause.
 CAUSES = {
@@ -56,14 +170,6 @@ CAUSES = {
 NEAR = 25.0  # degrees from the answer: a response there counts as taken for the target
 
 
-def _at(level: str, record: Record) -> float | None:
-    return record["score"] if record.get("level") == level else None
-
-
-def _by(way: Scoring, record: Record) -> float | None:
-    return record.get("scores", {}).get(way)
-
-
 class HStar(PublishedTask):
     """One half of H*Bench; see `eagor.lab.tasks.task.Task`."""
 
@@ -71,62 +177,70 @@ class HStar(PublishedTask):
     agents, causes, looking = AGENTS, CAUSES, LOOKING
     truth: ClassVar = "the annotations through noise, for studies"
 
-    def __init__(self, kind: Kind, title: str, what: str) -> None:
-        self.kind: Kind = kind
+    def __init__(self, kind: hstar.Kind, title: str, what: str) -> None:
+        self.kind: hstar.Kind = kind
         self.title, self.what, self.name = title, what, f"hstar-{kind}"
         self.metrics: tuple[Metric, ...] = (
-            score_metric("overall", "Overall", "success of all episodes", lambda record: record["score"]),
-            *(
-                score_metric(level, level.capitalize(), f"success of episodes of level {level}", partial(_at, level))
-                for level in LEVELS[kind]
-            ),
-            score_metric("official", "Official", "success by the published rule", partial(_by, "official")),
-            score_metric("strict", "Strict", "success with the pitch always counted", partial(_by, "strict")),
+            published.score_metric("overall", "Overall", "success of all episodes", lambda record: record["score"]),
+            *published.level_metrics(hstar.LEVELS[kind], "success of episodes of level"),
+            published.score_metric("official", "Official", "success by the published rule", partial(_by, "official")),
+            published.score_metric("strict", "Strict", "success with the pitch always counted", partial(_by, "strict")),
             Metric("views", "Views", "number of views", lambda r: r.get("views"), "", "low", 1.0, 2),
         )
 
     def info(self, data: Path) -> dict[str, Any]:
-        return files.info(data)
+        scenes, skipped = read_scenes(Path(data))
+        entries = [entry for _, entries in scenes.values() for entry in entries]
+        episodes = [each for name, scene in scenes.items() for each in _episodes(name, *scene)]
+        levels = {kind: Counter(each.level_name for each in episodes if each.kind == kind) for kind in hstar.LEVELS}
+        return {
+            "scenes": len(scenes),
+            "targets": len(entries),
+            "episodes": {kind: sum(count.values()) for kind, count in levels.items()},
+            "levels": {kind: dict(count) for kind, count in levels.items() if count},
+            "skipped": skipped,
+            "without_initial_yaw": sum(entry.starts is None for entry in entries),
+            "without_level": sum(entry.level is None for entry in entries),
+            "windows_across_yaw_0": sum(hstar.window_of(entry.item).wraps for entry in entries),
+        }
 
     def samples(self, config: HStarConfig) -> list[Sample]:
-        episodes = files.read_episodes(Path(config.data), self.kind)
+        episodes = read_episodes(Path(config.data), self.kind)
         return [Sample(episode.id, episode.scene, msgspec.to_builtins(episode)) for episode in episodes]
 
-    def check(self, config: HStarConfig) -> None:
-        if config.perception:
-            open_perception(config.perception)
+    def open_perception(self, config: HStarConfig) -> Any:
+        name, _, text = str(config.perception).partition(":")
+        return Noise.parse(text) if name == "truth" else super().open_perception(config)
 
-    def runner(self, config: HStarConfig) -> Callable[[Payload], Record]:
-        perception = open_perception(config.perception) if config.perception else None
-        chat, read = shared_chat(config.model) if config.model else None, recalibrator(settings_of(config))
-
-        def run(payload: Payload) -> Record:
-            episode = msgspec.convert(payload, Episode)
+    def player(self, config: HStarConfig, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
+        def play(payload: Payload) -> Record:
+            episode = msgspec.convert(payload, hstar.Episode)
             detector = None
             if perception is not None:
                 detector = open_detector(perception, episode, config.seed, config.resolution, read)
             return run_episode(episode, make_agent(config, episode, detector, chat), config.scoring, config.turns)
 
-        return run
+        return play
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: HStarConfig) -> Record:
-        answer, reason = _submission(prediction, config.form)
-        return record_of(msgspec.convert(sample.payload, Episode), config.scoring, answer, [{"shown": 1.0}], reason)
+        answer, reason = _submission(prediction)
+        return record_of(
+            msgspec.convert(sample.payload, hstar.Episode), config.scoring, answer, [{"shown": 1.0}], reason
+        )
 
 
-def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int] | None, str]:
+def _by(way: hstar.Scoring, record: Record) -> float | None:
+    return record.get("scores", {}).get(way)
+
+
+def _submission(prediction: Mapping[str, Any]) -> tuple[dict[str, int] | None, str]:
     """The submission of a prediction, or None and the reason why there is none."""
     given = prediction.get("submit")
     if given is None and "yaw" in prediction:
         given = prediction["yaw"], prediction.get("pitch", 0)
     if given is None:
-        text = prediction.get("text")
-        if not isinstance(text, str):
-            raise FormatError(
-                f"a prediction has {shown(', '.join(prediction), 200)}; wanted submit: [yaw, pitch], or yaw and pitch, "
-                "or text, the model's last reply"
-            )
-        action = parse_action(text, form).action
+        wanted = "submit: [yaw, pitch], or yaw and pitch, or text, the model's last reply"
+        action = hstar.parse_action(published.words_of(prediction, ("text",), wanted)).action
         if action is None or action.kind != "submit":
             return None, "format" if action is None else "budget"
         return {"yaw": action.yaw, "pitch": action.pitch}, "submitted"
@@ -134,8 +248,8 @@ def _submission(prediction: Mapping[str, Any], form: str) -> tuple[dict[str, int
         yaw, pitch = (round(float(value)) for value in given)
     except (TypeError, ValueError, OverflowError):
         raise FormatError(f"a prediction submits {shown(given)}; wanted yaw and pitch in degrees") from None
-    if max(abs(yaw), abs(pitch)) > FARTHEST_ANSWER:
-        raise FormatError(f"a prediction submits {shown(given)}; wanted degrees, at most {FARTHEST_ANSWER}")
+    if max(abs(yaw), abs(pitch)) > hstar.FARTHEST_ANSWER:
+        raise FormatError(f"a prediction submits {shown(given)}; wanted degrees, at most {hstar.FARTHEST_ANSWER}")
     return {"yaw": yaw, "pitch": pitch}, "submitted"
 
 
@@ -146,25 +260,25 @@ HPS = HStar("hps", "H*Bench: path search (HPS)", "look around in a photograph fo
 # --- an episode and its record ----------------------------------------------------------------------------------------
 
 
-def run_episode(episode: Episode, agent: Agent, scoring: Scoring = "official", turns: int = MAX_TURNS) -> Record:
-    """The record of one episode; see `eagor.lab.tasks.published.PublishedRecord` for the common keys.
+def run_episode(
+    episode: hstar.Episode, agent: Agent, scoring: hstar.Scoring = "official", turns: int = hstar.MAX_TURNS
+) -> Record:
+    """The record of one episode, with the common keys of `eagor.lab.tasks.published.PublishedRecord`.
 
-    `scoring` decides "score" and "by_turn" ("scores" has both); `turns`: views at most.
-
-    Each step has "turn", "view" (yaw, pitch), "shown" (visible fraction of the target), "action" (as text, None if
-    invalid), "would" (its answer at this turn: yaw, pitch, official, strict, p), and the agent's notes.
+    `scoring` decides "score" and "by_turn" ("scores" has both); `turns`: views at most. Each step has "turn", "view",
+    "shown" (visible fraction of the target), "action", "would" (its answer now), and the agent's notes.
     """
-    item, view, answer = episode.item, View(float(episode.start), 0.0), None
+    item, view, answer = episode.item, hstar.View(float(episode.start), 0.0), None
     steps: list[dict[str, Any]] = []
     while answer is None and len(steps) < turns:
         turn = agent(view, len(steps) + 1 == turns)
         yaw, pitch, p = turn.would
-        succeeds = {each: submit_succeeds(item, yaw, pitch, each) for each in SCORINGS}
+        succeeds = {each: hstar.submit_succeeds(item, yaw, pitch, each) for each in hstar.SCORINGS}
         steps.append(
             {
                 "turn": len(steps) + 1,
                 "view": {"yaw": view.yaw, "pitch": view.pitch},
-                "shown": round(visible_share(view, item["yaw"], item.get("pitch")), 3),
+                "shown": round(hstar.visible_share(view, item["yaw"], item.get("pitch")), 3),
                 "action": None if turn.action is None else str(turn.action),
                 "would": {"yaw": yaw, "pitch": pitch, **succeeds, "p": None if math.isnan(p) else round(p, 4)},
                 **turn.notes,
@@ -188,8 +302,8 @@ def run_episode(episode: Episode, agent: Agent, scoring: Scoring = "official", t
 
 
 def record_of(
-    episode: Episode,
-    scoring: Scoring,
+    episode: hstar.Episode,
+    scoring: hstar.Scoring,
     answer: Mapping[str, Any] | None,
     steps: Sequence[Mapping[str, Any]],
     reason: str,
@@ -199,12 +313,12 @@ def record_of(
     `answer`: None if there was none, for the `reason`, which is then also the cause of the failure.
     """
     item, pitch = episode.item, episode.item.get("pitch")
-    scores = dict.fromkeys(SCORINGS, 0.0)
+    scores = dict.fromkeys(hstar.SCORINGS, 0.0)
     errors: dict[str, float | None] = {"yaw_error": None, "pitch_error": None, "error": None}
     cause: str | None = reason
     if answer is not None:
-        at, middle = (answer["yaw"], answer["pitch"]), window_of(item).centre
-        scores = {way: float(submit_succeeds(item, *at, way)) for way in SCORINGS}
+        at, middle = (answer["yaw"], answer["pitch"]), hstar.window_of(item).centre
+        scores = {way: float(hstar.submit_succeeds(item, *at, way)) for way in hstar.SCORINGS}
         turn = abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0)
         lift = None if pitch is None else round(abs(at[1] - middle[1]), 2)
         errors = {"yaw_error": round(turn, 2), "pitch_error": lift, "error": round(_apart(at, middle), 2)}
@@ -231,26 +345,21 @@ def cause_of(
     steps: Sequence[Mapping[str, Any]],
     at: tuple[float, float],
     others: Sequence[Mapping[str, Any]],
-    scoring: Scoring,
+    scoring: hstar.Scoring,
 ) -> str:
-    """The cause of a failure of an answer `at` (yaw, pitch), one of `CAUSES`.
-
-    `item` and `others` are entries of annotation.json, the target and the rest of its scene; `steps`: of the record.
-    """
-    same = [other for other in others if head_of(other["task"]) == head_of(item["task"])]
-    if any(window_of(other).contains(*at, "strict") for other in same):
+    """Why an answer `at` (yaw, pitch) failed, one of `CAUSES`; `others`: the rest of its scene; `steps`: recorded."""
+    same = [other for other in others if published.head_of(other["task"]) == published.head_of(item["task"])]
+    if any(hstar.window_of(other).contains(*at, "strict") for other in same):
         return "wrong_instance"
     if any((step.get("would") or {}).get(scoring) for step in steps):
         return "stopped_wrongly"
     if all(step["shown"] == 0 for step in steps):
         return "never_in_view"
     peaks = [step["peak"] for step in steps if "peak" in step]
-    if not peaks:
-        return "false_detection"
     loud = [(peak["yaw"], peak["pitch"]) for peak in peaks if peak["score"] >= RESPONDS]
-    if any(window_of(item).contains(*peak, "strict") for peak in loud):
+    if any(hstar.window_of(item).contains(*peak, "strict") for peak in loud):
         return "fusion_error"
-    return "false_detection" if any(_apart(peak, at) <= NEAR for peak in loud) else "missed"
+    return "false_detection" if not peaks or any(_apart(peak, at) <= NEAR for peak in loud) else "missed"
 
 
 def _apart(a: tuple[float, float], b: tuple[float, float]) -> float:

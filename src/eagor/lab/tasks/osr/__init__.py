@@ -1,9 +1,315 @@
-"""OSR-Bench: questions about one panorama, scored by the benchmark's own rules.
+"""OSR-Bench: questions about one panorama; here its maps, the answers that follow from them, and its scoring.
 
-`score` and `direction_label` are its scorer and its label generator. Left and right are mirrored in the published
-labels: see `eagor.lab.tasks.osr.scoring`.
+A layout lists the cells of each category on a grid of 10 x 10: ``{name: [[row, column], ...]}``; row 0 is at the top.
+All answers of the benchmark derive from such a layout (Dongfang et al., arXiv 2505.11907, and the code published with
+it), so labels depend on cells, not on metres.
+
+The published layouts are mirrored against the pictures: what lies to the left in the room is drawn to the right. The
+published answers follow the layouts, so left and right are exchanged in them. `swapped` gives the answer that is right
+in the room.
+
+`score` is the published scorer (`evaluation_re` and the map's score) with one deviation: the published code computes a
+map's precision, recall and F1 when it comes to the last category that both maps have, from the categories so far. Their
+order is that of a Python set, which differs from process to process unless PYTHONHASHSEED is set. Here all categories
+count, which is the least that the published code can give; `MapScore.f1_most` is the most.
 """
 
-from eagor.lab.tasks.osr.scoring import direction_label, distance_label, score, score_map, swapped
+from __future__ import annotations
 
-__all__ = ["direction_label", "distance_label", "score", "score_map", "swapped"]
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eagor._checks import parsed, shown
+from eagor.errors import FormatError
+
+SIZE = 10  # rows and columns of a layout
+Cell = tuple[int, int]
+Layout = Mapping[str, Sequence[Sequence[int]]]
+Grid = list[list[list[str]]]  # rows of cells, each a list of names, as maps are published
+
+NO_POSITION = "The positioning object is not found in the picture."
+NOT_UNIQUE = "The positioning object is not unique in the picture."
+NO_OBJECT = "The orienting object or querying object is not found in the picture."
+NO_CANDIDATE = "None of the candidates were found in the picture."
+ERRORS = (NO_POSITION, NOT_UNIQUE, NO_OBJECT, NO_CANDIDATE)
+DIRECTIONS = ("Front", "Back", "Left", "Right", "Front Left", "Front Right", "Back Left", "Back Right")
+COUNTING, DISTANCE, DIRECTION, MAP = "object_counting", "relative_distance", "relative_direction", "cognitive_map"
+SKILLS = (COUNTING, DISTANCE, DIRECTION, MAP)
+NEAR = 2.0  # cells: a thing of a map is right if it is at most this far from its place
+FAR = 15.0  # cells: the mean distance of a map without any match
+_SIDES = {"Left": "Right", "Right": "Left"}
+_HYPHENS = {f"{a} {b}": f"{a}-{b}" for a in ("front", "back") for b in ("left", "right")}
+
+# --- answers that follow from a layout --------------------------------------------------------------------------------
+
+
+def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
+    """The published answer to "standing by P and facing the closest O, where is the closest Q?".
+
+    With v1 and v2 the steps (rows, columns) from P to the nearest O and Q: "Front" if v1 . v2 > 0, "Back" if it is
+    negative, "Left" if r1 c2 - c1 r2 > 0, "Right" if it is negative; both words, or the one that is not zero. Empty if
+    both are zero (an object in the cell of P); the benchmark leaves such questions out. "Unique" counts cells, not
+    things. If there is no answer, one of `ERRORS`. Raises `FormatError` for an invalid layout.
+    """
+    found = steps(map, P, O, Q)
+    return found if isinstance(found, str) else named(*products(*found))
+
+
+def steps(layout: Layout, P: str, O: str, Q: str) -> tuple[Cell, Cell] | str:
+    """The steps (rows, columns) from P to the nearest O and to the nearest Q, or the error that is the answer."""
+    start = cells(layout, P)
+    if len(start) != 1:
+        return NOT_UNIQUE if start else NO_POSITION
+    facing, asked = ranked(start[0], cells(layout, O)), ranked(start[0], cells(layout, Q))
+    return (facing[0], asked[0]) if facing and asked else NO_OBJECT
+
+
+def products(v1: Any, v2: Any) -> tuple[Any, Any]:
+    """Dot product and cross product r1 c2 - c1 r2 of two steps (rows, columns)."""
+    return v1[0] * v2[0] + v1[1] * v2[1], v1[0] * v2[1] - v1[1] * v2[0]
+
+
+def named(dot: float, cross: float) -> str:
+    """The words for a dot product and a cross product (positive to the left)."""
+    along = "Front" if dot > 0 else "Back" if dot < 0 else ""
+    aside = "Left" if cross > 0 else "Right" if cross < 0 else ""
+    return f"{along} {aside}".strip()
+
+
+def is_tied(layout: Layout, P: str, name: str) -> bool:
+    """Whether several cells of `name` are equally near to P, so that the smallest angle decides."""
+    start = cells(layout, P)
+    near = [_square(way) for way in ranked(start[0], cells(layout, name))[:2]] if len(start) == 1 else []
+    return len(near) == 2 and near[0] == near[1]
+
+
+def tags(layout: Layout | None, names: Sequence[str], label: str) -> list[str]:
+    """What makes a question for a direction hard, known before it is asked; `names`: P, O and Q.
+
+    "absent": the label says that something is absent; "near a border": the dot or the cross product is at most one
+    squared cell, otherwise "clear"; "tied": several things are equally near; "several": several things have the name.
+    """
+    if label in ERRORS:
+        return ["absent"]
+    if layout is None or len(names) != 3 or isinstance(found := steps(layout, *names), str):
+        return []
+    kinds = ["clear" if min(map(abs, products(*found))) > 1 else "near a border"]
+    kinds += ["tied"] if any(is_tied(layout, names[0], name) for name in names[1:]) else []
+    kinds += ["several"] if any(len(layout[name]) > 1 for name in names[1:]) else []
+    return kinds
+
+
+def cells(layout: Layout, name: str) -> list[Cell]:
+    """The cells of `name`, row by row, each once. Raises `FormatError` for what is no cell."""
+    found: set[Cell] = set()
+    for cell in layout.get(name, ()):
+        if len(cell) != 2 or not all(isinstance(k, int) and not isinstance(k, bool) for k in cell):
+            raise FormatError(f"the layout has {name!r} at {cell!r}; wanted [row, column], whole numbers")
+        found.add((int(cell[0]), int(cell[1])))
+    return sorted(found)
+
+
+def ranked(start: Cell, where: Iterable[Cell]) -> list[Cell]:
+    """The steps from `start` to each of `where`, nearest first; equally near ones by angle.
+
+    Angles go from the direction of growing columns to that of growing rows, from 0 up to a full turn.
+    """
+    ways = [(row - start[0], column - start[1]) for row, column in where]
+    return sorted(ways, key=lambda way: (_square(way), math.atan2(*way) % (2 * math.pi)))
+
+
+def _square(way: Cell) -> int:
+    return way[0] ** 2 + way[1] ** 2
+
+
+def swapped(answer: str) -> str:
+    """`answer` with left and right exchanged; any other answer as it is."""
+    return " ".join(_SIDES.get(word, word) for word in answer.split(" ")) if answer in DIRECTIONS else answer
+
+
+# --- scores -----------------------------------------------------------------------------------------------------------
+
+
+def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
+    """The score in [0, 1] of `answer`, the model's words, given the published answer `truth`.
+
+    - object_counting: 1 - |difference| / larger of the first whole number in the answer and the truth (0 without one).
+    - relative_distance: 1 if the whole answer is the truth, except for letter case and spaces around it.
+    - relative_direction: the same, with "front left" and "front-left" alike. A full stop is one character too many.
+    - cognitive_map: F1 of the map, see `score_map`; `truth` is the grid.
+
+    `think`: use the text between <answer> and </answer>, if there is any. Raises `FormatError` for an unknown skill or
+    an invalid truth.
+    """
+    if skill == MAP:
+        return score_map(truth, answer).f1
+    reply, true = extracted(answer, think).strip().lower(), str(truth).strip().lower()
+    if skill == COUNTING:
+        return _counted(reply, true)
+    if skill == DISTANCE:
+        return float(reply == true)
+    if skill == DIRECTION:
+        return float(_HYPHENS.get(reply, reply) == _HYPHENS.get(true, true))
+    raise FormatError(f"there is no skill {skill!r}; known are {', '.join(SKILLS)}")
+
+
+def extracted(answer: str, think: bool) -> str:
+    """The part of an answer that counts: with `think`, the text between the tags, or all of it without tags."""
+    _, opened, rest = answer.partition("<answer>")
+    reply, closed, _ = rest.partition("</answer>")
+    return reply if think and opened and closed else answer
+
+
+def mistake(truth: str, answer: str, think: bool) -> str | None:
+    """What is wrong with a wrong answer to a question for a direction, if it is its form or its side."""
+    answer = extracted(answer, think).strip()
+    readable = answer in ERRORS or answer.lower() in {*map(str.lower, DIRECTIONS), *_HYPHENS.values()}
+    if truth not in ERRORS and not readable:
+        return "format"
+    mirrored = swapped(truth) != truth and score(DIRECTION, swapped(truth), answer)
+    return "left and right exchanged" if mirrored else None
+
+
+def _counted(reply: str, true: str) -> float:
+    number = re.search(r"\d+", reply)
+    if not re.fullmatch(r"[+-]?\d{1,9}", true):
+        raise FormatError(f"the true count is {shown(true)}; wanted a whole number")
+    if number is None or len(number.group()) > 4000:  # more digits than Python reads: practically infinite
+        return 0.0
+    count, wanted = int(number.group()), int(true)
+    return 1.0 if count == wanted else max(0.0, 1 - abs(count - wanted) / max(count, wanted))
+
+
+@dataclass(frozen=True)
+class MapScore:
+    """Agreement of a map with the truth: things at most `NEAR` cells from one of their category are found.
+
+    `f1_most`: the highest F1 that the published code can give, `f1` the lowest. `rotation`: degrees clockwise by which
+    the map was turned. `overall`, `per_class` (by name): the figures that the published runner writes into its tables.
+    """
+
+    rotation: int
+    f1_most: float
+    overall: dict[str, Any]
+    per_class: dict[str, dict[str, Any]]
+
+    @property
+    def f1(self) -> float:
+        """Of all categories."""
+        return self.overall["f1"]
+
+
+def score_map(truth: Grid, reply: str) -> MapScore:
+    """The score of the last JSON object of a reply, ``{"name": [[x, y], ...]}`` with x the column and y the row.
+
+    It is turned by the multiple of 90 degrees with the highest F1 (of equal ones the smallest), not mirrored. Things of
+    a category are paired with the smallest sum of distances. Without a usable map a reply scores 0.
+    """
+    there, prediction = layout_of(truth), read_map(reply) or {}
+    turns = []
+    for rotation in (0, 90, 180, 270):
+        turns.append(_compared(there, prediction, rotation))
+        prediction = turned(prediction)
+    return max(turns, key=lambda each: each.f1)  # the first of equal ones
+
+
+def layout_of(grid: Grid) -> dict[str, list[list[int]]]:
+    """The layout of a published grid."""
+    found: dict[str, list[list[int]]] = {}
+    for i, row in enumerate(grid):
+        for j, names in enumerate(row):
+            for name in names:
+                found.setdefault(name, []).append([i, j])
+    return found
+
+
+def turned(layout: Layout) -> dict[str, list[list[int]]]:
+    """The layout turned clockwise by a quarter."""
+    return {name: sorted([column, SIZE - 1 - row] for row, column in where) for name, where in layout.items()}
+
+
+def map_text(layout: Layout) -> str:
+    """A layout in the benchmark's format: {"name": [[x, y], ...]}, x the column and y the row."""
+    return json.dumps({name: [[column, row] for row, column in where] for name, where in layout.items()})
+
+
+def read_map(reply: str) -> dict[str, list[list[int]]] | None:
+    """The layout, name -> [[row, column], ...] row by row, in the last JSON object of a reply; None without one.
+
+    As published, cells outside of the grid are dropped, and a map with fractions is none.
+    """
+    end = reply.rfind("}")
+    depth, start = 0, -1
+    for start in range(end, -1, -1):
+        depth += {"}": 1, "{": -1}.get(reply[start], 0)
+        if depth == 0:
+            break
+    if end < 0 or depth:
+        return None
+    found: dict[str, list[list[int]]] = {}
+    try:
+        for name, where in parsed(reply[start : end + 1]).items():
+            if not isinstance(where, list):
+                return None
+            for x, y in where:
+                inside = [0 <= k < SIZE for k in (x, y)]  # of anything but numbers an error
+                if all(inside) and not (isinstance(x, int) and isinstance(y, int)):
+                    return None
+                if all(inside):
+                    found.setdefault(name, []).append([int(y), int(x)])
+    except (ValueError, TypeError):
+        return None
+    return {name: sorted(where) for name, where in found.items()}
+
+
+def _compared(there: dict[str, list[list[int]]], prediction: dict[str, list[list[int]]], rotation: int) -> MapScore:
+    from scipy.optimize import linear_sum_assignment
+
+    common, absent = {*there} & {*prediction}, sorted({*prediction} - {*there})
+    if not common:  # as published, nothing is counted
+        nothing = {"chair_s": 0, "chair_i": 0.0, "chair_instance": 0.0, "hallucinated_classes": []}
+        return MapScore(rotation, 0.0, _figures(0, 0, 0, FAR, 0.0) | nothing, {})
+    categories: dict[str, dict[str, Any]] = {}
+    pairs, total = 0, 0.0
+    for name in sorted({*there} | {*prediction}):
+        true, named, found = there.get(name, []), prediction.get(name, []), np.zeros(0)
+        if name in common:
+            distances = np.linalg.norm(np.array(true)[:, None] - np.array(named)[None], axis=-1)
+            found = distances[linear_sum_assignment(distances)]
+            pairs, total = pairs + len(found), total + float(found.sum())
+        right, away = int((found <= NEAR).sum()), float(found.mean()) if len(found) else FAR
+        # As published, a category without any thing to find (or named) has the recall (or precision) 1.
+        categories[name] = _figures(right, len(named), len(true), away, 1.0)
+    right = sum(each["tp"] for each in categories.values())
+    true, named = sum(map(len, there.values())), sum(map(len, prediction.values()))
+    overall = _figures(right, named, true, total / pairs, 0.0) | {
+        "chair_s": int(bool(absent)),
+        "chair_i": len(absent) / len(prediction),
+        "chair_instance": sum(len(prediction[name]) for name in absent) / named,
+        "hallucinated_classes": absent,
+    }
+    most = _f1(right, sum(len(prediction[name]) for name in common), sum(len(there[name]) for name in common))
+    return MapScore(rotation, most, overall, categories)
+
+
+def _figures(right: int, named: int, true: int, away: float, empty: float) -> dict[str, Any]:
+    """The published figures of `right` things of those `named`, with `true` things there; `empty`: shares of none."""
+    return {
+        "precision": right / named if named else empty,
+        "recall": right / true if true else empty,
+        "f1": _f1(right, named, true),
+        "avg_distance": away,
+        "tp": right,
+        "fp": named - right,
+        "fn": true - right,
+    }
+
+
+def _f1(right: int, named: int, true: int) -> float:
+    return 2 * right / (named + true) if right else 0.0

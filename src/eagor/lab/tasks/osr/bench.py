@@ -19,51 +19,27 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from eagor.errors import EagorError, FormatError
-from eagor.lab.agents.models import recalibrator, shared, shared_chat
-from eagor.lab.tasks.osr.data import SUFFIXES, Question, Scene, load, questions_of
-from eagor.lab.tasks.osr.geometry import (
-    FILE,
-    HEIGHT,
-    BeliefDetector,
-    Detector,
-    SceneLayout,
-    direction_between,
-    layout_from,
-    nearest,
-    read_room,
-    true_layout,
-)
-from eagor.lab.tasks.osr.scoring import (
-    COUNTING,
-    DIRECTION,
-    DISTANCE,
-    MAP,
-    NO_CANDIDATE,
-    NO_OBJECT,
-    NO_POSITION,
-    NOT_UNIQUE,
-    layout_of,
-    map_text,
-    mistake,
-    score,
-    score_map,
-    tags,
-)
+from eagor.errors import EagorError, FormatError, QueryError
+from eagor.lab.tasks import osr
+from eagor.lab.tasks.osr import geometry
+from eagor.lab.tasks.osr.data import SUFFIXES, Question, Scene, Suffix, load, questions_of
 from eagor.lab.tasks.published import (
     TALKING,
     PublishedConfig,
     PublishedRecord,
     PublishedTask,
-    picture_size,
+    Recalibrate,
+    read_json,
     score_metric,
+    words_of,
 )
-from eagor.lab.tasks.task import Payload, Record, Sample, settings_of
+from eagor.lab.tasks.task import Payload, Record, Sample
 from eagor.media.panorama import read_panorama
+from eagor.perception import Perception
 from eagor.perception.vlm import IMAGE, Chat, Message
 
-TRUTH = "truth"
-TITLES = {COUNTING: "Counting", DISTANCE: "Distance", DIRECTION: "Direction", MAP: "Map"}
+TRUTH, FILE = "truth", "physical_truth.json"
+TITLES = {osr.COUNTING: "Counting", osr.DISTANCE: "Distance", osr.DIRECTION: "Direction", osr.MAP: "Map"}
 AGENTS = {
     "eagor": "bearings from a belief, ranges from floor contacts",
     TALKING: "asks the model, with the map or without it (--set suffix=...)",
@@ -96,10 +72,7 @@ class OsrConfig(PublishedConfig, kw_only=True):
         Literal["official", "corrected", "both"],
         Meta(description="left and right as published (mirrored), as they are in the room, or both side by side"),
     ] = "official"
-    suffix: Annotated[
-        Literal["qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap"],
-        Meta(description="which of the published files"),
-    ] = "qa_without_cogmap"
+    suffix: Annotated[Suffix, Meta(description="which of the published files")] = "qa_without_cogmap"
     skill: Annotated[
         Literal["all", "object_counting", "relative_distance", "relative_direction", "cognitive_map"],
         Meta(description="questions of one kind only"),
@@ -108,7 +81,12 @@ class OsrConfig(PublishedConfig, kw_only=True):
         Literal["vanilla", "think"],
         Meta(description="what the model is asked for: an answer, or its reasoning first"),
     ] = "vanilla"
-    camera_height: Annotated[float, Meta(gt=0, description="metres above the floor; it scales the room")] = HEIGHT
+    camera_height: Annotated[float, Meta(gt=0, description="metres above the floor; it scales the room")] = (
+        geometry.HEIGHT
+    )
+
+
+# --- agents -----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -119,20 +97,18 @@ class Reply:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-def oracle(question: Question, labels: str) -> str:
-    """The label."""
-    truth = question.truth(labels)
-    return map_text(layout_of(truth)) if question.skill == MAP else str(truth)
+Agent = Callable[[Scene, Question], Reply]  # raises if there is no reply: that is not a wrong answer
+Detector = Callable[[Scene], geometry.SceneLayout]  # looks at a scene for the things that its questions name
 
 
 def constant(scene: Scene, question: Question, negative: bool) -> str:
     """A fixed answer, without looking; with absent categories (`negative`), that something is absent."""
-    if question.skill == MAP:
-        return map_text({name: [[5, 5]] for name in question.names or scene.categories})
-    if question.skill == DIRECTION:
-        return NO_OBJECT if negative else "Front Left"
-    if question.skill == DISTANCE:
-        return question.names[1] if len(question.names) > 1 else NO_CANDIDATE
+    if question.skill == osr.MAP:
+        return osr.map_text({name: [[5, 5]] for name in question.names or scene.categories})
+    if question.skill == osr.DIRECTION:
+        return osr.NO_OBJECT if negative else "Front Left"
+    if question.skill == osr.DISTANCE:
+        return question.names[1] if len(question.names) > 1 else osr.NO_CANDIDATE
     return "1"
 
 
@@ -151,7 +127,7 @@ class Vlm:
             request = _with_picture(mapped.text, scene)
             self._drawn = scene.id, [request], self._chat([request]).text
         _, requests, drawn = self._drawn
-        if question.skill == MAP:
+        if question.skill == osr.MAP:
             return Reply(drawn)
         messages = [*requests, Message("assistant", drawn), Message("user", text)]
         return Reply(self._chat(messages).text, {"map": drawn})
@@ -169,60 +145,97 @@ class Eagor:
 
     def __init__(self, look: Detector, negative: bool = False) -> None:
         self._look, self._negative = look, negative
-        self._kept: tuple[str, SceneLayout] | None = None
+        self._seen: tuple[str, geometry.SceneLayout] | None = None
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
         around, skill, names = self.around(scene), question.skill, question.names
         places = around.places
-        if skill == MAP:
+        if skill == osr.MAP:
             wanted = names or scene.categories
-            return Reply(map_text(layout_from({name: places[name] for name in wanted if name in places})))
+            return Reply(osr.map_text(geometry.layout_from({name: places[name] for name in wanted if name in places})))
         if not names:
             return Reply(_guess(question), {"problem": "the question was not understood"})
         notes, first, others = around.notes(names), places.get(names[0], []), names[1:]
-        if skill == COUNTING:
+        if skill == osr.COUNTING:
             return Reply(str(len(first)), notes)
         there = [name for name in others if name in places]
-        enough = there if skill == DISTANCE else len(there) == len(others)  # one of the choices; O and Q
+        enough = there if skill == osr.DISTANCE else len(there) == len(others)  # one of the choices; O and Q
         if self._negative and not (len(first) == 1 and enough):
-            missing = NO_OBJECT if skill == DIRECTION else NO_CANDIDATE
-            return Reply(NOT_UNIQUE if len(first) > 1 else missing if first else NO_POSITION, notes)
+            missing = osr.NO_OBJECT if skill == osr.DIRECTION else osr.NO_CANDIDATE
+            return Reply(osr.NOT_UNIQUE if len(first) > 1 else missing if first else osr.NO_POSITION, notes)
         if not (first and enough):
             notes["problem"] = "not seen: " + ", ".join(name for name in names if name not in places)
             return Reply(_guess(question), notes)
         start = first[0]  # of several the likeliest
-        if skill == DIRECTION:
-            found = direction_between(start, *(places[name] for name in others))
+        if skill == osr.DIRECTION:
+            found = geometry.direction_between(start, *(places[name] for name in others))
             return Reply(found or _guess(question), notes)
-        return Reply(min(there, key=lambda name: math.dist(start, nearest(start, places[name]))), notes)
+        return Reply(min(there, key=lambda name: math.dist(start, geometry.nearest(start, places[name]))), notes)
 
-    def around(self, scene: Scene) -> SceneLayout:
+    def around(self, scene: Scene) -> geometry.SceneLayout:
         """The scene as seen: looked at once, for all names in its questions."""
-        if self._kept is None or self._kept[0] != scene.id:
-            self._kept = scene.id, self._look(scene, scene.categories)
-        return self._kept[1]
+        if self._seen is None or self._seen[0] != scene.id:
+            self._seen = scene.id, self._look(scene)
+        return self._seen[1]
 
 
 def _guess(question: Question) -> str:
     """An answer about things that were not seen: ahead, on either side; the first choice; none."""
-    if question.skill == DIRECTION:
+    if question.skill == osr.DIRECTION:
         return ("Front Left", "Front Right")[zlib.crc32(question.id.encode()) % 2]
-    return question.names[1] if question.skill == DISTANCE and len(question.names) > 1 else "0"
+    return question.names[1] if question.skill == osr.DISTANCE and len(question.names) > 1 else "0"
 
 
-def open_agent(config: OsrConfig) -> Callable[[Scene, Question], Reply]:
-    """The agent of these settings: answers one question. Raises if there is no reply: that is not a wrong answer."""
-    negative, labels = "with_negative" in config.suffix, "corrected" if config.labels == "corrected" else "official"
-    if config.agent == "constant":
-        return lambda scene, question: Reply(constant(scene, question, negative))
-    if config.agent == "oracle":
-        return lambda scene, question: Reply(oracle(question, labels))
-    if config.agent == TALKING:
-        return Vlm(shared_chat(str(config.model)), config.prompt)
-    if config.perception == TRUTH:
-        return Eagor(true_layout, negative)
-    read = recalibrator(settings_of(config))
-    return Eagor(BeliefDetector(shared(str(config.perception)), config.camera_height, read), negative)
+def seen_layout(perception: Perception, height: float, read: Recalibrate, scene: Scene) -> geometry.SceneLayout:
+    """What a perception sees of a scene; `height` of the camera above the floor, metres; `read`: recalibrates looks."""
+    panorama, things, unknown = read_panorama(scene.picture), list[geometry.Detection](), []
+    for name in scene.categories:
+        try:
+            things += geometry.detections_in(read(perception(panorama, name.replace("_", " "), stamp=0.0)), name)
+        except QueryError:
+            unknown.append(name)
+    return geometry.SceneLayout(geometry.place(things, height), unknown)
+
+
+# The true places, which are not part of the benchmark: scenes that are made for tests have them, others may have, too.
+_Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]  # farther ones are taken for a mistake
+
+
+class Body(msgspec.Struct):
+    """A thing: where its middle is, metres, x to the right and y forward of the camera, and above the floor."""
+
+    name: str
+    xy: tuple[_Metres, _Metres]
+    z_centre: _Metres
+
+
+class Room(msgspec.Struct):
+    """The content of physical_truth.json: the things around a camera, and its height above the floor (metres).
+
+    Forward is the middle of the panorama. Other fields may be there, too.
+    """
+
+    objects: list[Body]
+    camera: Annotated[float, Meta(gt=0, le=1e6)] = geometry.HEIGHT
+
+
+def read_room(folder: Path) -> Room:
+    """The room of a scene's folder. Raises `FormatError` if there is none."""
+    return read_json(folder / FILE, Room, f"is not a room (see {__name__}.Room), which the perception {TRUTH} reads")
+
+
+def true_layout(scene: Scene) -> geometry.SceneLayout:
+    """The true places in a scene, as if the camera saw the things and the floor points below them."""
+    room, found = read_room(scene.folder), []
+    for body in room.objects:
+        azimuth, away = math.atan2(-body.xy[0], body.xy[1]), math.hypot(*body.xy)
+        middle, foot = (math.atan2(z - room.camera, away) for z in (body.z_centre, 0.0))
+        if body.name in scene.categories:
+            found.append(geometry.Detection(body.name, azimuth, middle, foot=foot))
+    return geometry.SceneLayout(geometry.place(found, room.camera))
+
+
+# --- the record of an answer ------------------------------------------------------------------------------------------
 
 
 class OsrRecord(PublishedRecord, kw_only=True):
@@ -241,9 +254,10 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
     skill, think = question.skill, config.prompt == "think"
     wanted = ("official", "corrected") if config.labels == "both" else (config.labels,)
     truths = {labels: question.truth(labels) for labels in wanted}
-    maps = {labels: score_map(truth, reply.text) for labels, truth in truths.items()} if skill == MAP else {}
+    maps = {labels: osr.score_map(truth, reply.text) for labels, truth in truths.items()} if skill == osr.MAP else {}
     scores = {
-        labels: maps[labels].f1 if maps else score(skill, truth, reply.text, think) for labels, truth in truths.items()
+        labels: maps[labels].f1 if maps else osr.score(skill, truth, reply.text, think)
+        for labels, truth in truths.items()
     }
     truth, main = truths[wanted[0]], scores[wanted[0]]
     record: dict[str, Any] = {
@@ -254,7 +268,7 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
         "skill": skill,
         "level": TITLES[skill],
         "question": question.text,
-        "tags": tags(scene.layout, question.names, question.answer) if skill == DIRECTION else [],
+        "tags": osr.tags(scene.layout, question.names, question.answer) if skill == osr.DIRECTION else [],
         "answer": reply.text,
         "cause": cause(skill, truth, reply, think) if main < 1 else None,
     }
@@ -266,17 +280,18 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
         record["map_range"] = {"least": found.f1, "most": found.f1_most}
     else:
         record["truth"] = truth
-    if reply.notes:
-        record["steps"] = [reply.notes]
-    return record
+    return record | ({"steps": [reply.notes]} if reply.notes else {})
 
 
 def cause(skill: str, truth: Any, reply: Reply, think: bool) -> str:
     """The cause of a wrong answer."""
     if reply.notes.get("problem"):
         return "missed"
-    found = mistake(truth, reply.text, think) if skill == DIRECTION else None
+    found = osr.mistake(truth, reply.text, think) if skill == osr.DIRECTION else None
     return found or ("range guessed" if reply.notes.get("guessed") else "wrong")
+
+
+# --- the task ---------------------------------------------------------------------------------------------------------
 
 
 def _of(skill: str, labels: str | None = None) -> Callable[[Record], float | None]:
@@ -306,14 +321,16 @@ class OsrBench(PublishedTask):
         score_metric(
             "overall", "Overall", "mean over the kinds of questions", lambda r: r["score"], lambda r: r["skill"]
         ),
-        score_metric("direction", "Direction", "relative direction, by the labels of the run", _of(DIRECTION)),
-        score_metric("direction_official", "official", "by the published labels", _of(DIRECTION, "official")),
-        score_metric("direction_corrected", "corrected", "with left and right put right", _of(DIRECTION, "corrected")),
+        score_metric("direction", "Direction", "relative direction, by the labels of the run", _of(osr.DIRECTION)),
+        score_metric("direction_official", "official", "by the published labels", _of(osr.DIRECTION, "official")),
+        score_metric(
+            "direction_corrected", "corrected", "with left and right put right", _of(osr.DIRECTION, "corrected")
+        ),
         score_metric("direction_clear", "clear", "both products above one squared cell", _tagged("clear")),
         score_metric("direction_border", "border", "a product of at most one squared cell", _tagged("near a border")),
-        score_metric("distance", "Distance", "which is the closest", _of(DISTANCE)),
-        score_metric("counting", "Counting", "how many, with the partial credit of the benchmark", _of(COUNTING)),
-        score_metric("map", "Map F1", "the map: the least that the published code gives", _of(MAP)),
+        score_metric("distance", "Distance", "which is the closest", _of(osr.DISTANCE)),
+        score_metric("counting", "Counting", "how many, with the partial credit of the benchmark", _of(osr.COUNTING)),
+        score_metric("map", "Map F1", "the map: the least that the published code gives", _of(osr.MAP)),
         score_metric(
             "map_most",
             "at most",
@@ -323,7 +340,6 @@ class OsrBench(PublishedTask):
     )
 
     def info(self, data: Path) -> dict[str, Any]:
-        """Counts and oddities of each kind of file in the data."""
         found: dict[str, Any] = {}
         seen: dict[str, Scene] = {}
         for suffix in SUFFIXES:
@@ -333,7 +349,7 @@ class OsrBench(PublishedTask):
                 continue
             seen |= {scene.id: scene for scene in scenes}
             questions = [question for scene in scenes for question in scene.questions]
-            labels = Counter(question.answer for question in questions if question.skill == DIRECTION)
+            labels = Counter(question.answer for question in questions if question.skill == osr.DIRECTION)
             found[suffix] = {
                 "scenes": len(scenes),
                 "questions": dict(Counter(question.skill for question in questions)),
@@ -343,12 +359,8 @@ class OsrBench(PublishedTask):
             }
         if not found:
             load(Path(data))  # raises with the reason
-        sizes = [scene.image and picture_size(scene.image) for scene in seen.values()]
-        return {
-            "files": found,
-            "pictures": dict(Counter(f"{size[0]} x {size[1]}" if size else "missing or unreadable" for size in sizes)),
-            "with_true_places": sum((scene.folder / FILE).is_file() for scene in seen.values()),
-        }
+        without = sum(scene.image is None for scene in seen.values())
+        return {"files": found, "pictures": len(seen) - without, "pictures_missing": without}
 
     def samples(self, config: OsrConfig) -> list[Sample]:
         return [
@@ -357,28 +369,44 @@ class OsrBench(PublishedTask):
             if config.skill in ("all", question.skill)
         ]
 
-    def check(self, config: OsrConfig) -> None:
-        if config.perception and config.perception.partition(":")[0] != TRUTH:
-            shared(config.perception)
-        elif config.perception:
-            if config.perception != TRUTH:
-                raise EagorError(f"perception {config.perception!r}; osr has {TRUTH}, which takes no options")
-            for folder in dict.fromkeys(scene.folder for scene, _ in questions_of(config.data, config.suffix).values()):
-                read_room(folder)  # all of them, before the run
+    def open_perception(self, config: OsrConfig) -> Any:
+        name, *options = str(config.perception).split(":", 1)
+        if name != TRUTH:
+            return super().open_perception(config)
+        if options:
+            raise EagorError(f"perception {config.perception!r}; osr has {TRUTH}, which takes no options")
+        for folder in {scene.folder for scene, _ in questions_of(config.data, config.suffix).values()}:
+            read_room(folder)  # all of them, before the run
+        return TRUTH
 
-    def runner(self, config: OsrConfig) -> Callable[[Payload], Record]:
-        questions, agent = questions_of(config.data, config.suffix), open_agent(config)
+    def player(self, config: OsrConfig, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
+        negative, labels = "with_negative" in config.suffix, "corrected" if config.labels == "corrected" else "official"
 
-        def run(payload: Payload) -> Record:
+        def oracle(scene: Scene, question: Question) -> Reply:
+            truth = question.truth(labels)
+            return Reply(osr.map_text(osr.layout_of(truth)) if question.skill == osr.MAP else str(truth))
+
+        agents: dict[str, Agent] = {
+            "oracle": oracle,
+            "constant": lambda scene, question: Reply(constant(scene, question, negative)),
+            TALKING: Vlm(chat, config.prompt),
+            "eagor": Eagor(
+                true_layout
+                if perception == TRUTH
+                else lambda scene: seen_layout(perception, config.camera_height, read, scene),
+                negative,
+            ),
+        }
+        questions, agent = questions_of(config.data, config.suffix), agents[config.agent]
+
+        def play(payload: Payload) -> Record:
             scene, question = questions[payload["question"]]
             return record_of(scene, question, agent(scene, question), config)
 
-        return run
+        return play
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: OsrConfig) -> Record:
-        answer = next((prediction[key] for key in ("text", "answer", "model_answer") if key in prediction), None)
-        if not isinstance(answer, str):
-            raise FormatError(f'the prediction for {sample.id} has the keys {sorted(prediction)}; wanted "text": words')
+        answer = words_of(prediction, ("text", "answer", "model_answer"), '"text": words')
         return record_of(*questions_of(config.data, config.suffix)[sample.id], Reply(answer), config)
 
 

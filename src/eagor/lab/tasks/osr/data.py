@@ -2,9 +2,8 @@
 
 ``<scene>/rgb.png``, ``<scene>/cognitive_map.json`` and ``<scene>/<scene>_<suffix>.json`` with a suffix of `SUFFIXES`,
 at any depth below the given folder. The hosted edition has the questions in ``qa.csv`` (columns image_id, turn_id,
-question, answer and, optionally, skills_tested), which is read too.
-
-Questions with an empty answer are left out, as the benchmark's authors do.
+question, answer and, optionally, skills_tested), which is read too. Questions with an empty answer are left out, as the
+benchmark's authors do.
 """
 
 from __future__ import annotations
@@ -19,17 +18,20 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar
+from typing import Any, Literal, get_args
 
 import msgspec
 
-from eagor._checks import parsed, shown
+from eagor._checks import shown
 from eagor._values import lazy
 from eagor.errors import FormatError
-from eagor.lab.tasks.osr.scoring import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS, Grid, layout_of, swapped
+from eagor.lab.tasks.osr import COUNTING, DIRECTION, DISTANCE, MAP, SKILLS, Grid, layout_of, swapped
+from eagor.lab.tasks.published import read_json
 
-SUFFIXES = ("qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap")
+Suffix = Literal["qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap"]
+SUFFIXES: tuple[Suffix, ...] = get_args(Suffix)
 WITHOUT = "_without_cogmap"
+FAULT = "cannot be read as JSON of OSR-Bench"
 # The text of each kind of question, with names of things in groups: one name, or several separated by commas.
 _WORDS = {
     DIRECTION: r"standing by the (.+?) and facing the closest (.+?), is the closest (.+?) to my front",
@@ -37,7 +39,6 @@ _WORDS = {
     MAP: r"in this scene: \{(?P<several>[^}]*)\}",
     COUNTING: r"How many (.+?)\(s\) are in this room",
 }
-Kind = TypeVar("Kind")
 
 
 class Turn(msgspec.Struct):
@@ -77,10 +78,7 @@ class Question:
         return names if skill == self.skill else ()
 
     def truth(self, labels: str) -> Any:
-        """The answer according to the labels "official" or "corrected".
-
-        The published ones are mirrored: "corrected" exchanges left and right, which is right in the room.
-        """
+        """The answer according to the labels "official" or "corrected": left and right as they are in the room."""
         if labels == "official":
             return self.answer
         if self.skill == MAP:
@@ -120,7 +118,7 @@ class Scene:
         """The published layout, None if the folder has none. Raises `FormatError` if it is malformed."""
         path = self.folder / "cognitive_map.json"
         if path.is_file():
-            return layout_of(read_json(path, _Map).cognitive_map)
+            return layout_of(read_json(path, _Map, FAULT).cognitive_map)
         return None if self.map_question is None else layout_of(self.map_question.answer)
 
     @property
@@ -144,15 +142,15 @@ def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
     """
     if not data.exists():
         raise FormatError(f"there is no folder {data}; give the one that holds the scenes of OSR-Bench")
-    files = _files(data, suffix)
-    if suffix.endswith(WITHOUT):
-        have = {path.parent for path in files}
-        files += [path for path in _files(data, suffix.removesuffix(WITHOUT)) if path.parent not in have]
+    plain = suffix.removesuffix(WITHOUT)
+    files = sorted(data.rglob(f"*_{suffix}.json"))
+    have = {path.parent for path in files}
+    files += [path for path in sorted(data.rglob(f"*_{plain}.json")) if path.parent not in have]
     scenes = [_from_json(path, suffix) for path in files]
-    if not scenes and suffix.removesuffix(WITHOUT) == "qa":
+    if not scenes and plain == "qa":
         scenes = [scene for path in sorted(data.rglob("qa.csv")) for scene in _from_table(path, suffix)]
     if not scenes:
-        there = sorted(kind for kind in SUFFIXES if _files(data, kind))
+        there = sorted(kind for kind in SUFFIXES if any(data.rglob(f"*_{kind}.json")))
         hint = f"it has files of the kind {', '.join(there)}: choose one with --set suffix=KIND"
         raise FormatError(f"{data} has no <scene>_{suffix}.json and no qa.csv; {hint if there else 'is it OSR-Bench?'}")
     scenes.sort(key=lambda scene: scene.id)
@@ -166,18 +164,6 @@ def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
 def questions_of(data: str, suffix: str) -> dict[str, tuple[Scene, Question]]:
     """The questions that `load` finds, and their scenes, by id; cached, since workers ask for each picture."""
     return {question.id: (scene, question) for scene in load(Path(data), suffix) for question in scene.questions}
-
-
-def read_json(path: Path, kind: type[Kind], fault: str = "cannot be read as JSON of OSR-Bench") -> Kind:
-    """The content of a file. Raises `FormatError` with the words `fault` if it is not of this kind."""
-    try:
-        return msgspec.convert(parsed(path.read_bytes().decode("utf-8-sig"), strict=True), kind)
-    except (OSError, ValueError, msgspec.ValidationError) as error:
-        raise FormatError(f"{path} {fault} ({error})") from None
-
-
-def _files(data: Path, suffix: str) -> list[Path]:
-    return sorted(data.rglob(f"*_{suffix}.json"))
 
 
 def _scene(turns: Iterable[Turn], image_id: str, name: str, folder: Path, suffix: str, path: Path) -> Scene:
@@ -196,10 +182,10 @@ def _scene(turns: Iterable[Turn], image_id: str, name: str, folder: Path, suffix
         if answer is None or answer == "":
             skipped += 1
             continue
-        answer = _grid(answer, path) if skill == MAP else str(answer)
         number = place if turn.turn_id is None else turn.turn_id
         taken[number] += 1
         again = f"-{taken[number]}" if taken[number] > 1 else ""
+        answer = _grid(answer, path) if skill == MAP else str(answer)
         found.append(Question(f"{name}/{suffix}/{number}{again}", skill, turn.question, answer))
     pictures = [folder / "rgb.png", *(above / image_id for above in (folder, *folder.parents[:3]))]
     image = next((picture for picture in pictures if os.path.isfile(picture)), None)  # False for invalid names
@@ -215,7 +201,7 @@ def _grid(answer: str | int | Grid, path: Path) -> Grid:
 
 
 def _from_json(path: Path, suffix: str) -> Scene:
-    found = read_json(path, _Conversation)
+    found = read_json(path, _Conversation, FAULT)
     return _scene(found.conversation, found.image_id, path.parent.name, path.parent, suffix, path)
 
 

@@ -4,35 +4,26 @@
 points: a camera at height h that sees one at elevation e (negative) is h / tan(-e) away from it. The answers do not
 depend on h, which scales the whole room. What hangs on a wall is put on a rectangle around what stands.
 
-Things are seen by a perception (`BeliefDetector`), or are those of the file physical_truth.json in the scene's folder
-(`Room`). That is not part of the benchmark; the scenes that are made for tests have it, and others may have it, too.
-
 Frame: the camera's body, x forward, y left, z up; metres on the floor, the camera above the origin; angles in radians.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import msgspec
 import numpy as np
 
 from eagor._arrays import to_numpy
 from eagor._values import lazy
 from eagor.belief import Belief
-from eagor.errors import QueryError
 from eagor.evidence import Evidence
 from eagor.evidence.shapes import MIN_SPREAD
-from eagor.lab.tasks.osr.data import Scene, read_json
-from eagor.lab.tasks.osr.scoring import SIZE, named, products
-from eagor.perception import Perception
+from eagor.lab.tasks.osr import SIZE, named, products
 from eagor.sphere import azimuth_elevation
 
-FILE = "physical_truth.json"
 HEIGHT = 1.5  # metres of the camera above the floor, by default
 FARTHEST = 20.0  # metres: beyond, contact points are too near the horizon to give a range
 # Things that hang on a wall or are part of it, in the words of the benchmark and of our apartments.
@@ -49,13 +40,11 @@ MOST = 9  # things of one category
 PROMINENCE = 0.5  # nats by which one thing has to stand out from the next
 SKIRT = 0.35  # share of a peak's height down to which the response around it belongs to the thing
 NEAR = math.radians(50)
-CELLS = 6  # the number of parameters of a bump
+PARAMETERS = 6  # of a bump
 
 Source = Literal["contact", "height", "beyond", "guess"]
 Spot = tuple[float, float]  # on the floor
-Box = tuple[
-    np.ndarray, np.ndarray, np.ndarray
-]  # the axes of a rectangle, as rows, and its least and greatest along them
+Box = tuple[np.ndarray, np.ndarray, np.ndarray]  # a rectangle's axes, as rows, and its least and greatest along them
 
 
 @dataclass(frozen=True)
@@ -124,9 +113,6 @@ class SceneLayout:
         return notes
 
 
-Detector = Callable[[Scene, Sequence[str]], SceneLayout]  # looks at a scene for things with these names
-
-
 # --- places -----------------------------------------------------------------------------------------------------------
 
 
@@ -146,6 +132,26 @@ def place(things: Sequence[Detection], height: float) -> list[Placed]:
         away, source = found or ((middle, "guess") if box is None else (range_to(box, thing.azimuth), "beyond"))
         placed.append(Placed(thing, _on_floor(thing.azimuth, away), source))
     return sorted(placed, key=lambda each: -each.thing.weight)
+
+
+def _on_floor(azimuth: float, away: float) -> Spot:
+    return away * math.cos(azimuth), away * math.sin(azimuth)
+
+
+def _measured(thing: Detection, height: float) -> tuple[float, Source] | None:
+    """The range from the floor, and what it was taken from."""
+    if not thing.contact:
+        return None
+    if thing.foot is None and thing.bottom is None:
+        away = floor_range(thing.elevation, height - MIDDLE)
+        return None if away is None else (away, "height")
+    away = floor_range(thing.bottom if thing.foot is None else thing.foot, height)  # type: ignore[arg-type]
+    if away is not None and thing.foot is None:
+        # The lowest edge is the near one: half of the depth is added. It is assumed to be a share of the half width
+        # (of a round outline with the share 1, d becomes d / (1 - sin w)), and small: furniture is wider than deep.
+        share = DEPTH * math.sin(min(thing.half_width, WIDEST))
+        away = min(away + min(away * share / (1 - share), DEEPEST), FARTHEST)
+    return None if away is None else (away, "contact")
 
 
 def floor_range(elevation: float, height: float) -> float | None:
@@ -169,13 +175,12 @@ def enclosing(points: Sequence[Spot]) -> Box | None:
         hull = np.array(points)[ConvexHull(points).vertices]
     except QhullError:  # all in one line
         return None
-    found, least = None, math.inf
-    for dx, dy in np.roll(hull, -1, axis=0) - hull:  # one side of the smallest rectangle lies on one of the hull
-        axes = np.array([[dx, dy], [-dy, dx]]) / math.hypot(dx, dy)
-        low, high = (hull @ axes.T).min(axis=0), (hull @ axes.T).max(axis=0)
-        if (area := float(np.prod(high - low))) < least:
-            found, least = (axes, low - MARGIN, high + MARGIN), area
-    return found if found and (found[1] < 0).all() and (found[2] > 0).all() else None
+    sides = np.roll(hull, -1, axis=0) - hull  # one side of the smallest rectangle lies on one of the hull
+    ahead = sides / np.hypot(*sides.T)[:, None]
+    turned = [(axes, hull @ axes.T) for axes in np.stack([ahead, ahead[:, ::-1] * [-1, 1]], axis=1)]
+    axes, along = min(turned, key=lambda each: float(np.prod(np.ptp(each[1], axis=0))))
+    low, high = along.min(axis=0) - MARGIN, along.max(axis=0) + MARGIN
+    return (axes, low, high) if (low < 0).all() and (high > 0).all() else None
 
 
 def range_to(box: Box, azimuth: float) -> float:
@@ -184,29 +189,6 @@ def range_to(box: Box, azimuth: float) -> float:
     ahead = axes @ [math.cos(azimuth), math.sin(azimuth)]
     with np.errstate(divide="ignore"):  # along an edge: infinitely far
         return float((np.where(ahead > 0, high, low) / ahead).min(initial=math.inf, where=ahead != 0))
-
-
-def _on_floor(azimuth: float, away: float) -> Spot:
-    return away * math.cos(azimuth), away * math.sin(azimuth)
-
-
-def _measured(thing: Detection, height: float) -> tuple[float, Source] | None:
-    """The range from the floor, and what it was taken from."""
-    if not thing.contact:
-        return None
-    if thing.foot is not None:
-        away = floor_range(thing.foot, height)
-    elif thing.bottom is not None:
-        away = floor_range(thing.bottom, height)
-        if away is not None:
-            # The lowest edge is the near one: half of the depth is added. It is assumed to be a share of the half width
-            # (of a round outline with the share 1, d becomes d / (1 - sin w)), and small: furniture is wider than deep.
-            share = DEPTH * math.sin(min(thing.half_width, WIDEST))
-            away = min(away + min(away * share / (1 - share), DEEPEST), FARTHEST)
-    else:
-        away = floor_range(thing.elevation, height - MIDDLE)
-        return None if away is None else (away, "height")
-    return None if away is None else (away, "contact")
 
 
 # --- answers from places ----------------------------------------------------------------------------------------------
@@ -237,34 +219,7 @@ def layout_from(places: Mapping[str, Sequence[Spot]]) -> dict[str, list[list[int
     return {name: [next(cells) for _ in where] for name, where in places.items()}
 
 
-# --- detections from a perception -------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class BeliefDetector:
-    """Detections from a perception: its evidence for a category gives a belief, whose peaks are the things.
-
-    `height`: of the camera above the floor, metres; `read`: recalibrates looks.
-    """
-
-    perception: Perception
-    height: float = HEIGHT
-    read: Callable[[Evidence], Evidence] = lambda evidence: evidence
-
-    def __call__(self, scene: Scene, names: Sequence[str]) -> SceneLayout:
-        from eagor.media.panorama import read_panorama
-
-        panorama = read_panorama(scene.picture)
-        things: list[Detection] = []
-        unknown = []
-        for name in names:
-            try:
-                evidence = self.read(self.perception(panorama, name.replace("_", " "), stamp=0.0))
-            except QueryError:
-                unknown.append(name)
-                continue
-            things += detections_in(evidence, name)
-        return SceneLayout(place(things, self.height), unknown)
+# --- things in evidence -----------------------------------------------------------------------------------------------
 
 
 def detections_in(evidence: Evidence, name: str) -> list[Detection]:
@@ -296,12 +251,11 @@ def extent(evidence: Evidence, where: np.ndarray) -> tuple[float, float] | None:
     if np.linalg.norm(up) < 0.1:
         return None  # straight above or below, width and height have no direction
     up /= np.linalg.norm(up)
-    side = np.cross(up, where)
-    ahead = cells @ where
+    side, ahead = np.cross(up, where), cells @ where
     near = np.flatnonzero(ahead > math.cos(NEAR))
     peak = float(response[near].max(initial=0.0, where=ahead[near] > math.cos(NEAR / 5)))
     near = near[response[near] >= SKIRT * peak]
-    if peak <= 0 or len(near) < CELLS + 2:
+    if peak <= 0 or len(near) < PARAMETERS + 2:
         return None
     angle = np.arccos(np.clip(ahead[near], -1, 1))
     stretch = angle / np.maximum(np.sin(angle), 1e-9)
@@ -313,47 +267,3 @@ def extent(evidence: Evidence, where: np.ndarray) -> tuple[float, float] | None:
         return None
     wide, tall = np.diag(np.linalg.inv(curved)) - MIN_SPREAD**2
     return math.sqrt(3 * max(wide, 0.0)), math.sqrt(3 * max(tall, 0.0))
-
-
-# --- detections from the truth ----------------------------------------------------------------------------------------
-
-_Place = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # farther ones are taken for a mistake
-
-
-class Body(msgspec.Struct):
-    """A thing: where its middle is, metres, x to the right and y forward of the camera, and above the floor."""
-
-    name: str
-    xy: tuple[_Place, _Place]
-    z_centre: _Place
-
-
-class Room(msgspec.Struct):
-    """The content of physical_truth.json: the things around a camera, and its height above the floor (metres).
-
-    Forward is the middle of the panorama. Other fields may be there, too.
-    """
-
-    objects: list[Body]
-    camera: Annotated[float, msgspec.Meta(gt=0, le=1e6)] = HEIGHT
-
-
-def read_room(folder: Path) -> Room:
-    """The room of a scene's folder. Raises `FormatError` if there is none."""
-    return read_json(folder / FILE, Room, f"is not a room (see {__name__}.Room), which the perception truth reads")
-
-
-def true_layout(scene: Scene, names: Sequence[str]) -> SceneLayout:
-    """The true places in a scene: a `Detector`."""
-    room = read_room(scene.folder)
-    return SceneLayout(place([thing for thing in true_detections(room) if thing.name in names], room.camera))
-
-
-def true_detections(room: Room) -> list[Detection]:
-    """The things in a room and the floor points below them, as if the camera saw both."""
-    found = []
-    for body in room.objects:
-        azimuth, away = math.atan2(-body.xy[0], body.xy[1]), math.hypot(*body.xy)
-        middle, foot = (math.atan2(z - room.camera, away) for z in (body.z_centre, 0.0))
-        found.append(Detection(body.name, azimuth, middle, foot=foot))
-    return found

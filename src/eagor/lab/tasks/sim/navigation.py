@@ -17,7 +17,7 @@ from eagor.errors import WorldError
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, FileEpisode, choose_target, plan_listed
 from eagor.lab.envs.place_env import PlaceEnv, gymnasium
 from eagor.lab.envs.places import Place, load_place, pixels_of
-from eagor.lab.envs.rules import Camera, NavigationRules
+from eagor.lab.envs.rules import FACING_AWAY, RATIO, VISIBLE, WINDING, Camera, NavigationRules
 from eagor.lab.tasks.sim.play import EpisodeResult
 from eagor.lab.tasks.sim.task import COVERAGE, SimTask, success_where
 from eagor.lab.tasks.task import Metric, degrees
@@ -27,7 +27,6 @@ from eagor.sphere import azimuth_elevation, world_R_body
 STRATA = ((True, False), (False, True), (True, True), (True, False), (False, True), (True, False))
 AT_SEAM = math.radians(5)  # of an equirectangular picture, behind the body
 MOVED = 1e-4  # metres (and 1e-5 of the coordinates): less is no move in habitat-lab's distance to the goal
-ONLY_TURNED = 1e-4  # metres, as poses are rounded
 TRIES = 40  # starts tried per target and stratum
 
 
@@ -41,10 +40,10 @@ def plan(spec: EpisodeSpec, camera: Camera, rules: NavigationRules) -> Episode:
             thing = place.scene.instances[target]
             for xy, shortest, ratio in _starts(place, target, winding, rules, rng):
                 ids = place.ids(place.eye(xy, camera.height), world_R_body(0.0))
-                if (pixels_of(ids, (target,)) >= rules.visible_pixels) != visible:
+                if (pixels_of(ids, (target,)) >= VISIBLE) != visible:
                     continue
                 # The bearing to the target, turned so that it lies behind, within the tolerance.
-                away = math.pi + math.radians(rules.facing_away) * float(rng.uniform(-1, 1))
+                away = math.pi + math.radians(FACING_AWAY) * float(rng.uniform(-1, 1))
                 to = thing.centre[:2] - xy
                 kind = {"visible": visible, "way": "winding" if winding else "direct", "ratio": round(ratio, 3)}
                 return Episode(
@@ -66,8 +65,8 @@ def _starts(
     points, thing = place.ground.points, place.scene.instances[target]
     geodesic = place.ground.at_points(place.way_to((target,)))
     ratio = geodesic / np.maximum(distance_to_box(points, thing.low[:2], thing.high[:2]), 1e-6)
-    fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= rules.ratio)
-    fits &= (ratio > rules.winding_above) == winding
+    fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= RATIO)
+    fits &= (ratio > WINDING) == winding
     for choice in rng.permutation(np.flatnonzero(fits))[:TRIES]:
         yield points[choice], float(geodesic[choice]), float(ratio[choice])
 
@@ -101,14 +100,8 @@ def measure(result: EpisodeResult) -> dict[str, Any]:
         "path_m": result.walked,
         "shortest_m": result.episode.shortest,
         "collisions": info["collisions"]["count"],
-        "undone": backtracking_rate(_walked(np.array(result.trace["pose"])[:, :2], result.camera), result.camera.step),
+        "undone": backtracking_rate(np.array(result.trace["pose"])[:, :2], result.camera.step),
     }
-
-
-def _walked(places: np.ndarray, camera: Camera) -> np.ndarray:
-    """The places ``(n, 2)`` less the steps in which a body that does not see all around only turned."""
-    moved = np.hypot(*np.diff(places, axis=0).T) > ONLY_TURNED
-    return places if camera.around else places[np.concatenate([[True], moved])]
 
 
 def backtracking_rate(places: np.ndarray, step: float) -> float:

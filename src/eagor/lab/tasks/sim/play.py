@@ -1,14 +1,15 @@
-"""Runs an episode: every estimator on the same responses, with a record of the results.
+"""Runs an episode: every estimator on the same responses, with a record of the results; and the test of a task.
 
 Waypoint and tracking episodes are open loop. In navigation each estimator runs alone, with mistakes of the same seed.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,17 +17,18 @@ import numpy as np
 from eagor import metrics
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.evidence import Evidence
+from eagor.grids import ErpGrid
 from eagor.lab.agents.methods import BASE, ORACLE, Estimator, make_estimator
 from eagor.lab.agents.models import EpisodePerception, is_privileged, shared
 from eagor.lab.agents.search_space import Chance, SteeringInput
 from eagor.lab.agents.steering import search_config, steering_for
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, FileEpisodeSpec
-from eagor.lab.envs.places import mask_of
+from eagor.lab.envs.places import APARTMENT
 from eagor.lab.envs.rules import Camera, NoiseModel, from_dict
-from eagor.lab.tasks.task import load
+from eagor.lab.tasks.task import load, require
 from eagor.perception import rows_of
 from eagor.perception.calibrated import from_json
-from eagor.sphere import azimuth_elevation
+from eagor.sphere import angular_distance, azimuth_elevation
 
 if TYPE_CHECKING:
     from eagor.lab.envs.place_env import Picture, PlaceEnv
@@ -43,9 +45,8 @@ def _no_picture(rows: int) -> None:
 class StepInfo:
     """One step of an episode: pose by odometry, evidence that arrives, and that of the `other` query.
 
-    `picture` renders what the camera shows, with so many rows as it is asked for, whatever the perception looked at.
-    For whoever watches also the `method` after its answer (None: the oracle), and the `truth` ``(3,)``: the true
-    direction in the body frame, None while the target is away.
+    `picture` renders what the camera shows, with so many rows. For whoever watches also the `method` after its answer
+    (None: the oracle), and the true direction in the body frame, `truth` ``(3,)``, None while the target is away.
     """
 
     stamp: float
@@ -71,11 +72,9 @@ Act = Callable[[StepInfo, np.ndarray, Evidence | None, dict[str, Any]], np.ndarr
 class Rollout:
     """An episode of n steps.
 
-    - `truth`: lists of n values for the record: pose, azimuth_deg, elevation_deg, range_m, visible, present, seam,
-      optionally leg.
+    - `truth`: lists of n values for the record: pose, azimuth_deg, elevation_deg, range_m, visible, present, seam, leg.
     - `directions` ``(n, 3)``: the true ones, body frame, held while the target is away.
-    - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions
-      (`eagor.metrics.ego_motion`).
+    - `rotations` ``(n - 1, 3, 3)``, `translations` ``(n - 1, 3)``: the camera's true motions.
     - `looked`: metadata and cost of the perception.
     """
 
@@ -92,8 +91,7 @@ class Rollout:
 class EpisodeResult(Rollout):
     """An episode and what one method made of it, for `SimTask.measure` (`eagor.lab.tasks.sim.task`).
 
-    - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg (None while the target is away), mass_above,
-      inside, distance_m.
+    - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg, mass_above, inside, distance_m.
     - `estimates` ``(n, 3)``: the method's directions, body frame.
     - `info`: the environment's last one, and the metres `walked`. Only for a walked task.
     """
@@ -113,11 +111,9 @@ class EpisodeResult(Rollout):
 
 
 class Runner:
-    """Runs the episodes of one run.
+    """Runs the episodes of one run: `config` is the JSON of a `eagor.lab.tasks.sim.task.SimConfig`, or a part of it.
 
-    `config`: task and perception, and where they differ from what is usual rules, camera, disturbances (JSON of
-    `eagor.lab.envs.rules`), rows of the panorama, calibrated and episodes_file. `perception` and `kind` (the task): the
-    objects, if they exist already.
+    `perception` and `kind` (the task): the objects, if they exist already.
     """
 
     def __init__(self, config: dict[str, Any], perception: Any = None, kind: Any = None) -> None:
@@ -144,10 +140,7 @@ class Runner:
         return self.env.plan(spec)
 
     def run_episode(self, spec: EpisodeSpec, names: list[str], watch: Watch | None = None) -> dict[str, Any]:
-        """The record of one episode: its description, the truth, and each estimator's metrics and trace.
-
-        `watch` is called after each answer of each estimator.
-        """
+        """The record of one episode; `watch` is called after each answer of each estimator."""
         episode = self.plan(spec)
         body: dict[str, Any] = {"task": self.task.name, "episode": episode.as_json()}
         if self.task.walked:
@@ -172,9 +165,10 @@ class Runner:
         A walked episode ends with its last action, another one with the last observation.
         """
         observation, info = self.env.reset(options={"episode": episode})
-        labels, mask = info["instances"]["labels"], mask_of(self.camera)
-        eye = EpisodePerception(self.perception, episode.spec, labels, mask=mask)
-        second = EpisodePerception(self.perception, episode.spec, labels, "other", mask)
+        eye, second = (
+            EpisodePerception(self.perception, episode.spec, info["instances"]["labels"], purpose)
+            for purpose in ("perception", "other")
+        )
         truth: dict[str, list[Any]] = defaultdict(list)
         steps, under_way, directions, poses, over = list[StepInfo](), list[Evidence | None](), [], [], False
         while not (over and self.task.walked):
@@ -255,10 +249,7 @@ class Runner:
     def score(
         self, rollout: Rollout, method: Estimator, regions: bool = True, watch: Watch | None = None
     ) -> dict[str, Any]:
-        """The metrics and trace of an estimator on a recorded episode.
-
-        Without `regions`, coverage and distance are left out, which saves half of the time.
-        """
+        """The metrics and trace of an estimator; without `regions` no coverage and distance, in half of the time."""
         trace: dict[str, list[Any]] = defaultdict(list)
         answers = [
             _answer(method, step, direction if present else None, trace, watch, regions)
@@ -313,3 +304,106 @@ def _note_truth(lists: dict[str, list[Any]], info: Mapping[str, Any]) -> None:
 def _note_direction(lists: dict[str, list[Any]], direction: np.ndarray) -> None:
     for name, angle in zip(("azimuth_deg", "elevation_deg"), azimuth_elevation(direction), strict=True):
         lists[name].append(round(math.degrees(float(angle)), 2))
+
+
+# --- the contract, tested ---------------------------------------------------------------------------------------------
+
+STEPS = 5000  # an episode that has not ended by then counts as endless
+NEAR_DEG = 20.0  # from the direction of the target's middle to the nearest of its pixels
+
+
+def check_simulation(
+    task: Any, world: str = APARTMENT, seed: int = 0, index: int = 0, settings: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Raise `AssertionError` unless a `SimTask` keeps the contract on one episode; a perfect estimator's figures.
+
+    The episode is the `index`-th of the scene that `world` makes of `seed`; `settings` override rules. The same spec
+    must always give the same episode; answers must not change the camera's path (unless the task is walked); the truth
+    must be true; and better answers must score better.
+    """
+    written = json.loads(json.dumps(asdict(task.rules(**(settings or {})))))
+    runner = Runner({"task": task.name, "perception": "truth:ideal", "rules": written}, kind=task)
+    require(asdict(runner.rules) == asdict(task.rules(**(settings or {}))), "has rules that JSON turns into others")
+    spec = EpisodeSpec(task.name, world, seed, index, index)
+    episode, again, other = (runner.plan(each) for each in (spec, spec, replace(spec, index=index + 1)))
+    wanted = "draw everything from spec.rng(purpose), and keep no state between plans"
+    require(episode == again and episode.spec == spec, f"plans another episode for {spec.id} the second time; {wanted}")
+    require(replace(other, spec=spec) != episode, f"plans the same episode for specs {spec.id} and {other.spec.id}")
+    missing = sorted(set(task.strata) - set(episode.stratum))
+    require(not missing, f"reports the strata {missing}, which Episode.stratum lacks")
+    (poses, off), (repeated, _), (opposite, _) = (_play(runner, episode, sign) for sign in (1.0, 1.0, -1.0))
+    require(np.array_equal(poses, repeated), "takes another path when the same episode is played again")
+    require(
+        task.walked or np.array_equal(poses, opposite),
+        "takes another path when other answers are given. If the answer is meant to steer the body, set walked=True",
+    )
+    require(
+        not off or float(np.median(off)) <= math.radians(NEAR_DEG),
+        f"says that the target lies farther than {NEAR_DEG:g} degrees (median) from the nearest pixel that shows it; "
+        "wanted true directions: world_R_body.T @ (point - position), body frame",
+    )
+    if task.walked:
+        return _checked(task, runner.run_episode(spec, [ORACLE])["methods"][ORACLE])["metrics"]
+    rollout = runner.record(episode)
+    right, wrong = (_checked(task, runner.score(rollout, _Known(sign * rollout.directions))) for sign in (1.0, -1.0))
+    for metric in task.metrics:
+        good, bad = metric.of(right), metric.of(wrong)
+        if metric.better is None or good is None or bad is None:
+            continue
+        require(
+            good <= bad if metric.better == "low" else good >= bad,
+            f"gives an estimator that is always right {good:g} in the metric {metric.key}, and one that is always "
+            f"wrong {bad:g}, though {metric.better} is better",
+        )
+    return right["metrics"]
+
+
+def _play(runner: Runner, episode: Episode, sign: float) -> tuple[np.ndarray, list[float]]:
+    """The poses ``(n, 7)``, answering `sign` times the truth, and the angles of that to the target's pixels."""
+    observation, info = runner.env.reset(options={"episode": episode})  # also checks the scene's hash
+    poses, off, over = [], list[float](), False
+    while True:
+        ids, truth = info["instances"]["ids"], info["truth"]
+        direction = np.asarray(truth["direction"], dtype=np.float64)
+        pixels = ErpGrid(*ids.shape).directions[np.isin(ids, episode.targets)]
+        poses.append(observation["pose"])
+        if truth["present"] and truth["visible"] and len(pixels):
+            off.append(float(np.min(angular_distance(pixels, direction))))
+        if over:
+            return np.array(poses), off
+        require(len(poses) < STEPS, f"has not ended after {STEPS} steps; wanted terminated or truncated before that")
+        action: Any = (sign * direction).astype(np.float32)
+        if runner.task.walked:
+            action = np.array([math.atan2(sign * direction[1], sign * direction[0]), runner.camera.step])
+        observation, _, terminated, truncated, info = runner.env.step(action)
+        over = terminated or truncated
+
+
+class _Known(Estimator):
+    """Gives these answers ``(n, 3)``, one after the other."""
+
+    def __init__(self, answers: np.ndarray) -> None:
+        self._answers = iter(answers)
+
+    def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
+        self._answer = next(self._answers)
+
+    def see(self, evidence: Any) -> None:
+        pass
+
+    def direction(self) -> np.ndarray:
+        return self._answer
+
+    def mass_above(self, direction: np.ndarray) -> float | None:
+        return 0.0 if float(self._answer @ direction) > 0 else 1.0
+
+
+def _checked(task: Any, result: dict[str, Any]) -> dict[str, Any]:
+    """`result`, which has a plain figure for every metric."""
+    figures = result["metrics"]
+    for key, value in figures.items():
+        plain = value is None or (isinstance(value, int | float) and math.isfinite(value))
+        require(plain, f"measures {key} = {value!r}; wanted a finite number, or None if it does not apply")
+    missing = sorted({metric.key for metric in task.metrics if metric.read is None} - figures.keys())
+    require(not missing, f"measures {', '.join(figures)}; wanted also {', '.join(missing)}, which its table shows")
+    return result

@@ -2,6 +2,7 @@
 
 Every method that `config.methods` names plays each episode. Where the answer steers the body (`SimTask.walked`) each
 goes its own way, and an episode is one sample per method; else all methods get the same evidence.
+`eagor.lab.tasks.sim.play.check_simulation` tests a task.
 """
 
 from __future__ import annotations
@@ -17,21 +18,21 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from eagor import plugins
 from eagor._values import lazy
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.lab.envs.episodes import EpisodeSpec, episode_specs, file_episode_specs, scene_file, spec_from_json
+from eagor.lab.agents.methods import ORACLE, default_methods, fitted, make_estimator
+from eagor.lab.envs.episodes import Episode, EpisodeSpec, episode_specs, file_episode_specs, scene_file, spec_from_json
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT
 from eagor.lab.envs.rules import Camera, NoiseModel
-from eagor.lab.tasks.task import Metric, Payload, Record, Sample, known, settings_of
+from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
 
 if TYPE_CHECKING:
-    from eagor.lab.envs.episodes import Episode
     from eagor.lab.envs.place_env import PlaceEnv
     from eagor.lab.tasks.sim.play import EpisodeResult
 
 PER_RUN = 20  # episodes of a run that names no number and no file
+RANKED = ("success", "spl", "mae")  # figures that every walked task measures
 OURS = "eagor"  # the method whose answer decides whether an episode is a failure, where it has played
 
 COVERAGE = Metric(
@@ -62,6 +63,64 @@ class SimConfig(msgspec.Struct, kw_only=True):
     versions: dict[str, str] = {}
 
 
+Number = Annotated[float, Meta(ge=-1e12, le=1e12)]  # what is measured is never as large, and sums stay finite
+Figure = Number | bool | None
+Count = Annotated[int, Meta(ge=0)]
+Columns = dict[str, Annotated[list[Figure | str | list[Number]], Meta(min_length=1)]]  # a value for each step
+POSE = 7  # x, y, z, and the quaternion w, x, y, z
+SAID = ("azimuth_deg", "elevation_deg", "error_deg")
+TRUE = ("pose", "azimuth_deg", "elevation_deg", "range_m", "visible", "seam")
+WALKED = ("pose", "true_azimuth_deg", "true_range_m", "visible")
+
+
+class EpisodeInRecord(msgspec.Struct, kw_only=True):
+    """Which episode a record is of."""
+
+    id: str
+    query: str
+    targets: list[Count]
+    seed: Count | None = None
+    scene: str = ""
+    scene_hash: str = ""
+    world: str = ""
+    stratum: dict[str, str | bool | Number] = {}
+    balls: list[tuple[Number, Number, Number] | None] | None = None
+    radius: Number = 0.0
+
+
+class Method(msgspec.Struct, kw_only=True):
+    """What one method said at each step (`trace`), and its figures."""
+
+    metrics: dict[str, Figure]
+    trace: Columns
+    looked: dict[str, Any] | None = None
+
+
+class SimRecord(msgspec.Struct, kw_only=True):
+    """The record of an episode; without `truth` each method went its own way."""
+
+    episode: EpisodeInRecord
+    methods: dict[str, Method]
+    truth: Columns | None = None
+    looked: dict[str, Any] | None = None
+    seconds: Number | None = None
+
+    def __post_init__(self) -> None:
+        for name, result in self.methods.items():
+            alone = self.truth is None
+            columns = result.trace | {f"truth/{key}": value for key, value in (self.truth or {}).items()}
+            wanted = SAID + (WALKED if alone else tuple(f"truth/{key}" for key in TRUE))
+            lacks = [key for key in wanted if key not in columns]
+            lacks += [key for key in (RANKED if alone else ()) if result.metrics.get(key) is None]
+            if lacks:
+                raise ValueError(f"{name} has no {', '.join(lacks)}{', and the record no truth' if alone else ''}")
+            if len(counts := {len(column) for column in columns.values()}) > 1:
+                raise ValueError(f"the lists of {name} are of different lengths ({sorted(counts)})")
+            poses: Any = columns["pose" if alone else "truth/pose"]
+            if not all(isinstance(pose, list) and len(pose) == POSE and any(pose[3:]) for pose in poses):
+                raise ValueError(f"a pose of {name} is none: three numbers, and a quaternion that is a rotation")
+
+
 @dataclass(frozen=True, eq=False)
 class SimTask:
     """A simulated task; see `eagor.lab.tasks.task.Task`.
@@ -90,6 +149,7 @@ class SimTask:
     walked: bool = False
     listed: Callable[..., Episode] | None = None
     case: ClassVar[str] = "episode"
+    Record: ClassVar[type[msgspec.Struct]] = SimRecord
 
     @lazy
     def Config(self) -> type[SimConfig]:
@@ -98,20 +158,13 @@ class SimTask:
         made: Any = msgspec.defstruct("Config", [rules], bases=(SimConfig,), kw_only=True)
         return made
 
-    @property
-    def Record(self) -> type[msgspec.Struct]:
-        """The shape of its records."""
-        return WalkedRecord if self.walked else WatchedRecord
-
     def samples(self, config: Any) -> list[Sample]:
         found = []
         for spec in specs_of(config):
-            payload = {"slot": asdict(spec), "methods": list(config.methods)}
-            if not self.walked:
-                found.append(Sample(spec.id, str(spec.seed), payload))
-                continue
-            for name in config.methods:  # each goes its own way
-                found.append(Sample(f"{spec.id}/{name}", str(spec.seed), payload | {"methods": [name]}))
+            alone = [[name] for name in config.methods] if self.walked else [list(config.methods)]
+            for names in alone:
+                id = f"{spec.id}/{names[0]}" if self.walked else spec.id
+                found.append(Sample(id, str(spec.seed), {"slot": asdict(spec), "methods": names}))
         return found
 
     def runner(self, config: Any) -> Callable[[Payload], Record]:
@@ -138,11 +191,7 @@ class SimTask:
         return {**values, "rules": asdict(self.rules.objectnav()) | dict(values.get("rules", {}))}
 
     def resolve(self, config: Any) -> Any:
-        """The config with the number of its episodes, the perception's rows and what our methods were fitted with.
-
-        Raises `EagorError` for what does not exist, and for rules that nothing can be played under.
-        """
-        from eagor.lab.agents.methods import ORACLE, default_methods, fitted, make_estimator
+        """The config with all that follows from it. Raises `EagorError` for what does not exist or cannot be played."""
         from eagor.lab.agents.models import shared
         from eagor.lab.worlds.apartment import VERSION
         from eagor.perception import rows_of
@@ -166,7 +215,7 @@ class SimTask:
             development=any(spec.world == APARTMENT and spec.seed in DEVELOPMENT for spec in played),
             fitted={name: text for name in names if (text := fitted(config.perception, name.partition(":")[0]))},
             rows=config.rows or rows_of(shared(config.perception)),
-            versions={"eagor": __version__, "apartment": VERSION, **_plugins(config)},
+            versions={"eagor": __version__, "apartment": VERSION},
         )
 
 
@@ -181,21 +230,13 @@ def specs_of(config: SimConfig) -> list[EpisodeSpec]:
 
 def variants(task: SimTask) -> tuple[str, ...]:
     """The ablations of our tracker and of the published one, as methods; of a walked task who is told the truth."""
-    from eagor.lab.agents.methods import ORACLE
-
     if task.walked:
         return (ORACLE,)
+    ours = ("decode=mean", "shells=0", "wander=0", "jump=0")
     return (
-        *(f"eagor:degree={degree}" for degree in (3, 5, 7, 11, 21, 31)),
-        *(f"eagor_paper:degree={degree}" for degree in (3, 15)),
+        *(f"eagor_paper:degree={degree}" for degree in (3, 15, 31)),
         "eagor_paper:decode=mode",
-        "eagor:decode=mean",
-        "eagor:shells=0",
-        "eagor:wander=0",
-        "eagor:jump=0",
-        *(f"eagor:floor={floor}" for floor in (0.05, 0.4, 0.8)),
-        *(f"eagor:temperature={beta}" for beta in (1, 3, 6)),
-        *(f"eagor:neutral={neutral}" for neutral in (0.02, 0.05, 0.2)),
+        *(f"eagor:{change}" for change in ours),
     )
 
 
@@ -217,10 +258,7 @@ def success_where(condition: str) -> Callable[[Record], float | None]:
 
 @lru_cache(maxsize=1)
 def _try_world(world: str) -> None:
-    """Read a GLB file or a simulator's scene once, so that one that cannot be read is no failure of every episode.
-
-    Raises `WorldError`, `MissingExtraError`.
-    """
+    """Read a GLB file or a simulator's scene once: a bad one is no failure of every episode. Raises `WorldError`."""
     from eagor.lab import worlds
 
     made = worlds.load(world)
@@ -228,152 +266,3 @@ def _try_world(world: str) -> None:
         scene = made(0)
         if isinstance(scene, worlds.SimulatedScene):
             scene.close()  # the processes that play open their own
-
-
-def _plugins(config: SimConfig) -> dict[str, str]:
-    """The versions of what other packages bring to this run, by kind and name."""
-    from eagor import perception
-    from eagor.lab import worlds
-
-    used = (
-        ("perception", perception.known(), config.perception.partition(":")[0]),
-        ("world", worlds.known(), config.world.partition(":")[0]),
-        ("task", known(), config.task),
-    )
-    found = {f"{kind} {name}": plugins.version_of(points[name]) for kind, points, name in used if name in points}
-    return {name: version for name, version in found.items() if version is not None}
-
-
-# --- what reports read in a record ------------------------------------------------------------------------------------
-
-Number = Annotated[float, Meta(ge=-1e12, le=1e12)]  # what is measured is never as large, and sums stay finite
-Numbers = Annotated[list[Number], Meta(min_length=1)]
-Figures = Annotated[list[Number | bool | None], Meta(min_length=1)]
-Flags = Annotated[list[bool], Meta(min_length=1)]
-Label = str | bool | Number
-Point = tuple[Number, Number, Number]
-Pose = tuple[Number, Number, Number, Number, Number, Number, Number]  # x, y, z, and the quaternion w, x, y, z
-Poses = Annotated[list[Pose], Meta(min_length=1)]
-Count = Annotated[int, Meta(ge=0)]
-
-
-class EpisodeInRecord(msgspec.Struct, kw_only=True):
-    """Which episode a record is of."""
-
-    id: str
-    query: str
-    targets: list[Count]
-    seed: Count | None = None
-    scene: str = ""
-    scene_hash: str = ""
-    world: str = ""
-    stratum: dict[str, Label] = {}
-    balls: list[Point | None] | None = None
-    radius: Number = 0.0
-
-
-class LookedInRecord(msgspec.Struct, kw_only=True):
-    """What the perception cost."""
-
-    looks: Count
-    unread: Count
-    milliseconds: Number | None
-    source: dict[str, Any] | None
-
-
-class Truth(msgspec.Struct, kw_only=True):
-    """The truth at each step, where all methods saw the same."""
-
-    pose: Poses
-    azimuth_deg: Numbers
-    elevation_deg: Numbers
-    range_m: Numbers
-    visible: Flags
-    seam: Flags
-    present: Flags | None = None
-    leg: list[Label] | None = None
-
-
-class Trace(msgspec.Struct, kw_only=True):
-    """What a method said at each step."""
-
-    azimuth_deg: Numbers
-    elevation_deg: Numbers
-    error_deg: Figures
-    inside: Figures | None = None
-    mass_above: Figures | None = None
-    distance_m: Figures | None = None
-    searching: Flags | None = None
-
-
-class WalkedTrace(Trace, kw_only=True):
-    """The same of a method that went its own way, with the truth."""
-
-    pose: Poses
-    true_azimuth_deg: Numbers
-    true_range_m: Numbers
-    visible: Flags
-    true_elevation_deg: Numbers | None = None
-
-
-class WalkedMetrics(msgspec.Struct):
-    """The figures that rankings and searches read."""
-
-    success: Number
-    spl: Number
-    mae: Number
-
-
-class WatchedMethod(msgspec.Struct, kw_only=True):
-    """One method in a `WatchedRecord`."""
-
-    metrics: dict[str, Number | bool | None]
-    trace: Trace
-
-
-class WalkedMethod(msgspec.Struct, kw_only=True):
-    """One method in a `WalkedRecord`."""
-
-    metrics: WalkedMetrics
-    trace: WalkedTrace
-    looked: LookedInRecord | None = None
-
-
-class SimRecord(msgspec.Struct, kw_only=True, frozen=True):
-    """The record of an episode."""
-
-    episode: EpisodeInRecord
-    methods: Mapping[str, Any]
-    seconds: Number | None = None
-
-
-class WatchedRecord(SimRecord, kw_only=True, frozen=True):
-    """The same of a task in which all methods saw the same."""
-
-    methods: Mapping[str, WatchedMethod]
-    truth: Truth
-    looked: LookedInRecord | None = None
-
-    def __post_init__(self) -> None:
-        for name, result in self.methods.items():
-            _check_even(name, result.trace, self.truth)
-
-
-class WalkedRecord(SimRecord, kw_only=True, frozen=True):
-    """The same of a task in which each method went its own way."""
-
-    methods: Mapping[str, WalkedMethod]
-
-    def __post_init__(self) -> None:
-        for name, result in self.methods.items():
-            _check_even(name, result.trace)
-
-
-def _check_even(name: str, *parts: msgspec.Struct) -> None:
-    """Lists of one episode are of one length, and poses are rotations. Raises `ValueError`."""
-    values = {key: value for part in parts for key, value in msgspec.structs.asdict(part).items()}
-    counts = {key: len(value) for key, value in values.items() if isinstance(value, list)}
-    if len(set(counts.values())) > 1:
-        raise ValueError(f"the lists of {name} are of different lengths ({counts})")
-    if not all(any(pose[3:]) for pose in values.get("pose", ())):
-        raise ValueError(f"a pose of {name} has the quaternion 0, 0, 0, 0, which is no rotation")

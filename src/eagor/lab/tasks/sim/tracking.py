@@ -15,7 +15,7 @@ from eagor.errors import WorldError
 from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
-from eagor.lab.envs.rules import Camera, TrackingRules
+from eagor.lab.envs.rules import LOST, SEEN, VISIBLE, Camera, TrackingRules
 from eagor.lab.tasks.sim.play import EpisodeResult
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import Metric, degrees
@@ -56,10 +56,10 @@ def plan(spec: EpisodeSpec, camera: Camera, rules: TrackingRules) -> TrackingEpi
         draft = _draft(place, scenario, radius, camera, rules, rng)
         if draft is None:
             continue
-        in_view = _share_in_view(place, *draft[1:], radius, camera, rules)
+        in_view = _share_in_view(place, *draft[1:], radius, camera)
         if best is None or in_view > best[0]:
             best = in_view, *draft
-        if in_view >= rules.seen:
+        if in_view >= SEEN:
             break
     if best is None:
         raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
@@ -107,13 +107,11 @@ def _draft(
     return first, still, [first] * away + [None] * (back - away) + [second] * (rules.steps - back)
 
 
-def _share_in_view(
-    place: Place, route: np.ndarray, balls: list, radius: float, camera: Camera, rules: TrackingRules
-) -> float:
+def _share_in_view(place: Place, route: np.ndarray, balls: list, radius: float, camera: Camera) -> float:
     """Of the steps with the ball present, the share that shows it; sampled at every `EVERY`-th step."""
     steps = [(pose[:2], ball) for pose, ball in zip(route, balls, strict=True)][::EVERY]
     shown = [_pixels_at(place, xy, camera)(ball, radius) for xy, ball in steps if ball is not None]
-    return float(np.mean(np.array(shown) >= rules.visible_pixels))
+    return float(np.mean(np.array(shown) >= VISIBLE))
 
 
 def _spot(place: Place, xy: np.ndarray, radius: float, camera: Camera, rng: np.random.Generator) -> np.ndarray | None:
@@ -144,13 +142,13 @@ def measure(result: EpisodeResult) -> dict[str, float | None]:
     `tc`: the angle between an estimate and the previous one, moved along by the true motions. `recovery`: seconds from
     the ball's return until the error is small again, or to the end.
     """
-    present, lost_above = np.array(result.truth["present"], dtype=bool), result.rules.lost_above
+    present = np.array(result.truth["present"], dtype=bool)
     errors = np.array([math.nan if e is None else e for e in result.trace["error_deg"]])
-    lost = errors[present] > lost_above
+    lost = errors[present] > LOST
     recovery = None
     returns = np.flatnonzero(present[1:] & ~present[:-1]) + 1
     if len(returns):
-        good = np.flatnonzero(errors[returns[0] :] <= lost_above)
+        good = np.flatnonzero(errors[returns[0] :] <= LOST)
         steps = int(good[0]) if len(good) else len(errors) - int(returns[0])
         recovery = steps * result.camera.seconds
     return {

@@ -18,7 +18,7 @@ from eagor.errors import WorldError
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import Place, load_place
-from eagor.lab.envs.rules import LEGS, Camera, WaypointRules
+from eagor.lab.envs.rules import LEGS, OCCLUDED, TURNS, VISIBLE, Camera, WaypointRules
 from eagor.lab.tasks.sim.play import EpisodeResult
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import degrees
@@ -84,7 +84,7 @@ def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng
     xy, yaw = place.ground.sample(rng), None
     rows: list[np.ndarray] = []
     legs: list[str] = []
-    for leg, (least, most) in zip(LEGS, rules.turns, strict=True):
+    for leg, (least, most) in zip(LEGS, TURNS, strict=True):
         least, most = max(0.0, least - slack), min(180.0, most + slack)
         # Half of the steps of the sharpest turn are counted in; legs that are still too short are rejected below.
         shortest = (rules.leg_steps - most / camera.turn / 2) * camera.step
@@ -103,7 +103,7 @@ def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng
     poses, count = np.concatenate(rows), len(place.scene.instances)
     views = [place.ids(place.eye(pose[:2], camera.height), world_R_body(pose[2])) for pose in poses]
     pixels = np.stack([np.bincount(ids[ids >= 0], minlength=count) for ids in views])
-    return _Route(poses, legs, pixels >= rules.visible_pixels)
+    return _Route(poses, legs, pixels >= VISIBLE)
 
 
 def _leg_path(
@@ -143,7 +143,7 @@ def _fault(place: Place, target: int, route: _Route, rules: WaypointRules) -> tu
     if np.hypot(*offset.T).min() < NEAREST:
         return math.inf, 1.0
     bearing = np.arctan2(offset[:, 1], offset[:, 0]) - route.poses[:, 2]
-    hidden, (least, most) = 1 - float(seen.mean()), rules.occluded
+    hidden, (least, most) = 1 - float(seen.mean()), OCCLUDED
     # A target that is not seen early would have to be found first: that is another task.
     late = 0.0 if seen[: rules.leg_steps].any() else 0.5
     crosses = metrics.seam_crossings(direction(bearing, 0.0 * bearing)).any()

@@ -19,9 +19,9 @@ from scipy import ndimage
 from eagor._values import lazy
 from eagor.errors import WorldError
 from eagor.lab.worlds.ground import BESIDE, STOREY, Ground, checked_goals, largest_area
-from eagor.lab.worlds.habitat.simulator import Frames, import_habitat
+from eagor.lab.worlds.habitat import Frames, import_habitat
 from eagor.lab.worlds.navmesh import DistanceField
-from eagor.lab.worlds.scene import Instance, Room
+from eagor.lab.worlds.scene import Instance, Raycaster, Room
 
 BAND = STOREY  # metres above and below its floor that belong to a storey
 BIN = 0.1  # metres: heights within it count as one level
@@ -88,8 +88,7 @@ def main_storey(
 def triangles_of(pathfinder: Any, island: int) -> np.ndarray:
     """The triangles ``(n, 3, 3)`` of an island, in Habitat's world."""
     vertices = np.array(pathfinder.build_navmesh_vertices(island), dtype=np.float64).reshape(-1, 3)
-    indices = np.array(pathfinder.build_navmesh_vertex_indices(island), dtype=np.int64).reshape(-1, 3)
-    return vertices[indices]
+    return vertices[np.array(pathfinder.build_navmesh_vertex_indices(island), dtype=np.int64).reshape(-1, 3)]
 
 
 def levels_of(triangles: np.ndarray) -> list[tuple[float, float]]:
@@ -114,26 +113,17 @@ def height_map(triangles: np.ndarray, storey: Storey, frames: Frames) -> tuple[n
 
     Where two levels of the storey lie over each other, the one nearer to its floor counts.
     """
-    corners = frames.from_habitat(triangles)[..., :2]
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    corners = frames.from_habitat(triangles)
+    low, high = corners[..., :2].min(axis=(0, 1)), corners[..., :2].max(axis=(0, 1))
     origin = np.floor(low / CELL) * CELL - 2 * CELL  # aligned with our own plans
     cols, rows = (int(n) for n in np.ceil((high - origin) / CELL) + 2)
-    heights = np.full((rows, cols), np.nan)
-    for (a, b, c), ys in zip((corners - origin) / CELL, triangles[..., 1], strict=True):
-        left, bottom = np.floor(np.min([a, b, c], axis=0) - 0.5).astype(int)
-        right, top = np.ceil(np.max([a, b, c], axis=0) - 0.5).astype(int) + 1
-        x, y = np.meshgrid(np.arange(left, right) + 0.5, np.arange(bottom, top) + 0.5)
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if abs(area) < 1e-12:
-            continue
-        u = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-        v = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-        height = ys[0] + u * (ys[1] - ys[0]) + v * (ys[2] - ys[0])
-        off, part = np.abs(height - storey.level), heights[bottom:top, left:right]
-        inside = (np.minimum(np.minimum(u, v), 1 - u - v) >= -1e-9) & (off <= BAND)
-        better = inside & ~(np.abs(part - storey.level) <= off)
-        part[better] = height[better]
-    return origin, heights
+    y, x = origin[::-1, None] + (np.indices((rows, cols)).reshape(2, -1) + 0.5) * CELL
+    level = storey.level + ON_MESH  # what lies on the floor is below
+    start = np.stack([x, y, np.full(len(x), level - frames.floor)], axis=1)
+    mesh = Raycaster(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    up, down = (mesh.cast(start, np.broadcast_to([0.0, 0.0, way], start.shape)).distance for way in (1.0, -1.0))
+    off = np.where(down <= up, -down, up)
+    return origin, np.where(np.abs(off) <= BAND, level + off.astype(np.float64), np.nan).reshape(rows, cols)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +139,7 @@ class NavMeshDistance:
 
     def distance(self, xy: np.ndarray) -> np.ndarray:
         points = np.asarray(xy, dtype=np.float64)
-        flat = [self.nearest(point)[0] for point in points.reshape(-1, 2)]
-        return np.array(flat).reshape(points.shape[:-1])
+        return np.array([self.nearest(point)[0] for point in points.reshape(-1, 2)]).reshape(points.shape[:-1])
 
     def nearest(self, xy: np.ndarray) -> tuple[float, int]:
         """The distance from a point ``(2,)``, and the index of the goal at that distance (-1: none)."""
@@ -196,7 +185,7 @@ class HabitatNavMesh:
         source: str = "the scene", level: float = LEVEL, sees: Sees | None = None,
     ) -> None:  # fmt: skip
         self.pathfinder, self.storey, self.frames, self.sees = pathfinder, storey, frames, sees
-        self.radius, self.rooms, self.source, self.level = radius, rooms, source, level
+        self.radius, self.source, self.level = radius, source, level
         origin, heights = height_map(triangles_of(pathfinder, storey.island), storey, frames)
         free = largest_area(np.isfinite(heights))
         if not free.any():
@@ -235,13 +224,15 @@ class HabitatNavMesh:
         on_storey = abs(float(feet[1]) - self.storey.level) <= BAND and self.pathfinder.is_navigable(feet, 0.5)
         return on_storey and self.pathfinder.get_island(feet) == self.storey.island
 
-    def check_free(self, point: np.ndarray) -> None:
-        """Raise `WorldError` unless the body can stand at a point ``(2,)``."""
-        if not self.is_free(point):
+    def _checked(self, point: np.ndarray) -> np.ndarray:
+        """A point ``(2,)`` on which the body can stand, float64. Raises `WorldError`."""
+        found = np.asarray(point, dtype=np.float64)
+        if not self.is_free(found):
             raise WorldError(
-                f"({point[0]:.3f}, {point[1]:.3f}) is not on the navigation mesh of this storey of {self.source}; "
+                f"({found[0]:.3f}, {found[1]:.3f}) is not on the navigation mesh of this storey of {self.source}; "
                 "start from a free point, such as snap() gives"
             )
+        return found
 
     def between(self, start: np.ndarray, goal: np.ndarray) -> tuple[float, np.ndarray]:
         """Geodesic metres between two places ``(3,)`` of Habitat's world, inf without a path, and the path ``(n, 2)``.
@@ -326,15 +317,15 @@ class HabitatNavMesh:
 
         Raises `WorldError` if the start is not free or there is no path.
         """
-        start = np.asarray(start, dtype=np.float64)
-        self.check_free(start)
+        start = self._checked(start)
+        feet = self.feet(start)
         metres, points, end = math.inf, np.zeros((0, 2)), start
         if not isinstance(goal, NavMeshDistance):
             end = np.asarray(goal, dtype=np.float64)
-            metres, points = self.between(self.feet(start), self.feet(end))
+            metres, points = self.between(feet, self.feet(end))
         elif (index := goal.nearest(start)[1]) >= 0:
             end = self.frames.from_habitat(goal.goals[index])[:2]
-            metres, points = self.between(self.feet(start), goal.goals[index])
+            metres, points = self.between(feet, goal.goals[index])
         if not math.isfinite(metres):
             raise WorldError(
                 f"there is no path from ({start[0]:.2f}, {start[1]:.2f}) to the goal over the navigation mesh of "
@@ -351,10 +342,10 @@ class HabitatNavMesh:
         Habitat-Sim 0.3.4 every step of a body that stands on the edge crosses it. It never leaves the storey. Raises
         `WorldError` if the start is not free or the step not finite.
         """
-        start, way = np.asarray(xy, dtype=np.float64), np.asarray(step, dtype=np.float64)
+        way = np.asarray(step, dtype=np.float64)
         if not np.isfinite(way).all():
             raise WorldError(f"step = ({way[0]}, {way[1]}); wanted two finite numbers, metres")
-        self.check_free(start)
+        start = self._checked(xy)
         if not way.any():
             return start.copy(), False
         feet, ahead = self.feet(start), self.frames.to_habitat(np.array([*(start + way), 0.0]))
@@ -376,10 +367,8 @@ class HabitatNavMesh:
         time as far as nothing can be met.
         """
         length, gone, clear = float(np.hypot(*moved)), 0.0, math.inf
-        if length == 0:
-            return start.copy()
         while gone < length and clear > SHORT + HELD:
             here = self.feet(start + moved * (gone / length))
             clear = float(self.pathfinder.distance_to_closest_obstacle(here, FAR))
             gone += max(0.0, clear - SHORT)
-        return start + moved * min(1.0, gone / length)
+        return start + moved * min(1.0, gone / length) if length else start.copy()

@@ -6,30 +6,25 @@ follow it: ``habitat:SCENE?dataset=FILE&storey=2.9``.
 - ``dataset``: the ``*.scene_dataset_config.json`` in which Habitat looks SCENE up;
 - ``storey``: the height of the floor to walk on, metres, Habitat's y (default: the largest);
 - ``up``: ``y`` or ``z``, the axis of a bare GLB file that points up (Habitat takes z, glTF says y);
-- ``navmesh``: a ``.navmesh`` file (default: the scene's, if it was made for a body of this radius, or a new one);
-- ``boxes``: a file of boxes, see below;
-- ``gpu``: the GPU's number, -1 for the CPU (default: $EAGOR_HABITAT_GPU, or what the probe finds);
+- ``gpu``: the GPU's number, -1 for the CPU (default: what the probe finds);
 - ``body``: metres, the height of a body: the navigation mesh is the one that habitat-lab would use for it (the scene's
   if made with the same settings, else a new one with voxels of 0.05 m); with it ``climb``, the height of steps that it
   climbs, and ``voxel``, the height of voxels (metres, both 0.2 as in habitat-lab).
 
-A scene is the same for every seed.
+A scene is the same for every seed. Its navigation mesh is ``<scene>.navmesh`` beside the file if that was made for the
+wanted body, else a new one.
 
 A mesh floats above the floor by up to a voxel, and Habitat's heights have no zero. So the floor is what the camera sees
 below points of the mesh. This also shows whether mesh and scene have the same way up.
 
 In this order, the named things of a scene are those of
 
-1. a file of boxes: one that is given, or ``<scene>.semantic.json`` or ``<scene>.boxes.json`` beside the scene's file;
+1. ``<scene>.semantic.json`` beside the scene's file, as `eagor.lab.worlds.glb.export_glb` writes it;
 2. Habitat's own semantic scene (HM3D, MP3D, Gibson, Replica);
 3. the nodes of the GLB file: category and colour are words of a node's name, as in `eagor.lab.worlds.glb`.
 
 Of Habitat's semantic scene, its ids decide which thing a pixel shows; otherwise it is the smallest box that contains
 the point.
-
-A file of boxes is what `export_glb` writes (``"format": "eagor semantic 1"``, our frame), or
-``{"format": "eagor boxes 1", "boxes": [{"category": "chair", "colour": "red", "low": [x, y, z], "high": [x, y, z]}]}``
-in Habitat's world: metres, Y up, as in the GLB file. Colour and "room" may be left out.
 """
 
 from __future__ import annotations
@@ -49,16 +44,13 @@ from typing import Any
 
 import numpy as np
 
-from eagor._checks import shown
 from eagor.errors import WorldError
 from eagor.grids import ErpGrid
 from eagor.lab.worlds import World, WorldOf
 from eagor.lab.worlds.glb import LAB_VOXEL, import_glb, read_semantics, voxel_for
-from eagor.lab.worlds.habitat.navmesh import LEVEL, HabitatNavMesh, main_storey
-from eagor.lab.worlds.habitat.simulator import (
+from eagor.lab.worlds.habitat import (
     Frames,
     HabitatView,
-    Labels,
     Session,
     Source,
     euclidean,
@@ -66,8 +58,8 @@ from eagor.lab.worlds.habitat.simulator import (
     mesh_settings,
     read_category,
 )
+from eagor.lab.worlds.habitat.navmesh import LEVEL, HabitatNavMesh, main_storey
 from eagor.lab.worlds.scene import Instance, Room
-from eagor.queries import COLOURS
 
 LAB_CLIMB, LAB_SLOPE = 0.2, 45.0  # metres and degrees: what habitat-lab's bodies climb by default
 NUMBERS = {"storey": float, "gpu": int, "body": float, "climb": float, "voxel": float}
@@ -82,8 +74,6 @@ class Options:
     dataset: str | None = None
     storey: float | None = None
     up: str | None = None
-    navmesh: str | None = None
-    boxes: str | None = None
     gpu: int | None = None
     body: float | None = None
     climb: float = LAB_CLIMB
@@ -103,11 +93,10 @@ def parse(text: str) -> Options:
             values[name] = NUMBERS.get(name, str)(value)
         except ValueError:
             raise WorldError(f"habitat:{text}: {name} = {value!r}; wanted a number") from None
+        if name in ("body", "climb", "voxel") and not 0 < values[name] < math.inf:
+            raise WorldError(f"habitat:{text}: {name} = {values[name]}; wanted finite metres above 0")
     if not math.isfinite(values.get("storey", 0.0)):
         raise WorldError(f"habitat:{text}: storey = {values['storey']}; wanted finite metres")
-    for name in ("body", "climb", "voxel"):
-        if not 0 < values.get(name, 1.0) < math.inf:
-            raise WorldError(f"habitat:{text}: {name} = {values[name]}; wanted finite metres above 0")
     if "body" not in values and not values.keys().isdisjoint({"climb", "voxel"}):
         raise WorldError(
             f"habitat:{text} has no body; climb and voxel belong to body=HEIGHT, habitat-lab's mesh for it"
@@ -118,24 +107,19 @@ def parse(text: str) -> Options:
 
 
 def file_of(options: Options) -> Path | None:
-    """The file of the scene, None for a name in a dataset. Raises `WorldError` if it is missing."""
+    """The file of the scene, None for a name in a dataset. Raises `WorldError` if one of the two is missing."""
     if not options.scene:
         raise WorldError("the world 'habitat' wants habitat:SCENE, with a file or a name in a dataset")
+    if options.dataset and not Path(options.dataset).expanduser().is_file():
+        raise WorldError(f"the scene dataset's configuration {options.dataset!r} is missing; give the path of a file")
     file = Path(options.scene).expanduser()
-    if not file.is_file() and options.dataset is None:
+    if not file.is_file() and not options.dataset:
         raise WorldError(
             f"the scene {options.scene!r} is {'a folder' if file.is_dir() else 'missing'}; wanted a file (*.glb, "
             "*.gltf, *.ply, *.stage_config.json, *.scene_instance.json), or a name in a dataset: "
             "habitat:NAME?dataset=FILE.scene_dataset_config.json"
         )
     return file.resolve() if file.is_file() else None
-
-
-def existing(name: str | None, what: str) -> Path | None:
-    """The file `name`, absolute; None if none is named. Raises `WorldError` if it is missing."""
-    if name is not None and not Path(name).expanduser().is_file():
-        raise WorldError(f"{what} {name!r} is missing; give the path of an existing file")
-    return None if name is None else Path(name).expanduser().resolve()
 
 
 def scene_id_of(options: Options, file: Path | None) -> str:
@@ -164,17 +148,12 @@ def scene_id_of(options: Options, file: Path | None) -> str:
 
 def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> Any:
     """A PathFinder for a body of this radius. Raises `WorldError`."""
-    habitat_sim = import_habitat()
-    found, own = habitat_sim.PathFinder(), [sim.pathfinder]
-    given = existing(options.navmesh, "the navigation mesh")
-    if given is not None:
-        if not found.load_nav_mesh(str(given)) or not found.is_loaded:
-            raise WorldError(f"{given} is no navigation mesh that Habitat-Sim reads; wanted what save_nav_mesh writes")
-        return found
+    pathfinder = import_habitat().PathFinder
+    own = [sim.pathfinder]
     if file is not None and file.with_suffix(".navmesh").is_file():
-        own.append(habitat_sim.PathFinder())
+        own.append(pathfinder())
         own[-1].load_nav_mesh(str(file.with_suffix(".navmesh")))
-    settings = settings_for(habitat_sim, options, file, radius)
+    settings = settings_for(options, file, radius)
     for mesh in own:
         if mesh is None or not mesh.is_loaded:
             continue
@@ -182,6 +161,7 @@ def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> An
         its, lab = mesh.nav_mesh_settings, options.body is not None
         if (lab and its == settings) or (not lab and abs(its.agent_radius - radius) < 1e-3):
             return mesh
+    found = pathfinder()
     if not sim.recompute_navmesh(found, settings) or not found.is_loaded:
         raise WorldError(
             f"Habitat-Sim finds no ground for a body of radius {radius:g} m in {options.scene}; is it the right way up "
@@ -190,19 +170,19 @@ def mesh_for(options: Options, file: Path | None, sim: Any, radius: float) -> An
     return found
 
 
-def settings_for(habitat_sim: Any, options: Options, file: Path | None, radius: float) -> Any:
+def settings_for(options: Options, file: Path | None, radius: float) -> Any:
     """Habitat's NavMeshSettings: those of habitat-lab for `Options.body`, otherwise finer ones."""
     if options.body is not None:
         # habitat-lab's `default_agent_navmesh`: what is not named is Habitat's default, static objects do not count.
         lab = {"agent_height": options.body, "agent_max_climb": options.climb, "cell_height": options.voxel}
         lab |= {"agent_max_slope": LAB_SLOPE, "agent_radius": radius, "include_static_objects": False}
-        return mesh_settings(habitat_sim, lab)
+        return mesh_settings(lab)
     finer = {"cell_size": voxel_for(radius, 0.05), "cell_height": 0.05}  # Habitat's own are 0.2 m high
     finer |= {"agent_height": 1.5, "agent_max_climb": 0.2}
     named = None if file is None else file.with_suffix(".navmesh.json")
     if named is not None and named.is_file():
         finer |= json.loads(named.read_text(encoding="utf-8"))
-    return mesh_settings(habitat_sim, finer | {"agent_radius": radius, "include_static_objects": True})
+    return mesh_settings(finer | {"agent_radius": radius, "include_static_objects": True})
 
 
 # --- the true floor below a mesh, looked at from above ----------------------------------------------------------------
@@ -217,10 +197,9 @@ NARROW = 3.5  # metres: a scene that is narrower than this and than it is high m
 
 def looks(session: Session, feet: np.ndarray) -> np.ndarray:
     """Metres ``(n, 2)`` up and down from the eye above points ``(n, 3)`` of Habitat's world."""
-    view, found = HabitatView(session, Frames(), None), []
-    for point in view.frames.from_habitat(feet):
-        metres = view.panorama(point + np.array([0.0, 0.0, EYE]), np.eye(3), ROWS, rgb=False, ids=False).range
-        assert metres is not None
+    found = []
+    for point in feet:
+        metres = euclidean(session.look(("depth",), ROWS, point + np.array([0.0, EYE, 0.0]), np.eye(3))["depth"])
         found.append(np.median(metres[[0, -1]], axis=1) * math.cos(math.pi / (2 * ROWS)))
     return np.array(found).reshape(-1, 2)
 
@@ -233,14 +212,14 @@ def true_floor(session: Session, mesh: HabitatNavMesh, options: Options) -> floa
     """
     level = np.abs(mesh.heights[mesh.free] - mesh.storey.level) <= 0.1
     spots = mesh.points[level][:: max(1, int(level.sum()) // 25)]
-    feet = np.array([mesh.feet(xy) for xy in spots]).reshape(-1, 3)
+    feet = np.array([mesh.feet(xy) for xy in spots], dtype=np.float64).reshape(-1, 3)
     above, below = looks(session, feet).T
     gap = below - EYE  # the mesh floats above the floor
     if not (np.abs(gap) < SUNK).mean() > 0.5:
         raise WorldError(
             f"under most of the navigation mesh of {mesh.source} there is no floor within {SUNK:g} m: mesh and scene "
-            "do not have the same way up, or belong to different scenes; try habitat:SCENE?up=y or ?up=z, or leave out "
-            "navmesh"
+            "do not have the same way up, or belong to different scenes; try habitat:SCENE?up=y or ?up=z, or remove "
+            "the .navmesh beside the scene"
         )
     _check_upright(mesh.source, float(np.median(above)) + EYE, session, options)
     floor = float(np.median(feet[:, 1] - gap))
@@ -270,88 +249,34 @@ def _check_upright(name: str, height: float, session: Session, options: Options)
 
 # --- the named things -------------------------------------------------------------------------------------------------
 
-BOXES = "eagor boxes 1"
 UNNAMED = {"", "unknown", "unlabeled", "unlabelled", "void", "misc", "undefined", "object", "objects", "other"}
-LOOSE = 0.03  # metres by which a box is widened: depth is exact to a centimetre
+SPOTS = 40  # places from which the things of a scene are looked at
 SEEN_ROWS = 128  # of the panoramas that show the extent of things
 FEWEST = 12  # pixels that a thing has to show
 TRIM = 0.5  # per cent of the points at each end: edges of things mix near and far
 
 Box = tuple[np.ndarray, np.ndarray]  # lowest and highest corner (3,)
+Things = tuple[tuple[Instance, ...], tuple[Room, ...], np.ndarray | None, str]
 
 
 def things_of(
-    sim: Any, file: Path | None, boxes: Path | None, frames: Frames, look: Callable[[], Mapping[int, Box]]
-) -> tuple[tuple[Instance, ...], tuple[Room, ...], Labels, str]:
-    """The instances and rooms of the scene that `sim` has opened, how pixels are labelled, and where names come from.
+    semantic: Any, file: Path | None, names: Path | None, frames: Frames, look: Callable[[], Mapping[int, Box]]
+) -> Things:
+    """The instances and rooms of a scene, our index of each semantic id (None: boxes tell), and where names come from.
 
-    `boxes`: the file of boxes that is given; `look` finds the extent of what is seen of each semantic id, Habitat's
-    world. Raises `WorldError` if the scene names no things, or for a malformed file.
+    `semantic`: Habitat's semantic scene; `names`: the semantic JSON; `look` finds the extent of what is seen of each
+    semantic id, Habitat's world. Raises `WorldError` if the scene names no things, or for a malformed file.
     """
-    semantic = getattr(sim, "semantic_scene", None)
-    source = boxes or beside(file)
-    if source is not None:
-        instances, rooms = read_boxes(source, frames)
-        return instances, rooms, box_labels(instances), f"boxes of {source.name}"
-    found = _objects(semantic)
-    if len(found) > 2 and all((thing.low <= 0).all() and (thing.high >= 0).all() for thing in found.values()):
-        seen = look()  # boxes that all contain the origin are wrong
-        found = {key: _repaired(thing, *seen[key]) for key, thing in found.items() if key in seen}
-    if found:
-        instances = tuple(_turned(thing, frames) for thing in found.values())
-        labels = id_labels({key: index for index, key in enumerate(found)})
-        return instances, _rooms(semantic, frames), labels, "Habitat's semantic scene"
-    if file is not None and file.suffix.lower() in GLB:
-        lift = np.array([0.0, 0.0, frames.floor])
-        instances = tuple(
-            Instance(thing.category, thing.colour, None, thing.low - lift, thing.high - lift)
-            for thing in import_glb(file).instances
-            if thing.category not in UNNAMED
-        )
-        if instances:
-            return instances, (), box_labels(instances), f"nodes of {file.name}"
-    raise WorldError(
-        f"{file or 'the scene'} names no things: it has no semantic annotations, its nodes have no names, and no file "
-        "of boxes lies beside it; give one: habitat:SCENE?boxes=FILE.json"
-    )
-
-
-def beside(file: Path | None) -> Path | None:
-    """The file of boxes beside a scene's file, if there is one."""
-    if file is None:
-        return None
-    stem = file.name.split(".")[0]
-    places = (file.with_name(f"{stem}.{kind}.json") for kind in ("boxes", "semantic"))
-    return next((place for place in places if place.is_file()), None)
-
-
-def read_boxes(file: Path, frames: Frames) -> tuple[tuple[Instance, ...], tuple[Room, ...]]:
-    """The instances and rooms in a file of boxes. Raises `WorldError` if it is missing or malformed."""
-    try:
-        known = read_semantics(file.read_bytes())
-        ours, lift = known.format != BOXES, np.array([0.0, 0.0, frames.floor])
-        instances = []
-        for thing in known.instances if ours else known.boxes:
-            if bool(np.any(thing.low > thing.high)):
-                raise ValueError(f"a box from {thing.low.tolist()} to {thing.high.tolist()}")
-            if thing.colour is not None and thing.colour not in COLOURS:
-                raise ValueError(f"the colour {shown(thing.colour)}, which is none of {', '.join(COLOURS)}")
-            named = replace(thing, category=read_category(thing.category))
-            lifted = replace(named, low=thing.low - lift, high=thing.high - lift)  # z up, but heights as in the file
-            instances.append(lifted if ours else _turned(named, frames))
-    except OSError as error:
-        raise WorldError(f"{file} cannot be read ({error.strerror}); wanted a file of boxes") from error
-    except ValueError as error:
-        raise WorldError(
-            f"{file} cannot be used ({str(error)[:200]}); wanted what export_glb writes, or "
-            f'{{"format": "{BOXES}", "boxes": [{{"category", "low", "high"}}, ...]}}'
-        ) from error
-    return tuple(instances), tuple(known.rooms if ours else ())
-
-
-def _objects(semantic: Any) -> dict[int, Instance]:
-    """The named objects of Habitat's semantic scene by their semantic ids; bounds are in Habitat's world."""
-    found = {}
+    if names is not None:
+        try:
+            known = read_semantics(names.read_bytes())
+        except (OSError, ValueError) as error:
+            raise WorldError(
+                f"{names} cannot be used ({str(error)[:200]}); wanted what export_glb writes: remove it, or export "
+                "the scene again"
+            ) from error
+        return _lowered(known.instances, frames), tuple(known.rooms), None, f"boxes of {names.name}"
+    found: dict[int, Instance] = {}
     for thing in getattr(semantic, "objects", None) or []:
         if thing is None or thing.category is None or (box := _bounds(thing)) is None:
             continue
@@ -359,7 +284,31 @@ def _objects(semantic: Any) -> dict[int, Instance]:
         if category not in UNNAMED:
             room = None if region is None or _bounds(region) is None else str(region.id)
             found[int(thing.semantic_id)] = Instance(category, None, room, *box)
-    return found
+    if len(found) > 2 and all((thing.low <= 0).all() and (thing.high >= 0).all() for thing in found.values()):
+        seen = look()  # Habitat-Sim 0.3.4 extends the boxes of HM3D to the origin
+        found = {key: _repaired(thing, *seen[key]) for key, thing in found.items() if key in seen}
+    if found:
+        index = np.full(max(found) + 2, -1, dtype=np.int32)  # the last for ids beyond the table
+        index[[*found]] = np.arange(len(found))
+        instances = []
+        for thing in found.values():
+            corners = frames.from_habitat(np.stack([thing.low, thing.high]))
+            instances.append(replace(thing, low=corners.min(axis=0), high=corners.max(axis=0)))
+        return tuple(instances), _rooms(semantic, frames), index, "Habitat's semantic scene"
+    if file is not None and file.suffix.lower() in GLB:
+        named = [thing for thing in import_glb(file).instances if thing.category not in UNNAMED]
+        if named:
+            return _lowered(named, frames), (), None, f"nodes of {file.name}"
+    raise WorldError(
+        f"{file or 'the scene'} names no things: it has no semantic annotations, its nodes have no names, and no "
+        "<scene>.semantic.json lies beside it; write one, as export_glb does"
+    )
+
+
+def _lowered(instances: Sequence[Instance], frames: Frames) -> tuple[Instance, ...]:
+    """Things with heights as in the file (z up), above the storey's floor."""
+    lift = np.array([0.0, 0.0, frames.floor])
+    return tuple(replace(thing, low=thing.low - lift, high=thing.high - lift) for thing in instances)
 
 
 def _rooms(semantic: Any, frames: Frames) -> tuple[Room, ...]:
@@ -379,38 +328,12 @@ def _bounds(part: Any) -> Box | None:
     return (low, high) if np.isfinite([low, high]).all() and (high > low).any() else None
 
 
-def _turned(thing: Instance, frames: Frames) -> Instance:
-    """A thing whose box is in Habitat's world, in ours."""
-    corners = frames.from_habitat(np.stack([thing.low, thing.high]))
-    return replace(thing, low=corners.min(axis=0), high=corners.max(axis=0))
-
-
 def _repaired(thing: Instance, first: np.ndarray, last: np.ndarray) -> Instance:
     """The same with the sides of its box at 0 replaced by those of what was seen."""
     first, last = np.clip([first, last], thing.low, thing.high)
-    low, high = np.where(thing.low == 0, first, thing.low), np.where(thing.high == 0, last, thing.high)
-    return replace(thing, low=low, high=high)
-
-
-def id_labels(index: Mapping[int, int]) -> Labels:
-    """Labels by Habitat's semantic ids: our index of each; -1 for any other id."""
-    table = np.full(max(index) + 2, -1, dtype=np.int32)  # the last for ids beyond the table
-    table[[*index]] = [*index.values()]
-    return Labels(True, lambda semantic: table[np.minimum(semantic, len(table) - 1).astype(np.intp)])
-
-
-def box_labels(instances: Sequence[Instance]) -> Labels:
-    """Labels by points: the smallest box that contains a point, the first of equal ones, -1 if none does."""
-    sizes = [float(np.prod(np.maximum(thing.high - thing.low, LOOSE))) for thing in instances]
-
-    def ids(points: np.ndarray) -> np.ndarray:
-        found = np.full(points.shape[:-1], -1, dtype=np.int32)
-        for index in reversed(np.argsort(sizes, kind="stable")):  # smaller ones over larger ones
-            thing = instances[index]
-            found[((points >= thing.low - LOOSE) & (points <= thing.high + LOOSE)).all(axis=-1)] = index
-        return found
-
-    return Labels(False, ids)
+    return replace(
+        thing, low=np.where(thing.low == 0, first, thing.low), high=np.where(thing.high == 0, last, thing.high)
+    )
 
 
 def seen_boxes(session: Session, eyes: np.ndarray) -> dict[int, Box]:
@@ -432,10 +355,9 @@ def seen_boxes(session: Session, eyes: np.ndarray) -> dict[int, Box]:
     }
 
 
-# --- the world ``habitat:SCENE`` --------------------------------------------------------------------------------------
+# --- the scene --------------------------------------------------------------------------------------------------------
 
 RADIUS = 0.18  # metres: of the body for whose ground the floor is found
-SPOTS = 40  # places from which the things of a scene are looked at
 
 
 class HabitatScene:
@@ -447,8 +369,7 @@ class HabitatScene:
     def __init__(self, text: str) -> None:
         self.options = options = parse(text)
         self.file = file = file_of(options)
-        boxes = existing(options.boxes, "the file of boxes")
-        dataset = existing(options.dataset, "the scene dataset's configuration")
+        dataset = Path(options.dataset).expanduser().resolve() if options.dataset else None
         self.source = f"habitat {file.name if file else options.scene}"
         self.session = Session(
             Source(scene_id_of(options, file), str(dataset or "default"), options.gpu, str(file or options.scene))
@@ -465,16 +386,19 @@ class HabitatScene:
             feet = np.array([mesh.feet(xy) for xy in spots], dtype=np.float64)
             return seen_boxes(self.session, feet + np.array([0.0, EYE, 0.0]))
 
-        self.instances, self.rooms, labels, told = things_of(sim, file, boxes, self.frames, look)
-        self._view = HabitatView(self.session, self.frames, labels)
+        names = None if file is None else file.with_name(f"{file.name.split('.')[0]}.semantic.json")
+        names = names if names and names.is_file() else None
+        semantic = getattr(sim, "semantic_scene", None)
+        self.instances, self.rooms, index, source = things_of(semantic, file, names, self.frames, look)
+        self._view = HabitatView(self.session, self.frames, self.instances, index)
         self.facts = {
             "simulator": f"Habitat-Sim {getattr(import_habitat(), '__version__', '')}".strip(),
-            "things": told,
+            "things": source,
             "floor": f"{self.zero:.3f} m (Habitat's y of our z = 0)",
             "storey": f"{self.storey:.2f} m (Habitat's y of the navigation mesh)",
         }
         drawn = Path(str(getattr(sim.get_stage_initialization_template(), "render_asset_handle", "")))
-        self.hash = self._digest([file, dataset, boxes, beside(file), drawn if drawn.is_file() else None])
+        self.hash = self._digest([file, dataset, names, drawn if drawn.is_file() else None])
 
     def view(self) -> HabitatView:
         return self._view
@@ -507,7 +431,7 @@ class HabitatScene:
     def _digest(self, files: list[Path | None]) -> str:
         options = self.options
         body = "" if options.body is None else f"|{options.body}|{options.climb}|{options.voxel}"
-        digest = hashlib.sha256(f"{options.storey}|{options.up}|{options.navmesh}{body}".encode())
+        digest = hashlib.sha256(f"{options.storey}|{options.up}|None{body}".encode())
         for file in dict.fromkeys(file for file in files if file is not None):
             digest.update(hashlib.sha256(file.read_bytes()).digest())
         for thing in self.instances:

@@ -1,0 +1,116 @@
+"""Footage as the commands open it: the recording, its poses, and what is said of both on stderr."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eagor.cli import checks, terminal
+from eagor.cli.options import Footage, given
+
+if TYPE_CHECKING:
+    from eagor.perception import Perception
+
+WORDS = ("auto", "level", "still")  # for --poses; anything else is a file
+RATE = 2.0  # looks per second of what moves
+BY_SIGHT = 10.0  # frames per second from which an ordinary camera's turn is found: neighbours have to overlap
+
+
+@dataclass(frozen=True)
+class Journey:
+    """The recording and its poses, as `eagor.Loop` takes them; `told` says in words where the poses are from.
+
+    `looks` per second (None: at every picture); `shown`: frames per second, where they are regular; `span`: seconds
+    from the first frame to the last, if known; `begins`: the stamp of the first frame, where stamps are those of
+    another clock; `count`: how many frames come, if known.
+    """
+
+    source: Any
+    poses: Any
+    told: str
+    count: int | None
+    looks: float | None = None
+    shown: float | None = None
+    span: float | None = None
+    begins: float = 0.0
+
+
+def journey_of(options: Footage, places: Sequence[Path], perception: Perception, shown: float | None = None) -> Journey:
+    """The recording that the options name; what it tells of itself is said on stderr.
+
+    `shown`: frames per second of a video to be drawn, which shows more than what is looked at. Raises `UsageError`, and
+    as `open_footage` and `open_poses`.
+    """
+    from eagor.media.bags import is_bag
+    from eagor.media.camera_sources import open_footage
+    from eagor.media.footage import LEAST_ROWS, BagFrames, VideoFrames, is_video
+    from eagor.media.odometry import open_poses, poses_in_words
+    from eagor.perception import rows_of
+    from eagor.perception.replay import takes_pictures
+
+    bag = len(places) == 1 and is_bag(places[0])
+    moves = bag or is_video(places, options.rig is not None)
+    poses = _checked(options, places, bag, moves)
+    looks = (options.rate or RATE) if moves else None
+    rate = max(looks, shown or 0) if looks else options.rate
+    words = [f"{places[0]}?topic={options.image_topic}"] if options.image_topic else places
+    how: dict[str, Any] = {
+        "rig": checks.rig_of(options.rig),
+        "camera": checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info, options.eyes),
+        "stitched": not takes_pictures(perception),
+        "rows": max(rows_of(perception), LEAST_ROWS) if moves else None,
+        "start": options.start, "end": options.end, "force": options.force, "info": options.camera_info,
+        "say": terminal.log,
+    }  # fmt: skip
+    source = open_footage(words, **how, rate=rate)
+    if isinstance(source.frames, VideoFrames):
+        video = source.frames.video
+        checks.say_of_video(places[0].name, video.facts, video.duration)
+    found = open_poses(poses, source, axes=options.axes, say=terminal.log)
+    told = poses_in_words(found)
+    if looks and rate and rate < BY_SIGHT and source.ordinary and "pictures themselves" in told:
+        rate, how["say"] = BY_SIGHT, lambda text: None
+        source = open_footage(words, **how, rate=rate)
+    frames = source.frames
+    if isinstance(frames, BagFrames):
+        camera = frames.camera
+        terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
+        terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
+        return Journey(source, found, told, None, looks, rate, None, camera.begins)
+    if isinstance(frames, VideoFrames):
+        video = frames.video
+        looks = looks or RATE
+        terminal.log(f"{min(looks, video.frame_rate or looks):g} looks per second (--rate {looks:g}), {told}")
+        end = options.end or video.duration
+        return Journey(source, found, told, video.count, looks, rate, None if end is None else end - options.start)
+    stamps = frames.stamps or [number / frames.rate for number in range(len(frames.paths))]
+    if not frames.stamps:
+        many = terminal.many(frames.count, "image")
+        terminal.log(f"{many}, taken at {frames.rate:g} per second (--rate), {told}")
+    shown = None if frames.stamps else frames.rate
+    return Journey(source, found, told, frames.count, None, shown, stamps[-1] - stamps[0])
+
+
+def _checked(options: Footage, places: Sequence[Path], bag: bool, moves: bool) -> str:
+    """The text of the poses. Raises `UsageError` for options that do not belong together."""
+    poses = options.poses
+    if poses not in WORDS and not os.path.exists(poses):
+        raise terminal.UsageError(f"there is no file {poses}; --poses takes {', '.join(WORDS)} or a CSV file")
+    checks.checked_number(options.rate, "--rate")
+    if options.axes != "auto" and poses in WORDS:
+        raise terminal.UsageError(f"--axes {options.axes} is for a file of poses; give one with --poses")
+    if not bag and given(options, ("image_topic", "odom_topic", "camera_info")):
+        topics = "--image-topic, --odom-topic and --camera-info"
+        raise terminal.UsageError(f"{topics} are for a ROS 2 bag; {places[0]} is none")
+    if not moves and (wrong := given(options, ("start", "end", "fps"))):
+        raise terminal.UsageError(f"--{wrong[0]} is for a video; these are images")
+    if not moves and poses not in WORDS and options.rate is not None:
+        raise terminal.UsageError(f"--rate {options.rate:g}: {poses} tells when the images were taken")
+    if options.odom_topic is None:
+        return poses
+    if poses != "auto":
+        raise terminal.UsageError(f"--poses {poses} and --odom-topic: wanted one of them")
+    return f"ros:{options.odom_topic}"

@@ -1,0 +1,115 @@
+"""Single episodes of runs of simulated tasks: what their steps say, and played again.
+
+Before the first sighting, errors are the price of the search; in sight, the perception's; hidden, the memory's. Means
+are per episode first, over its steps, then over the episodes, with intervals that resample apartments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from eagor.errors import EagorError
+from eagor.lab.envs.episodes import PER_PLACE, EpisodeSpec, spec_from_json
+from eagor.lab.eval.results import Result, Run, mean_intervals
+from eagor.lab.tasks.sim.play import Runner
+from eagor.lab.tasks.task import finished, group_of, sample_of
+
+UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"
+PARTS = (UNSEEN, IN_SIGHT, HIDDEN)
+SEEN = "after it was first seen"  # in sight or hidden again
+DISTANCE, COVERED, COVERED_HIDDEN = "distance", "covered in sight", "covered out of sight"
+COLUMNS = (*PARTS, SEEN, DISTANCE, COVERED, COVERED_HIDDEN)
+BASELINE = 0.1  # of the distance: by so much the camera has to have moved before a distance is asked for
+
+
+def numbers(values: Sequence[float | bool | None] | None, count: int = 0) -> np.ndarray:
+    """A list of a trace as an array, NaN where it has nothing; `count` of these for a trace without the list."""
+    return np.array(values or [None] * count, dtype=float)
+
+
+def truth_of(result: Result) -> dict[str, Any]:
+    """The truth at each step, under the same names whether all methods saw the same or each went its own way."""
+    if "truth" in result.record:
+        return result.record["truth"]
+    trace = result.answer["trace"]
+    return {**trace, **{key.removeprefix("true_"): each for key, each in trace.items() if key.startswith("true_")}}
+
+
+def by_step(results: Sequence[Result]) -> list[float | None]:
+    """Mean error at each step, where at least half of the episodes have one; it ends where fewer go on."""
+    found = [numbers(result.answer["trace"]["error_deg"]) for result in results]
+    longest = max(map(len, found), default=0)
+    values = np.array([np.pad(row, (0, longest - len(row)), constant_values=np.nan) for row in found])
+    enough = np.isfinite(values).sum(axis=0) >= max(1, len(found) / 2)
+    last = int(np.flatnonzero(enough).max(initial=-1)) + 1
+    return [float(np.nanmean(values[:, step])) if enough[step] else None for step in range(last)]
+
+
+def parts(results: Sequence[Result]) -> tuple[dict[str, tuple[float, float, float]], dict[str, float]]:
+    """Means over the episodes that have such steps, with 95 % intervals, and the share of each part of all steps.
+
+    - `PARTS` and `SEEN`: the direction error, degrees, over the steps of that part;
+    - `DISTANCE`: relative error of the distance, percent, once the camera has moved by `BASELINE` of it since the first
+      sighting;
+    - `COVERED` and `COVERED_HIDDEN`: share of steps, percent, with the truth inside the 90 % region, the target in
+      sight, and out of it.
+    """
+    rows, counts = [], []
+    for result in results:
+        truth, trace = truth_of(result), result.answer["trace"]
+        error, visible = numbers(trace["error_deg"]), np.array(truth["visible"], dtype=bool)
+        since = np.logical_or.accumulate(visible)
+        inside = 100 * numbers(trace.get("inside"), len(error))
+        true, stated = numbers(truth["range_m"]), numbers(trace.get("distance_m"), len(error))
+        moved = _baselines(np.array(truth["pose"])[:, :3], visible) > BASELINE * true
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.where(np.isfinite(error), 100 * np.abs(stated - true) / true, np.nan)
+        chosen = [
+            (error, ~since), (error, visible), (error, since & ~visible), (error, since),
+            (off, moved & (true > 0)), (inside, visible), (inside, ~visible),
+        ]  # fmt: skip
+        kept = [values[where & np.isfinite(values)] for values, where in chosen]
+        rows.append([values.mean() if len(values) else np.nan for values in kept])
+        counts.append([*map(len, kept[:3]), np.isfinite(error).sum()])
+    found, groups, means = np.reshape(rows, (-1, len(COLUMNS))), [group_of(result.record) for result in results], {}
+    for k, name in enumerate(COLUMNS):
+        there = np.flatnonzero(np.isfinite(found[:, k]))
+        if len(there):
+            values = found[there, k : k + 1]
+            means[name] = (float(values.mean()), *mean_intervals(values, [groups[i] for i in there])[:, 0].tolist())
+    *used, steps = np.sum(counts, axis=0).tolist() if counts else (0, 0, 0, 0)
+    return means, {name: count / steps for name, count in zip(PARTS, used, strict=True) if count}
+
+
+def _baselines(positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """At each step, the largest distance so far between two places from which the target was in sight, metres."""
+    apart = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
+    apart[~seen], apart[:, ~seen] = 0.0, 0.0
+    return np.maximum.accumulate(np.tril(apart).max(axis=1))
+
+
+def runner_of(run: Run, case: str) -> tuple[Runner, EpisodeSpec]:
+    """What plays a case of a run again, and its spec. Raises as `spec_in`."""
+    spec = spec_in(run, case)
+    return Runner(dict(run.settings)), spec
+
+
+def spec_in(run: Run, case: str) -> EpisodeSpec:
+    """The spec of a case of a run. Raises `EagorError` for answers to published data, or an unknown case."""
+    if not run.simulated:
+        raise EagorError(f"only episodes of simulated tasks can be played again, and {run.task.name} has none")
+    record = next((record for record in finished(run.records) if sample_of(record) == case), None)
+    if record is None:
+        names = ", ".join(dict.fromkeys(sample_of(record) for record in finished(run.records)))
+        raise EagorError(f"the run has no case {case!r}; it has {names[:200] or 'none'}")
+    episode, first = record["episode"], run.settings.get("seed")
+    if "slot" in episode:  # of an episode that a file lists
+        return spec_from_json(episode["slot"])
+    world, seed, index = (episode.get(key) for key in ("world", "seed", "index"))
+    if not (isinstance(world, str) and all(isinstance(value, int) for value in (first, seed, index))):
+        raise EagorError(f"the record {record['key']!r} does not say which episode it is of; it cannot be played again")
+    number = (seed - first) * PER_PLACE + index  # by which some tasks deal their scenarios
+    return EpisodeSpec(run.task.name, world, seed, index, number)

@@ -1,0 +1,292 @@
+"""Look once, ask often: what a detector sees in footage is written to a file that answers any query.
+
+`looked_at` makes the lines of a replay file (docs/replay-format.md), a first line about the footage, then one for each
+look, with the pose of the camera and all boxes of all views, and one for each pose between the looks. `RecordedLooks`
+gives poses and looks back as a source without pictures; `things_seen` lists what there is.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from eagor.conventions import wxyz_from_rotation
+from eagor.errors import EagorError, FormatError, ImageError, PoseError, QueryError
+from eagor.evidence import BodyMask, Evidence, model_as_json
+from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.media import Frame, Pose
+from eagor.media.defects import NeverSeen
+from eagor.media.panorama import Picture
+from eagor.media.posed_frames import PosedFrame
+from eagor.perception.records import Footage
+from eagor.perception.replay import ReplayPerception
+from eagor.perception.things import Seen
+from eagor.perception.views import Detector
+from eagor.tracking import DirectionTracker, ThingSeen, TrackerConfig
+
+__all__ = ["HiddenParts", "RecordedLooks", "first_line", "looked_at", "things_seen"]
+
+UNSURE = math.radians(10)  # of a pose: a look from there says nothing of directions
+WORTH_SAYING = 0.002  # share of the sphere from which on a black region is worth a sentence
+PIXELS, SCORES, TURNS, METRES = 3, 6, 12, 6  # decimals that are written
+Looks = tuple[Evidence, ...]
+
+
+class HiddenParts:
+    """What the camera never sees: looks say nothing there.
+
+    That is each of the `masks` that are given, what a file says that its picture lacks, and black around a pole in all
+    frames so far; of the last two `say` is told, once.
+    """
+
+    def __init__(self, masks: Sequence[BodyMask] = (), say: Callable[[str], object] = lambda text: None) -> None:
+        self._given, self._say = tuple(masks), say
+        self._black, self._said = NeverSeen(), False
+
+    def masks(self, frame: Picture | None) -> tuple[BodyMask, ...]:
+        """All masks of a frame; those that are given for a look without a picture, whose record says what is black."""
+        own = None if frame is None else self.of(frame)
+        return self._given if own is None else (*self._given, own)
+
+    def covered(self, looks: Looks, frame: Picture | None) -> Looks:
+        """The looks at `frame`, without what is not seen."""
+        for mask in self.masks(frame):
+            looks = tuple(look.covered(mask) for look in looks)
+        return looks
+
+    def of(self, frame: Picture) -> BodyMask | None:
+        """What `frame` shows, beside the mask that is given; None if that is all."""
+        if frame.grid is not None:  # an ordinary picture has no poles
+            return None if frame.unseen is None else _around(frame.grid, ~frame.unseen)
+        black = self._black.add(frame.picture)
+        hidden = black if frame.unseen is None else black | frame.unseen
+        if not hidden.any():
+            return None
+        if hidden.all():
+            raise ImageError("the picture is black or transparent everywhere: nothing can be seen in it")
+        mask = BodyMask(~hidden)
+        self._tell(mask, black)
+        return mask
+
+    def _tell(self, mask: BodyMask, black: np.ndarray) -> None:
+        share = 1 - float(np.sum(mask.seen * mask.grid.weights)) / (4 * np.pi)
+        if not self._said and share > WORTH_SAYING and black.any():
+            self._said = True
+            self._say(f"{100 * share:.1f} % of the sphere is black around a pole, or missing: taken as not seen")
+
+
+def _around(grid: PerspectiveGrid, seen: np.ndarray) -> BodyMask:
+    """What an ordinary picture shows, ``(H, W)``, as a mask of the sphere; what is beside it says nothing anyway."""
+    x, y, inside = grid.project(ErpGrid(512, 1024).directions)
+    rows, columns = (
+        np.clip(np.where(inside, at, 0).astype(int), 0, most - 1) for at, most in zip((y, x), seen.shape, strict=True)
+    )
+    return BodyMask(inside & seen[rows, columns])
+
+
+# --- a file of looks: writing -----------------------------------------------------------------------------------------
+
+
+def first_line(of: str, perception: str, views: Detector, poses: str, begins: float = 0.0) -> str:
+    """The line about the footage: what was looked at, by which perception, where its poses come from, in words."""
+    about: dict[str, Any] = {"of": of, "perception": perception, "poses": poses, "begins": begins}
+    about["detector"] = model_as_json(views.detector)
+    if views.classes is not None:
+        about["classes"] = list(views.classes)
+    return json.dumps({"footage": {key: value for key, value in about.items() if value}})
+
+
+def looked_at(
+    frames: Iterable[PosedFrame], views: Detector, queries: Sequence[str] = (), hidden: HiddenParts | None = None
+) -> Iterator[tuple[PosedFrame, list[dict[str, Any]]]]:
+    """Each frame, and its entries, one for each line: the poses before it, then one for a look.
+
+    Without classes there is one for each of `queries`; of a frame that cannot be used one with the reason. What is
+    `hidden` is written as not seen. Raises `EagorError` for a query without meaning, and what `frames` raise.
+    """
+    hidden = hidden or HiddenParts()
+    for posed in frames:
+        frame, pose = posed.frame, posed.pose or Pose(posed.frame.stamp, np.eye(3))
+        entries = [{"stamp": float(each.stamp), "pose": _pose(each)} for each in posed.before]
+        at: dict[str, Any] = {"stamp": float(frame.stamp), "pose": _pose(pose)}
+        if not posed.looked:
+            yield posed, [*entries, at]
+            continue
+        at |= {"frame": frame.name} | ({"lost": True} if posed.lost else {})
+        try:
+            if frame.picture is None:
+                raise ImageError(frame.problem)
+            mask = hidden.of(Picture(frame.picture, frame.unseen, grid=frame.grid))
+            if mask is not None:
+                at["unseen"] = _runs(mask)
+            entries += [
+                at | ({} if query is None else {"query": query}) | {"views": [*map(_view, seen)]}
+                for query in (queries or (None,))
+                for seen in [views.seen(frame.picture, pose.world_R_body, query or "", frame.grid)]
+            ]
+        except QueryError:
+            raise
+        except EagorError as error:
+            entries.append(at | {"problem": str(error)})
+        yield posed, entries
+
+
+def _pose(pose: Pose) -> dict[str, float]:
+    place = () if pose.position is None else pose.position.tolist()
+    found = _quaternion(pose.world_R_body) | dict(zip("xyz", (round(value, METRES) for value in place), strict=False))
+    return found | ({"spread_deg": round(math.degrees(pose.spread), TURNS)} if pose.spread else {})
+
+
+def _quaternion(turn: np.ndarray) -> dict[str, float]:
+    return {
+        f"q{axis}": round(value, TURNS) for axis, value in zip("wxyz", wxyz_from_rotation(turn).tolist(), strict=True)
+    }
+
+
+def _view(seen: Seen) -> dict[str, Any]:
+    grid, (boxes, scores, labels) = seen
+    image = {"projection": "perspective", "width": grid.width, "height": grid.height}
+    if (lens := grid.optics) is None:
+        image |= {"hfov_deg": round(math.degrees(grid.hfov), TURNS)}
+    else:  # exactly: a millionth of distortion may be pixels at the border
+        image |= {"focal": list(lens.focal), "centre": list(lens.centre), "distortion": list(lens.distortion)}
+    image |= _quaternion(grid.body_R_view)
+    inside = np.clip(boxes, 0, [grid.width, grid.height] * 2).round(PIXELS)
+    real = np.all(inside[:, 2:] > inside[:, :2], axis=1).tolist()
+    found = [
+        {"box": box.tolist(), "score": round(float(score), SCORES)} | ({} if label is None else {"label": label})
+        for box, score, label, kept in zip(inside, scores, labels or [None] * len(inside), real, strict=True)
+        if kept
+    ]
+    return {"image": image, "boxes": found}
+
+
+def _runs(mask: BodyMask) -> dict[str, Any]:
+    """A mask as the lengths of runs: seen, not seen, seen, ..., along the rows of a panorama twice as wide as high."""
+    rows = mask.seen.shape[0]
+    seen = mask.at(ErpGrid(rows, 2 * rows).directions).ravel()
+    ends = np.flatnonzero(np.diff(seen)) + 1
+    runs = np.diff(np.concatenate([[0], ends, [len(seen)]])).tolist()
+    return {"rows": rows, "runs": runs if seen[0] else [0, *runs]}
+
+
+# --- a file of looks: reading -----------------------------------------------------------------------------------------
+
+
+class RecordedLooks:
+    """A source of what `eagor look` wrote: frames without pictures, `posed`, for which `replay` answers.
+
+    `about`: what the first line says, `count`: how many frames there are. Raises `FormatError` without that line,
+    `PoseError` for a look without a pose.
+    """
+
+    live = False
+    latency, dropped = 0.0, 0
+
+    def __init__(self, replay: ReplayPerception) -> None:
+        self.replay, self.about = replay, about(replay)
+        self.posed: list[PosedFrame] = []
+        before: list[Pose] = []
+        for record in replay.records:
+            if self.posed and not before and self.posed[-1].frame.stamp == record.stamp:
+                continue  # a further view or query of the same moment
+            if record.pose is None:
+                raise PoseError(
+                    f"{replay.name} has a look at {record.stamp:g} s without a pose; wanted "
+                    '"pose": {"qw", "qx", "qy", "qz"} (world_R_body) in its line, as eagor look writes it. With the '
+                    "footage or its poses at hand: eagor track FRAMES QUERY --perception replay:FILE.jsonl"
+                )
+            pose = Pose(record.stamp, record.pose.world_R_body, record.pose.position, record.spread)
+            if record.kind == "pose" and record.problem is None:
+                before.append(pose)
+                continue
+            name = record.frame or f"{record.stamp:.2f} s"
+            frame = Frame(record.stamp, None, name, problem=record.problem or "")
+            self.posed.append(PosedFrame(frame, pose, tuple(before), lost=record.lost))
+            before = []
+        self.after = tuple(before)  # poses after the last look
+
+    @property
+    def count(self) -> int:
+        return len(self.posed)
+
+    @property
+    def grid(self) -> ErpGrid:
+        """There are no pictures."""
+        raise FormatError(f"{self.replay.name} holds no pictures")
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (each.frame for each in self.posed)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def about(replay: ReplayPerception) -> Footage:
+    """What the first line says. Raises `FormatError` where there is none."""
+    if replay.footage is None:
+        raise FormatError(
+            f"{replay.name} does not begin with a line about its footage; wanted a file that eagor look wrote, or "
+            '{"footage": {"of": "clip.mp4", "perception": "NAME"}} as its first line'
+        )
+    return replay.footage
+
+
+# --- what there is ----------------------------------------------------------------------------------------------------
+
+
+def things_seen(
+    recorded: RecordedLooks,
+    config: TrackerConfig,
+    hidden: HiddenParts | None = None,
+    done: Callable[[], object] = lambda: None,
+) -> list[ThingSeen]:
+    """What was seen, the surest first; `done` is called after each.
+
+    The looks of a `ThingSeen` are those since the poses were last lost.
+    """
+    begins = max((number for number, each in enumerate(recorded.posed) if each.lost), default=0)
+    found = []
+    for query in asked_for(recorded.replay):
+        thing = _thing(recorded, begins, query, config, hidden or HiddenParts())
+        if thing is not None:
+            found.append(thing)
+        done()
+    return sorted(found, key=lambda each: -each.sure)
+
+
+def asked_for(replay: ReplayPerception) -> list[str]:
+    """What a file can be asked for, each once: the labels of what was seen, and the queries that were looked for."""
+    queries = [record.query for record in replay.records if record.query is not None and record.kind != "pose"]
+    return [*dict.fromkeys([*sorted(replay.labels), *queries])]
+
+
+def _thing(
+    recorded: RecordedLooks, begins: int, query: str, config: TrackerConfig, hidden: HiddenParts
+) -> ThingSeen | None:
+    """What is known of one thing from this frame on; None if it was not seen there."""
+    tracker, looks, among, last, now = DirectionTracker(config), 0, 0, -math.inf, 0.0
+
+    def move(poses: Iterable[Pose]) -> None:
+        nonlocal now
+        for pose in poses:
+            tracker.add_pose(pose.stamp, pose.world_R_body, None if config.ranges is None else pose.position)
+            now = pose.stamp
+
+    for posed in recorded.posed[begins:]:
+        assert posed.pose is not None
+        move((posed.pose,) if posed.lost else posed.poses)
+        if posed.frame.problem or posed.pose.spread >= UNSURE:
+            continue
+        evidence = hidden.covered(recorded.replay.looks_near(query, now), None)
+        among += 1
+        for each in evidence:
+            tracker.observe(each.widened(posed.pose.spread))
+        if any(each.detections is None or len(each.detections) for each in evidence):
+            looks, last = looks + 1, now
+    move(recorded.after)
+    return ThingSeen(query, tracker.estimate(now), looks, among, last) if looks else None
