@@ -23,7 +23,7 @@ from tokenizers import Tokenizer, decoders, models, pre_tokenizers, trainers
 
 from eagor.perception.transformers.inputs import pictures, typed
 from eagor.perception.transformers.language import Heads, LanguageModel
-from eagor.perception.vlm import GENERAL, ask_boxes, ask_presence, family_of
+from eagor.perception.vlm import FAMILIES, GENERAL, ask_boxes, ask_presence
 
 # Hidden size, layers, heads, key-value heads, intermediate size; and of the vision tower hidden size, layers, heads,
 # intermediate size. From the published configurations (Bai et al., arXiv 2502.13923, table 1).
@@ -85,14 +85,14 @@ def build(size: str, device: str, dtype: torch.dtype, pixels: int) -> LanguageMo
         torch.set_default_dtype(before)
     model.generation_config.eos_token_id = None  # answers have the length that is asked for
     return LanguageModel(
-        size, "random", family_of(config, size), model, words, transformers.Qwen2VLImageProcessorPil(), pixels=pixels
+        size, "random", FAMILIES[0], model, words, transformers.Qwen2VLImageProcessorPil(), pixels=pixels
     )
 
 
 def contestants(language: LanguageModel, image: np.ndarray, answer: int) -> dict[str, Callable[[], object]]:
     """What is compared, by name; each call reads the image anew."""
     planned = language.plan(2.0)
-    model, layers = language.model, language.read
+    model, layers = language.model, language.layers
     question, presence = ask_boxes(QUERIES[0], "pixels"), ask_presence(QUERIES[0])
 
     def plain() -> object:
@@ -104,12 +104,12 @@ def contestants(language: LanguageModel, image: np.ndarray, answer: int) -> dict
         return model.generate(**inputs, max_new_tokens=answer, min_new_tokens=answer, do_sample=False)
 
     def shared(texts: list[str], read: tuple[int, ...], tokens: int = 0, looks: int = 1) -> object:
-        prefix = language.share([image] * looks, planned)
+        prefix = language.share([image] * looks, planned, language._cost())
         found: list[object] = []
         for text in texts:
-            running = prefix.continued()
+            running = prefix.branch()
             logits, rows = running.ask(language.prompt(text, planned).suffix, read)
-            found.append((language.yes(logits), {k: v.cpu() for k, v in rows.rows.items()} if rows else None))
+            found.append((language.yes(logits), {k: v.cpu() for k, v in rows.items()}))
             if tokens and text != GENERAL:
                 found.append(running.decode(logits, tokens, ()))
         return found
@@ -147,7 +147,7 @@ def main() -> None:
     weights = sum(one.numel() for one in language.model.parameters())
     where = torch.cuda.get_device_name() if gpu else "CPU, one thread"
     head = f"{size}, {weights / 1e9:.2f} billion parameters, {language.model.dtype}, {where}"
-    print(f"{head}; {planned.size[1]} x {planned.size[0]} pixels, {planned.layout.count} image tokens,", flush=True)
+    print(f"{head}; {planned.size[1]} x {planned.size[0]} pixels, {planned.count} image tokens,", flush=True)
     print(f"answers of {asked.answer} tokens, torch {torch.__version__}, transformers {transformers.__version__}")
     print(f"(built in {time.perf_counter() - began:.0f} s)\n", flush=True)
 

@@ -31,17 +31,6 @@ FAULTS: dict[str, tuple[int, dict[str, Any]]] = {
         400,
         {"error": {"message": "This model's maximum context length is 512 tokens. However, you requested 1400 tokens"}},
     ),
-    "400 context llama.cpp": (
-        400,
-        {"error": {"message": "the request exceeds the available context size", "type": "exceed_context_size_error"}},
-    ),
-    "400 context vllm": (
-        400,
-        {"error": {"message": "The decoder prompt (length 1400) is longer than the maximum model length of 512."}},
-    ),
-    "400 context ollama": (400, {"error": {"message": "the input length exceeds the context length"}}),
-    "400 image vllm": (400, {"error": {"message": "At most 0 image(s) may be provided in one request."}}),
-    "400 image ollama": (500, {"error": {"message": "this model is missing data required for image input"}}),
     "404 model ollama": (404, {"error": {"message": "model 'qwen' not found", "type": "api_error"}}),
     "400 image": (400, {"object": "error", "message": "Qwen2.5-7B is not a multimodal model"}),
     "500 image llama.cpp": (

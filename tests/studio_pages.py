@@ -20,8 +20,10 @@ import pytest
 from PIL import Image
 
 from eagor import Belief
+from eagor.drawing.panorama import heat_of
 from eagor.grids import ErpGrid
-from eagor.sphere import world_R_body
+from eagor.harmonics import RealHarmonics
+from eagor.sphere import azimuth_elevation, direction, world_R_body
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
 PICTURES = Path("runs/studio-page")  # screenshots, to be looked at
@@ -163,9 +165,6 @@ POSES = [world_R_body(math.radians(10 * step)) for step in range(STEPS)]
 
 def bump(azimuth: float, elevation: float, height: float, width: float) -> np.ndarray:
     """Coefficients ``((DEGREE + 1)^2,)`` of a Gaussian-like bump in the log density, degrees."""
-    from eagor import RealHarmonics
-    from eagor.sphere import direction
-
     basis = RealHarmonics(DEGREE)
     grid = basis.quadrature()
     angle = np.arccos(np.clip(grid.directions @ direction(math.radians(azimuth), math.radians(elevation)), -1, 1))
@@ -177,50 +176,59 @@ BELIEF = Belief(bump(64, 22, 6.5, 16) + bump(-60, -12, 4.6, 14) + bump(150, -30,
 
 def known_episode() -> dict[str, Any]:
     """An EPISODE of a camera that turns left by 10 degrees a step, with `BELIEF` in the axes of the world."""
-    region = BELIEF.credible_region(0.9)
-    coefficients = np.array(BELIEF.coefficients)
-    total = float(BELIEF.log_ratio(np.array([1.0, 0, 0])) - BELIEF.log_density(np.array([1.0, 0, 0])))
-    coefficients[0] -= total * math.sqrt(4 * math.pi)
+    heat = heat_of(BELIEF)
+    assert heat is not None
+    assert heat.share is not None
+    glow = Image.fromarray(np.rint(255 * heat.contrast**2 * heat.share).astype(np.uint8))
     mode, entropy = np.asarray(BELIEF.mode()), float(BELIEF.entropy())
     steps = []
     for index, pose in enumerate(POSES):
-        body = (mode @ pose).tolist()
+        body = mode @ pose
+        azimuth, elevation = (math.degrees(float(angle)) for angle in azimuth_elevation(body))
         estimate = {
-            "direction": body, "azimuth": math.atan2(body[1], body[0]), "elevation": math.asin(body[2]),
-            "credible_angle": 0.5, "presence": 0.9, "entropy": entropy, "distance": 2.5 - 0.2 * index,
-            "distance_spread": 0.3, "moving": None, "status": "tracking", "words": "to the left",
+            "direction": body.tolist(), "azimuth_deg": azimuth, "elevation_deg": elevation, "credible_angle_deg": 30.0,
+            "presence": 0.9, "entropy": entropy, "distance_m": 2.5 - 0.2 * index, "distance_spread": 0.3, "sure": 0.8,
+            "moving": None, "status": "tracking",
+            "modes": [{"azimuth_deg": azimuth, "elevation_deg": elevation, "weight": 0.6}],
         }  # fmt: skip
         step: dict[str, Any] = {
-            "stamp": 0.5 * index, "number": index, "world_R_camera": pose.reshape(-1).tolist(),
-            "position": [0.3 * index, 0.1 * index, 1.2], "look": {"age": 0.1, "fresh": True}, "estimate": estimate,
-            "modes": [{"direction": body, "weight": 0.6}], "rivals": {}, "error_deg": 4.0 - 0.3 * index,
-            "truth": {"direction": body}, "goal": None,
-            "methods": {"eagor": {"estimate": estimate, "error_deg": 4.0}, "centroid": {"direction": [1, 0, 0],
-                                                                                       "error_deg": 40.0}},
+            "stamp": 0.5 * index, "world_R_camera": pose.reshape(-1).tolist(),
+            "position": [0.3 * index, 0.1 * index, 1.2],
+            "look": {"age": 0.1, "fresh": True}, "estimate": estimate, "around": around(pose), "truth": body.tolist(),
+            "error_deg": 4.0 - 0.3 * index,
+            "methods": {"eagor": {"estimate": estimate, "error_deg": 4.0},
+                        "centroid": {"estimate": {"direction": [1, 0, 0]}, "error_deg": 40.0}},
         }  # fmt: skip
         if index == 0:  # what does not change is not repeated
-            step["belief"] = {
-                "frame": "world", "terms": [{"weight": 1.0, "degree": DEGREE}], "level": math.exp(region.threshold),
-                "coefficients": base64.b64encode(coefficients.astype(np.float32).tobytes()).decode(),
-            }  # fmt: skip
-            step["panorama"] = {"stamp": 0.0, "world_R_camera": pose.reshape(-1).tolist(), "url": chequered()}
+            step["belief"] = {"border": [line.tolist() for line in heat.border], "undrawn": "", "url": as_url(glow)}
+            step["panorama"] = {"stamp": 0.0, "world_R_camera": pose.reshape(-1).tolist(), "url": as_url(chequered())}
         steps.append(step)
-    methods = [{"name": "eagor", "words": "our tracker"}, {"name": "centroid", "words": "the centroid"}]
     scene = {
-        "view": "run", "title": "a known belief", "query": "white sofa", "targets": [], "degree": DEGREE, "region": 0.9,
+        "title": "a known belief", "query": "white sofa", "targets": [], "region": 0.9, "method": "eagor", "paths": {},
         "plan": {"walls": [[[-1, -2], [4, -2], [4, 2], [-1, 2], [-1, -2]]], "floor": [], "things": []},
-        "calibration": {"words": "None: the belief is made up.", "numbers": {"temperature": 1.0}}, "methods": methods,
+        "methods": [{"name": "eagor", "words": "our tracker"}, {"name": "centroid", "words": "the centroid"}],
     }  # fmt: skip
-    return {"scene": scene, "methods": ["eagor", "centroid"], "steps": steps}
+    return {"scene": scene, "steps": steps}
 
 
-def chequered() -> str:
-    """A grey panorama with a field every 15 degrees, as a data URL."""
+def around(pose: np.ndarray) -> list[float]:
+    """`BELIEF` by azimuth in the camera's frame."""
+    grid = ErpGrid(64, 128)
+    mass = np.exp(BELIEF.log_density(grid.directions @ pose.T)) * grid.weights
+    return np.roll(mass.sum(axis=0).reshape(64, 2).sum(axis=1)[::-1], 32).tolist()
+
+
+def chequered() -> Image.Image:
+    """A grey panorama with a field every 15 degrees."""
     grid = ErpGrid(256, 512)
     azimuth, elevation = np.degrees(grid.longitudes)[None, :], np.degrees(grid.latitudes)[:, None]
     grey = 96 + 24 * ((np.floor(azimuth / 15) + np.floor(elevation / 15)) % 2)
+    return Image.fromarray(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8))
+
+
+def as_url(image: Image.Image) -> str:
     file = io.BytesIO()
-    Image.fromarray(np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)).save(file, "PNG")
+    image.save(file, "PNG")
     return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
@@ -231,20 +239,3 @@ def exported(path: Path, episode: dict[str, Any]) -> Path:
     told = json.dumps(episode, allow_nan=False).replace("<", "\\u003c")
     path.write_text(page.replace(MARK, MARK.replace("></", f">{told}</")), encoding="utf-8")
     return path
-
-
-def inside(line: np.ndarray, points: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Whether `points` ``(n, 3)`` lie within a closed line ``(m, 3)`` around `centre`, in a stereographic map."""
-    axes = np.linalg.svd(centre[None])[2][1:]
-
-    def mapped(d: np.ndarray) -> np.ndarray:
-        return (d @ axes.T) / (1 + d @ centre)[:, None]
-
-    x, y = mapped(points).T
-    a, b = mapped(line), np.roll(mapped(line), -1, axis=0)
-    crossed = np.zeros(len(points), dtype=int)
-    for (x0, y0), (x1, y1) in zip(a, b, strict=True):
-        between = (y0 > y) != (y1 > y)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossed += between & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
-    return crossed % 2 == 1

@@ -89,13 +89,6 @@ def children(process: int) -> list[int]:
     return found
 
 
-def ancestors(process: int) -> list[int]:
-    """The process that has started this one, and so on. Linux."""
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    parent = int(fields[1])
-    return [parent, *ancestors(parent)] if parent > 1 else []
-
-
 @contextmanager
 def studio(*options: str | Path) -> Iterator[Served]:
     """A studio with these options of its command, at a free port."""

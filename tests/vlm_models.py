@@ -13,9 +13,9 @@ from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors
 
 from eagor.grids import ErpGrid
 from eagor.media.panorama import resized
-from eagor.perception.transformers.inputs import Layout
+from eagor.perception.transformers import load_model
+from eagor.perception.transformers.inputs import InputPlan
 from eagor.perception.transformers.language import LanguageModel
-from eagor.perception.transformers.loading import load_model
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE = ("qwen2_5_vl", "qwen3_vl", "gemma3", "llava", "janus", "internvl")
@@ -229,6 +229,17 @@ def _grounding_dino() -> tuple[Any, Any, Any]:
     return transformers.GroundingDinoForObjectDetection(config), tokenizer, processor
 
 
+def _yolos() -> tuple[Any, Any, Any]:
+    """A detector with classes; its tokenizer is of no use."""
+    names = {0: "chair", 1: "cat", 2: "tv"}
+    config = transformers.YolosConfig(
+        hidden_size=32, num_hidden_layers=2, num_attention_heads=2, intermediate_size=48, image_size=[64, 64],
+        patch_size=16, num_detection_tokens=10, id2label=names, label2id={name: at for at, name in names.items()},
+    )  # fmt: skip
+    processor = transformers.YolosImageProcessorPil(size={"shortest_edge": 64, "longest_edge": 96})
+    return transformers.YolosForObjectDetection(config), tokenizer_with(["<pad>"]), processor
+
+
 MAKERS: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
     "qwen2_5_vl": _qwen2_5_vl,
     "qwen3_vl": _qwen3_vl,
@@ -239,6 +250,7 @@ MAKERS: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
     "owlv2": _owlv2,
     "grounding_dino": _grounding_dino,
     "clipseg": _clipseg,
+    "yolos": _yolos,
 }
 
 
@@ -265,11 +277,11 @@ def marked(azimuth: float, elevation: float, radius: float = 0.3, rows: int = 12
     return image.astype(np.uint8)
 
 
-def redness(image: np.ndarray, layout: Layout) -> np.ndarray:
+def redness(image: np.ndarray, planned: InputPlan) -> np.ndarray:
     """How much of each token's window is red in an image, in [0, 1]; NaN for tokens that see padding."""
     red = (image[..., 0] > 128) & (image[..., 2] < 100)
     found = []
-    for block in layout.blocks:
+    for block in planned.blocks:
         left, top, right, bottom = block.window
         y = (top + (bottom - top) * (np.arange(4 * block.rows) + 0.5) / (4 * block.rows)) * image.shape[0]
         x = (left + (right - left) * (np.arange(4 * block.cols) + 0.5) / (4 * block.cols)) * image.shape[1]
@@ -299,11 +311,11 @@ def plant(language: LanguageModel, sharpness: float = 10.0) -> None:
             marked(rng.uniform(-3, 3), rng.uniform(-0.9, 0.9), rng.uniform(0.2, 0.6), seed=seed), planned.size
         )
         images.append(image)
-        wanted.append(redness(image, planned.layout))
+        wanted.append(redness(image, planned))
     seen: list[torch.Tensor] = []
     hook = layers[HEAD[0]].input_layernorm.register_forward_hook(lambda _module, _inputs, out: seen.append(out))
-    prefix = language.share(images, planned)
-    prefix.continued().feed(language.prompt("red", planned).suffix)
+    prefix = language.share(images, planned, language._cost())
+    prefix.branch().feed(language.prompt("red", planned).suffix)
     hook.remove()
     features, last = seen[0][:, prefix.columns].reshape(-1, seen[0].shape[-1]).double(), seen[1][0, -1].double()
     red = np.concatenate(wanted)
@@ -332,6 +344,4 @@ def plant(language: LanguageModel, sharpness: float = 10.0) -> None:
 
 def language_model(folder: Path, **options: Any) -> LanguageModel:
     """The model in a folder, as the perception has it inside."""
-    loaded = load_model(str(folder), **options)
-    assert isinstance(loaded, LanguageModel)
-    return loaded
+    return load_model(str(folder), **options)

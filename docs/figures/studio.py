@@ -1,8 +1,7 @@
-"""The studio's first walk: how it is chosen, and a picture of it.
+"""The studio's tour: how it is chosen, and a picture of it.
 
     python docs/figures/studio.py choose --seeds 16    the rule below, on development seeds 0, 1, ...
     python docs/figures/studio.py picture [OUT.webp]   the page at the far end of the walk (needs Chromium, Playwright)
-    python docs/figures/studio.py cost                 what its panoramas cost, by their rows
 
 The rule. In each apartment, of each thing that the scout knows and that has a name of its own: the walk begins at the
 roomiest place that is 1.5 to 3 m from the thing and sees it, and leads by the shortest way to a place from which a wall
@@ -22,7 +21,6 @@ import math
 import shutil
 import subprocess
 import sys
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,15 +28,13 @@ import numpy as np
 from PIL import Image
 
 from eagor.errors import EagorError
-from eagor.lab.envs.places import Place, pixels_of
+from eagor.lab.envs.places import APARTMENT, Place, load_place, pixels_of
+from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.sim.navigation import distance_to_box
+from eagor.lab.tasks.sim.walk import FINE_ROWS, Walker, walled
 from eagor.lab.worlds.navmesh import along, length_of
 from eagor.perception.scout import ScoutPerception
-from eagor.sphere import angular_distance
-from eagor.studio.density import density_of
-from eagor.studio.houses import Body, Tour, Walker, house_of, place_of, walled
-from eagor.studio.messages import SEED, jpeg
-from eagor.studio.walk import FINE
+from eagor.sphere import angular_distance, heading, world_R_body
 from eagor.tracking import TrackerConfig
 from eagor.tracking.follower import Follower
 
@@ -49,6 +45,7 @@ ROOM = 0.35  # metres of clearance
 STEP, ASK, LOOK, STANDS = 0.1, 0.5, 1.0, 6.0  # seconds: a step, between answers, between looks, standing at the end
 OFF = 15.0  # degrees
 TRIES = 40  # ends of ways
+MASS = 0.9  # of the region
 
 
 def in_sight(place: Place, target: int, xy: np.ndarray) -> bool:
@@ -106,26 +103,27 @@ def played(place: Place, target: int, way: np.ndarray, query: str) -> Walked:
     """Walk there and back."""
     scout, follower, found = ScoutPerception(), Follower(TrackerConfig()), Walked()
     thing = np.asarray(place.scene.instances[target].centre)
-    tour = Tour.to(query, thing, [*way])
-    walker = Walker(Body(place.ground, way[0].copy(), tour.yaw), "tour", [*tour.way[1:]])
+    ahead = thing[:2] - way[0]
+    walker = Walker(place.ground, way[0], math.atan2(ahead[1], ahead[0]), "tour", [*way[1:], *way[::-1]])
     known, stood = None, 0.0
     for number in itertools.count():
-        stamp, body = number * STEP, walker.body
-        follower.move(stamp, body.world_R_body, body.position)
+        stamp, here, pose = number * STEP, walker.position, world_R_body(walker.yaw)
+        follower.move(stamp, pose, here)
         if number % round(LOOK / STEP) == 0:
-            seen = place.renderer.panorama(body.position, body.world_R_body, scout.rows, range=False, ids=False).rgb
+            seen = place.renderer.panorama(here, pose, scout.rows, range=False, ids=False).rgb
             assert seen is not None
             follower.look(scout(seen, query, stamp=stamp))
         if number % round(ASK / STEP) == 0 and stamp > 2 * LOOK:
             estimate = follower.estimate(stamp)
-            known, density = estimate.direction, density_of(estimate.posterior)
+            known = estimate.direction
             assert known is not None
-            d = (thing - body.position) / np.linalg.norm(thing - body.position)
-            found.held.append(float(density(d)) >= density.level)
-            found.hidden.append(not in_sight(place, target, body.xy))
+            d = pose.T @ (thing - here) / np.linalg.norm(thing - here)
+            found.held.append(estimate.mass_above(d) <= MASS)
+            found.hidden.append(not in_sight(place, target, here[:2]))
             found.tracking.append(estimate.status == "tracking")
-            found.errors.append(math.degrees(float(angular_distance(body.world_R_body @ known, d))))
-        stood = 0.0 if walker.move(STEP, known, False) else stood + STEP
+            found.errors.append(math.degrees(float(angular_distance(known, d))))
+        walker.move(STEP, known, False)
+        stood = 0.0 if not np.array_equal(walker.position, here) or walker.yaw != heading(pose) else stood + STEP
         if stood > STANDS and not walker.way:
             return found
     return found
@@ -136,7 +134,7 @@ def choose(seeds: int) -> None:
     known = set(ScoutPerception().categories)
     for seed in range(seeds):
         try:
-            place = place_of(seed)
+            place = load_place(APARTMENT, seed, Camera().radius)
         except EagorError as error:
             print(f"{seed}: {error}")
             continue
@@ -183,7 +181,7 @@ def picture(out: Path) -> None:
 
             until(f"(({SHOWN}?.step?.goal?.words ?? '').match(/hidden .* for (\\d+) s/)?.[1] ?? 0) >= {HIDDEN_FOR}")
             page.get_by_role("button", name="Pause").click()
-            until(f"{SHOWN}.panorama.image.width >= {2 * FINE[-1][1]} && window.eagorStudio.summary.rests")
+            until(f"{SHOWN}.panorama.image.width >= {2 * FINE_ROWS} && window.eagorStudio.summary.rests")
             page.wait_for_timeout(1000)
             shot = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
             chromium.close()
@@ -193,34 +191,15 @@ def picture(out: Path) -> None:
     print(f"{out}: {shot.width} x {shot.height}, {out.stat().st_size / 1e3:.0f} kB")
 
 
-def cost() -> None:
-    """Print milliseconds of CPU and kilobytes (JPEG) of panoramas where the first walk begins."""
-    place = place_of(SEED)
-    tour = house_of(SEED, place).tour
-    assert tour is not None
-    for rows in (256, 384, 512, 1024, 1536):
-        took, size = [], 0
-        for number in range(4):  # the first makes tables
-            begun = time.process_time()
-            eye = place.eye(tour.way[0] + 0.01 * number, 1.25)
-            seen = place.renderer.panorama(eye, np.eye(3), rows, range=False, ids=False).rgb
-            assert seen is not None
-            took.append(time.process_time() - begun)
-            size = len(jpeg(seen))
-        print(f"{rows} rows: {1e3 * min(took):.0f} ms, {size / 1e3:.0f} kB", flush=True)
-
-
 def main() -> int:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("choose", "picture", "cost"))
+    parser.add_argument("what", choices=("choose", "picture"))
     parser.add_argument("out", nargs="?", type=Path, default=Path(__file__).parents[1] / "images" / "studio.webp")
     parser.add_argument("--seeds", type=int, default=20)
     given = parser.parse_args()
     if given.what == "choose":
         choose(given.seeds)
-    elif given.what == "cost":
-        cost()
     else:
         picture(given.out)
     return 0

@@ -6,21 +6,19 @@ import { Stage } from "./draw/stage";
 import { degrees } from "./math/rotation";
 import { Session } from "./session";
 import { Store } from "./store";
-import { h, say } from "./ui/dom";
+import { h, ICONS, say, tool } from "./ui/dom";
 import { layers } from "./ui/layers";
+import { TABS, type Page, type Tab, type View } from "./ui/page";
 import { Panels } from "./ui/panels";
 import { Player } from "./ui/player";
 import { handle } from "./ui/pointer";
 import { Problems } from "./ui/problems";
-import { shell as makeShell, tool } from "./ui/shell";
+import { shell as makeShell } from "./ui/shell";
 import { theme } from "./ui/theme";
-import type { Page, ViewHandler } from "./ui/view";
-import { live } from "./views/live";
-import { picture } from "./views/picture";
 import { run } from "./views/run";
-import { walk } from "./views/walk";
+import { watch } from "./views/watch";
 import { Refused, serverState } from "./wire/api";
-import { VIEWS, type Episode, type ServerState, type View } from "./wire/messages";
+import type { Episode, ServerState } from "./wire/messages";
 import { words } from "./words";
 
 document.title = words.title;
@@ -34,7 +32,6 @@ theme(shell.theme, () => {
 });
 const problems = new Problems(shell.problems);
 const stage = new Stage(store, [shell.insideView, shell.insideMarks], [shell.flatView, shell.flatMarks]);
-if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
 // A stored episode begins with a look at the answer, and the view stays with it while the camera turns and walks, until
 // a person looks elsewhere.
 const player = new Player(store, shell, () => {
@@ -42,13 +39,9 @@ const player = new Player(store, shell, () => {
   stage.lookAt(store.direction ?? [1, 0, 0]);
   stage.follows = true;
 });
-const panels = new Panels(store, shell, stage, (query) => {
-  drafted = false;
-  shell.query.value = query;
-  view?.ask?.(query);
-});
+const panels = new Panels(store, shell, stage);
 let state: ServerState | null = null;
-let view: ViewHandler | null = null;
+let view: View | null = null;
 let drafted = false; // the box holds words that a person has typed and not asked yet: they stay, whatever is answered
 
 const session = new Session(store, {
@@ -75,8 +68,9 @@ const session = new Session(store, {
   },
 });
 
-const page: Page = { store, shell, stage, session, player, problems, state: () => state, empty, badge };
-const handlers: Record<View, ViewHandler> = { walk: walk(page), run: run(page), picture: picture(page), live: live(page) };
+const page: Page = { store, shell, stage, session, player, problems, state: () => state!, empty, badge };
+const live = watch(page);
+const views: Record<Tab, View> = { walk: live, run: run(page), picture: live, live };
 
 function empty(...content: (Node | string)[]): void {
   const { empty: words, look, tools, stick, stage: all } = shell;
@@ -95,22 +89,13 @@ function badge(text: string): void {
   say(shell.badge, text);
 }
 
-// An ordinary camera's picture is shown whole: there is nowhere to look around to.
-let keys: string | null = null; // what was said of them before
 store.on("scene", () => {
-  const lens = store.scene?.lens;
-  shell.stage.classList.toggle("ordinary", lens !== undefined);
+  const lens = store.scene?.lens; // an ordinary camera's picture is shown whole: there is nowhere to look around to
+  shell.stage.classList.toggle("ordinary", Boolean(lens));
   if (lens) shell.stage.style.setProperty("--aspect", String(lens.plane[0] / lens.plane[1]));
   say(shell.flatHint, lens ? words.panorama.flatHintOrdinary : words.panorama.flatHint);
-  if (lens) {
-    keys ??= shell.keys.textContent;
-    shell.keys.textContent = words.panorama.keysOrdinary;
-  } else if (keys !== null) {
-    shell.keys.textContent = keys;
-    keys = null;
-  }
+  say(shell.keys, lens ? words.panorama.keysOrdinary : words.panorama.keys);
 });
-
 store.on("panorama", () => { if (store.panorama) empty(); });
 store.on("step", () => {
   if (!store.step) return;
@@ -119,33 +104,25 @@ store.on("step", () => {
   else problems.clear("faults");
 });
 
-const hold = tool(words.panorama.hold, shell.ICONS.hold, () => { stage.hold = !store.hold; });
+const hold = tool(words.panorama.hold, ICONS.hold, () => { stage.hold = !store.hold; });
 store.on("look", () => hold.setAttribute("aria-pressed", String(store.hold)));
 shell.tools.append(
   hold,
-  tool(words.panorama.answer, shell.ICONS.target, () => { if (store.direction) stage.lookAt(store.direction); }),
-  tool(words.panorama.ahead, shell.ICONS.ahead, () => stage.lookAt([1, 0, 0])),
-  tool(words.panorama.zoomIn, shell.ICONS.plus, () => stage.zoom(1 / 1.25)),
-  tool(words.panorama.zoomOut, shell.ICONS.minus, () => stage.zoom(1.25)),
-  tool(words.panorama.full, shell.ICONS.full, () => {
+  tool(words.panorama.answer, ICONS.target, () => { if (store.direction) stage.lookAt(store.direction); }),
+  tool(words.panorama.ahead, ICONS.ahead, () => stage.lookAt([1, 0, 0])),
+  tool(words.panorama.zoomIn, ICONS.plus, () => stage.zoom(1 / 1.25)),
+  tool(words.panorama.zoomOut, ICONS.minus, () => stage.zoom(1.25)),
+  tool(words.panorama.full, ICONS.full, () => {
     if (document.fullscreenElement) void document.exitFullscreen();
     else void shell.stage.requestFullscreen?.();
   }),
 );
-handle(stage, shell.look, {
-  turnsCamera: () => view?.turnsCamera?.() ?? false,
-  turnCamera: (yaw, pitch) => view?.turnCamera?.(yaw, pitch),
-  steer: (key, down, at) => view?.steer?.(key, down, at) ?? false,
-});
+handle(stage, shell.look, (key, down, at) => view?.steer?.(key, down, at) ?? false);
 shell.flatMarks.addEventListener("click", (event) => {
   if (!stage.lens) stage.lookAt(stage.under("flat", [event.offsetX, event.offsetY]));
 });
 shell.series.canvas.addEventListener("click", (event) => { if (player.active) player.go(panels.momentAt(event.offsetX)); });
-layers(store, shell, {
-  degree: (L) => session.send({ type: "degree", L }),
-  methods: (names) => session.send({ type: "methods", names }),
-  fixed: () => player.active || root.dataset.view === "live",
-});
+layers(store, shell);
 shell.ask.addEventListener("submit", (event) => {
   event.preventDefault();
   const query = shell.query.value.trim();
@@ -167,15 +144,19 @@ window.addEventListener("resize", () => {
 });
 new ResizeObserver(() => store.emit("style")).observe(shell.look);
 
-function wanted(): View {
-  const name = location.hash.slice(1) as View;
-  return VIEWS.includes(name) ? name : "walk";
+function wanted(): Tab {
+  const name = location.hash.slice(1) as Tab;
+  return TABS.includes(name) ? name : state!.opens;
 }
 
-function enter(name: View): void {
+function warnOfWebGL(): void {
+  if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
+}
+
+function enter(name: Tab): void {
   view?.leave();
   problems.clearAll();
-  if (stage.broken) problems.tell("webgl", { problem: words.problems.webgl, change: words.problems.webglChange });
+  warnOfWebGL();
   store.begin(null);
   stage.hold = false;
   stage.lookAt([1, 0, 0]);
@@ -186,8 +167,8 @@ function enter(name: View): void {
   }
   root.dataset.view = name;
   shell.ask.hidden = name === "run";
-  view = handlers[name];
-  view.enter();
+  view = views[name];
+  view.enter(name);
 }
 
 async function connect(): Promise<void> {
@@ -209,6 +190,7 @@ async function connect(): Promise<void> {
 /** The page of one episode, without a server: it opens with its end, which is the answer; playing begins anew. */
 function replay(text: string): void {
   root.dataset.view = "export";
+  warnOfWebGL();
   shell.ask.hidden = true;
   try {
     const episode = JSON.parse(text) as Episode;
@@ -220,7 +202,7 @@ function replay(text: string): void {
   }
 }
 
-for (const name of VIEWS)
+for (const name of TABS)
   shell.tabs.append(h("a", { href: `#${name}`, title: words.tabs[`${name}Hint`] }, words.tabs[name]));
 const stored = document.getElementById("episode")?.textContent?.trim();
 if (stored) {
@@ -238,12 +220,10 @@ window.eagorStudio = {
   store,
   stage,
   get summary() {
-    const { look, stats, heat } = store;
+    const { look } = store;
     return {
-      yaw_deg: degrees(look.yaw), pitch_deg: degrees(look.pitch), field_deg: degrees(look.field),
-      peak: heat?.peak ?? null, mass: heat?.mass ?? null, border: heat?.border ?? [], frame: store.beliefFrame,
-      world_R_camera: store.step?.world_R_camera ?? null, stats, number: store.step?.number ?? null,
-      scale: stage.pace.current, drawn: stage.pace.drawn, rests: stage.pace.rests,
+      yaw_deg: degrees(look.yaw), pitch_deg: degrees(look.pitch), field_deg: degrees(look.field), border: store.belief?.border ?? null,
+      world_R_camera: store.pose, number: store.step?.number ?? null, drawn: stage.pace.drawn, rests: stage.pace.rests,
     };
   },
 };

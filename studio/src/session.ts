@@ -1,10 +1,9 @@
-/** A live session: what the server sends comes into the store, what a person does goes to the server. */
+/** What is watched: what the server sends comes into the store, what a person does goes to the server. */
 
 import type { Store } from "./store";
 import { address } from "./wire/api";
-import type { Decoded } from "./wire/decode";
-import type { Message, PanoramaHead, Problem, Step } from "./wire/messages";
-import { Socket, type Connection } from "./wire/socket";
+import type { Problem } from "./wire/messages";
+import { Socket, type Connection, type Decoded } from "./wire/socket";
 
 export interface SessionEvents {
   connection(state: Connection, seconds: number): void;
@@ -14,12 +13,38 @@ export interface SessionEvents {
   scene(): void;
 }
 
+export interface Request {
+  source: string;
+  query?: string;
+  perception?: string;
+  drive?: string;
+  hfov?: number;
+}
+
+/** Decodes one picture at a time; of those that wait, only the newest is kept. */
+class Decoder {
+  private next: [Blob, (image: ImageBitmap) => void] | null = null;
+  private busy = false;
+
+  async take(data: ArrayBuffer, done: (image: ImageBitmap) => void): Promise<void> {
+    this.next = [new Blob([data]), done];
+    if (this.busy) return;
+    this.busy = true;
+    while (this.next) {
+      const [blob, shown]: [Blob, (image: ImageBitmap) => void] = this.next;
+      this.next = null;
+      const image = await createImageBitmap(blob, { colorSpaceConversion: "none" }).catch(() => null);
+      if (image) shown(image);
+    }
+    this.busy = false;
+  }
+}
+
 export class Session {
   private readonly socket: Socket;
-  private decoding = false;
-  private next: { blob: Blob; head: PanoramaHead } | null = null;
+  private readonly decoders: Record<string, Decoder> = {};
   private epoch = 0;
-  // Numbers of questions: no other page's, whose questions a live source answers, too.
+  // Numbers of questions: no other page's, whose questions the same source may answer.
   private number = Math.floor(Math.random() * 2 ** 40) * 1024;
   private awaited = 0; // the number of the question that is not answered yet
   asked = { query: "", perception: "" };
@@ -28,21 +53,19 @@ export class Session {
   constructor(private readonly store: Store, private readonly events: SessionEvents) {
     const url = new URL(address("ws"), location.href);
     url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
-    url.hash = "";
     this.socket = new Socket(url.href, {
       message: (decoded) => this.message(decoded),
       connection: (state, seconds) => events.connection(state, seconds),
     });
   }
 
-  open(request: { view: string; query?: string; perception?: string } & Record<string, unknown>): void {
+  open(request: Request): void {
     this.active = true;
     this.epoch++;
     this.asked = { query: request.query ?? "", perception: request.perception ?? "" };
-    // A live source that is only watched answers what others have asked.
-    const asks = request.view !== "live" || this.asked.query !== "";
-    if (!asks) this.answered();
-    this.socket.open({ type: "open", ...request, ...(asks ? { question: this.question() } : {}) });
+    // Who only watches gets the answers to what others have asked.
+    this.answered();
+    this.socket.open({ type: "open", ...request, ...(this.asked.query ? { question: this.question() } : {}) });
   }
 
   /** The number of a new question; until it is answered or refused the page shows no answer. */
@@ -65,7 +88,7 @@ export class Session {
     this.asked = { query, perception };
     const question = this.question();
     this.socket.amend({ query, perception, question });
-    return this.socket.send({ type: "query", text: query, perception, question });
+    return this.socket.send({ type: "ask", query, perception, question });
   }
 
   retry(): void {
@@ -75,7 +98,6 @@ export class Session {
   close(): void {
     this.active = false;
     this.epoch++;
-    this.next = null;
     this.answered();
     this.socket.close();
   }
@@ -95,45 +117,31 @@ export class Session {
     return true;
   }
 
-  private message({ message, blobs, types }: Decoded): void {
+  private message({ message, blobs }: Decoded): void {
     if (!this.active) return;
-    const told = message as Message;
-    if (told.type === "scene") {
-      this.store.begin(told);
-      if (told.question === this.awaited) this.answered();
-      if (!this.awaited) this.asked = { query: told.query, perception: told.perception ?? "" };
+    const { store } = this;
+    if (message.type === "scene") {
+      store.begin(message);
+      if (message.question === this.awaited) this.answered();
+      if (!this.awaited) this.asked = { query: message.query, perception: message.perception ?? "" };
       this.events.scene();
-    } else if (told.type === "problem") {
-      if (this.refused(told)) this.events.problem(told);
-    } else if (told.type === "status") this.events.status(told.words);
-    else if (told.type === "step") {
-      const step = told as Step;
-      if (step.question !== this.store.scene?.question) return; // it answers another question
-      this.store.show(step, blobs);
-      if (blobs.panorama && step.panorama)
-        this.picture(new Blob([blobs.panorama], { type: types.panorama }), step.panorama);
-    }
+    } else if (message.type === "problem") {
+      if (this.refused(message)) this.events.problem(message);
+    } else if (message.type === "status") this.events.status(message.words);
+    else if (message.question === store.scene?.question) {
+      store.show(message);
+      const { panorama: head, belief } = message;
+      this.picture(blobs, "panorama", (image) => head && store.picture(image, head));
+      this.picture(blobs, "belief", (image) => belief && store.believe(belief, image));
+      this.picture(blobs, "evidence", (image) => store.observe(image));
+    } // else it answers another question
   }
 
-  /** Decodes one panorama at a time; of those that wait, only the newest is kept. */
-  private picture(blob: Blob, head: PanoramaHead): void {
-    this.next = { blob, head };
-    if (!this.decoding) void this.decode();
-  }
-
-  private async decode(): Promise<void> {
-    this.decoding = true;
+  private picture(blobs: Decoded["blobs"], name: string, shown: (image: ImageBitmap) => void): void {
     const { epoch } = this;
-    while (this.next) {
-      const { blob, head } = this.next;
-      this.next = null;
-      const image = await createImageBitmap(blob).catch(() => null);
-      if (!image || epoch !== this.epoch) continue;
-      const before = this.store.panorama?.image;
-      this.store.panorama = { image, head };
-      this.store.emit("panorama");
-      if (before instanceof ImageBitmap) before.close();
-    }
-    this.decoding = false;
+    const { scene } = this.store;
+    if (blobs[name]) void (this.decoders[name] ??= new Decoder()).take(blobs[name], (image) => {
+      if (epoch === this.epoch && (name === "panorama" || scene === this.store.scene)) shown(image);
+    });
   }
 }

@@ -38,8 +38,6 @@ export const words = {
     runHint: "Episodes of a benchmark, a recording or a robot",
     pictureHint: "A photograph or a video of your own",
     liveHint: "A camera or a stream, as it comes in",
-    export: "Episode",
-    exportHint: "The episode that this file holds",
   },
 
   theme: {
@@ -73,7 +71,7 @@ export const words = {
     left: "Turn left",
     right: "Turn right",
     stickHint: "Drag the knob, hold a button, or use the arrow keys.",
-    goal: "Walks to",
+    none: "Nothing can look at this",
   },
 
   run: {
@@ -91,14 +89,11 @@ export const words = {
     success: "found",
     failure: "missed",
     unknown: "–",
-    loading: (progress: number | null) =>
-      progress === null ? "The episode is played again …" : `The episode is played again … step ${progress}`,
+    loading: "The episode is played again …",
     kind: { bench: "benchmark", live: "recording", robot: "robot" } as Record<string, string>,
     count: (done: number | null, all: number | null) =>
       all === null ? "" : done !== null && done < all ? `${done} of ${all} episodes` : `${all} episode${all === 1 ? "" : "s"}`,
-    method: "Method shown",
     refresh: "Look for new runs",
-    back: "All episodes",
   },
 
   player: {
@@ -126,26 +121,17 @@ export const words = {
       most: 150,
       usual: 65,
     },
-    turn: "Dragging turns",
-    turnLook: "my eyes",
-    turnCamera: "the camera",
-    turnHint: "Turn the camera: the belief stays with the world.",
     limits: (megabytes: number, megapixels: number) =>
       `At most ${whole(megabytes)} MB and ${whole(megapixels)} megapixels.`,
     tooLarge: (megabytes: number, most: number) =>
       `This file has ${whole(megabytes)} MB; at most ${whole(most)} MB are read.`,
     tooLargeChange: "Make it smaller: 2048 columns are enough.",
-    notPicture: (type: string) => `This is ${type || "no picture"}; wanted a photograph or a video.`,
-    notPictureChange: "Choose a JPEG, PNG, WebP, MP4, MOV, MKV or WebM file.",
-    frame: "Frame",
-    started: "Watch",
   },
 
   live: {
     none: "No camera is connected",
     noneChange: "Start the studio with one: eagor studio --source camera:0",
     source: "Source",
-    start: "Watch",
   },
 
   panorama: {
@@ -153,7 +139,6 @@ export const words = {
     role: "panorama",
     keys: "Drag, or use the arrow keys, to look around; plus and minus zoom; Home looks ahead.",
     keysDrive: "Arrow keys steer the camera. With Shift they look around; plus and minus zoom; Home looks ahead.",
-    keysCamera: "Arrow keys turn the camera; plus and minus zoom; Home looks ahead.",
     flat: "The whole panorama, flat",
     flatHint: "Click a place to look there.",
     flatHintOrdinary: "What the camera has shown so far, straight ahead in the middle. The outline is its picture.",
@@ -163,7 +148,6 @@ export const words = {
     zoomOut: "Zoom out",
     answer: "Look at the answer",
     full: "Fill the screen",
-    small: "Leave full screen",
     hold: "Hold my view while the camera turns",
     looking: (azimuth: number, elevation: number, field: number) =>
       `You look ${side(azimuth)}, ${height(elevation)}, ${whole(field)}° high.`,
@@ -175,15 +159,13 @@ export const words = {
   layers: {
     label: "What is drawn",
     heat: "Belief",
-    border: (mass: number, undrawn = "") => `${whole(100 * mass)} % region${undrawn && ` not drawn: ${undrawn}`}`,
+    border: (mass: number) => `${whole(100 * mass)} % region`,
     evidence: "Newest look",
     estimate: "Answer",
     modes: "Candidates",
     truth: "Truth",
     rivals: "Methods",
     grid: "Grid",
-    degree: "Degree L",
-    degreeHint: "How fine the belief may be: L = 15 tells things about 12° apart.",
   },
 
   status: {
@@ -231,14 +213,6 @@ export const words = {
     hint: "How likely it is thereabouts, if it is here.",
     none: "No candidate stands out.",
     row: (azimuth: number, elevation: number) => `${side(azimuth)}, ${height(elevation)}`,
-    look: (where: string) => `Look at ${where}`,
-  },
-
-  others: {
-    label: "What else is here?",
-    hint: "All that the detector has seen, and how sure it is that each is here, within 15° of there. Choose one to ask for it.",
-    unsure: "somewhere",
-    seen: (looks: number, of: number) => `seen in ${looks} of ${of} looks`,
   },
 
   polar: {
@@ -255,7 +229,6 @@ export const words = {
     text: (walked: number, far: string) =>
       `The camera has walked ${walked.toFixed(1)} m.${far ? ` The answer is ${far} away.` : ""}`,
     none: "No positions: a plan needs a camera that knows where it is.",
-    north: "x",
     metre: "1 m",
   },
 
@@ -267,19 +240,9 @@ export const words = {
     text: (name: string, first: string, last: string, low: string, high: string) =>
       `${name}: ${first} at first, ${last} now, between ${low} and ${high}.`,
     none: "Nothing yet.",
-    seconds: (x: number) => `${x < 10 ? x.toFixed(1) : whole(x)} s`,
-  },
-
-  calibration: {
-    label: "Calibration in force",
-    none: "Not told.",
-    degree: "Degree of the belief",
-    perception: "Perception",
-    region: "Region drawn",
   },
 
   connection: {
-    connecting: "Connecting …",
     lost: (seconds: number) => `The server does not answer. Trying again in ${seconds} s.`,
     lostChange: "Is “eagor studio” still running? Start it again: this page comes back by itself.",
     retry: "Try now",
@@ -293,11 +256,7 @@ export const words = {
     refusedChange: "Reload the page. If that does not help, look at the server's words in its terminal.",
     webgl: "This browser draws no 3D (WebGL 2).",
     webglChange: "Switch on hardware acceleration, or take another browser. Plots and words work without it.",
-    data: "A message of the server could not be read.",
-    dataChange: "Reload the page: it may be of another version than the server.",
     episode: "The episode in this file could not be read.",
     episodeChange: "Export it again with “eagor studio export”.",
   },
 } as const;
-
-export type Words = typeof words;

@@ -21,7 +21,7 @@ from eagor.lab.tasks.hstar.bench import CAUSES, HOS, HPS, cause_of, read_episode
 from eagor.lab.tasks.published import head_of, phrase_of, thing_of
 from eagor.lab.tasks.task import check_task, configure
 from eagor.perception import load
-from eagor.perception.endpoint.server import ServedChat
+from eagor.perception.endpoint import ServedChat
 from eagor.perception.partial import look_at_view
 from eagor.perception.vlm import IMAGE
 
@@ -328,13 +328,31 @@ def test_prompts_say_what_the_protocol_dictates(kind):
 def test_models_are_named_in_one_line():
     chat = load_chat("Qwen/Qwen2.5-VL-7B-Instruct@http://a:8000?temperature=0.5")
     assert isinstance(chat, ServedChat)
-    assert (chat.model, chat.servers) == ("Qwen/Qwen2.5-VL-7B-Instruct", ("http://a:8000/v1",))
-    assert chat.temperature == 0.5
+    assert (chat.client.model(), chat.client.address) == ("Qwen/Qwen2.5-VL-7B-Instruct", "http://a:8000/v1")
+    assert chat.options.temperature == 0.5
     assert callable(load_chat("hstar_data:patient"))
     for spec, words in (
         ("m@nowhere", "not the address"),
-        ("m@http://a?colour=red", "options"),
+        ("m@http://a?colour=red", "no key of a served model"),
+        ("/models/qwen", "vllm serve /models/qwen"),
         ("no_such:thing", "import"),
     ):
         with pytest.raises(EagorError, match=words):
             load_chat(spec)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"temperature": -0.1}, "temperature is -0.1; wanted 0 or more"),
+        ({"max_tokens": 0}, "max_tokens is 0; wanted a whole number, 1 or more"),
+        ({"quality": 101}, "quality is 101; wanted a whole number from 0 to 100"),
+    ],
+)
+def test_a_served_model_refuses_what_makes_no_sense(options, says):
+    with pytest.raises(EagorError, match=says):
+        ServedChat("m", **options)
+    pytest.importorskip("openai")
+    ((name, value),) = options.items()
+    with pytest.raises(EagorError, match=says):
+        load_chat(f"m@http://a?{name}={value}")

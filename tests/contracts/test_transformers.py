@@ -14,7 +14,6 @@ import transformers
 import vlm_models
 from hypothesis import given
 from hypothesis import strategies as st
-from seams import seamless
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError
@@ -23,21 +22,11 @@ from eagor.grids import PatchGrid
 from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
 from eagor.perception.calibrated import Labelled
-from eagor.perception.transformers import TransformersPerception, conversation, inputs
-from eagor.perception.transformers.inference import Capture, Decoded, Running, capturing, full_layers
-from eagor.perception.transformers.inputs import Block, Layout
-from eagor.perception.transformers.language import (
-    Heads,
-    densities,
-    elbow,
-    fit_heads,
-    read_heads,
-    relative,
-    saturated,
-    spatial_entropy,
-)
-from eagor.perception.vlm import FAMILIES, IMAGE, Account, Message
-from eagor.perception.vlm.answers import Box
+from eagor.perception.transformers import TransformersPerception, inputs
+from eagor.perception.transformers.inference import Capture, Decoded, Run, capturing, full_layers
+from eagor.perception.transformers.inputs import Block, InputPlan
+from eagor.perception.transformers.language import Heads, densities, fit_heads, read_heads, relative, saturated
+from eagor.perception.vlm import FAMILIES
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE, LOCALISERS = vlm_models.LANGUAGE, vlm_models.LOCALISERS
@@ -75,9 +64,7 @@ def random_models(folders):
 
     def model(family):
         if family not in loaded:
-            loaded[family] = vlm_models.language_model(
-                folders(family), pixels=PIXELS.get(family), extractor="attention"
-            )
+            loaded[family] = vlm_models.language_model(folders(family), pixels=PIXELS.get(family))
         return loaded[family]
 
     return model
@@ -90,9 +77,7 @@ def planted_models(folders):
 
     def model(family):
         if family not in loaded:
-            language = vlm_models.language_model(
-                folders(family), pixels=PIXELS.get(family), extractor="attention", presence=False
-            )
+            language = vlm_models.language_model(folders(family), pixels=PIXELS.get(family), presence=False)
             vlm_models.plant(language)
             language.heads = Heads("planted", family, (vlm_models.HEAD,), 3.0)
             loaded[family] = language
@@ -104,6 +89,11 @@ def planted_models(folders):
 def perception_of(looker, extractor="attention", seam=True, per_view="attention"):
     """A perception around a model that is loaded already."""
     return TransformersPerception(looker, extractor, per_view, seam=seam)
+
+
+def response_of(perception, panorama, query="red chair"):
+    """The response map ``(h, w)`` of a look."""
+    return np.asarray(perception(panorama, query).response)
 
 
 def noise(rows=64, seed=0):
@@ -160,15 +150,17 @@ def test_the_shared_prefix_answers_like_a_full_pass(random_models, family):
     layers = full_layers(language.model)
     planned = language.plan(2.0)
     with torch.inference_mode():
-        shared = language.share([resized(image, planned.size, wrap=True) for image in images], planned)
+        shared = language.share(
+            [resized(image, planned.size, wrap=True) for image in images], planned, language._cost()
+        )
         for text in [*texts, texts[0]]:  # the first again: a question leaves the prefix as it was
-            logits, rows = shared.continued().ask(language.prompt(text, planned).suffix, layers)
+            logits, rows = shared.branch().ask(language.prompt(text, planned).suffix, layers)
             feed, columns, _ = whole_feed(language, images, text)
             with capturing(language.model, layers, columns) as capture:
                 full = language.model(**feed).logits[:, -1]
             torch.testing.assert_close(logits, full, atol=1e-5, rtol=1e-5)
             for layer in layers:
-                torch.testing.assert_close(rows.rows[layer], capture.rows[layer], atol=1e-6, rtol=1e-5)
+                torch.testing.assert_close(rows[layer], capture.rows[layer], atol=1e-6, rtol=1e-5)
 
 
 @some
@@ -181,14 +173,14 @@ def test_it_works_inside_generate_and_decodes_like_it(random_models, family):
             written = language.model.generate(**feed, max_new_tokens=6, min_new_tokens=6, do_sample=False)
         with capturing(language.model, layers, columns) as alone:
             language.model(**feed)
-        running = language.share([resized(noise(), planned.size, wrap=True)], planned).continued()
+        running = language.share([resized(noise(), planned.size, wrap=True)], planned, language._cost())
         logits, rows = running.ask(language.prompt("Where is the red chair?", planned).suffix, layers)
         decoded = running.decode(logits, 6, stops=())
     assert decoded.ids[0] == written[0, -6:].tolist()
     assert all(log < 0 for log in decoded.log_probabilities[0])
     for layer in layers:
         torch.testing.assert_close(during.rows[layer], alone.rows[layer], atol=1e-6, rtol=1e-5)
-        torch.testing.assert_close(during.rows[layer], rows.rows[layer], atol=1e-6, rtol=1e-5)
+        torch.testing.assert_close(during.rows[layer], rows[layer], atol=1e-6, rtol=1e-5)
 
 
 class Largest(TorchDispatchMode):
@@ -232,34 +224,9 @@ def test_no_attention_matrix_is_ever_made(random_models, family):
     assert watch.found > 0  # it would have been seen
 
 
-@given(
-    batch=st.integers(1, 3), groups=st.integers(1, 3), shared=st.integers(1, 3), queries=st.integers(1, 4),
-    past=st.integers(0, 6), width=st.integers(1, 5), kind=st.sampled_from(["none", "bool", "added"]),
-    seed=st.integers(0, 99),
-)  # fmt: skip
-def test_a_row_is_the_last_of_the_matrix(batch, groups, shared, queries, past, width, kind, seed):
-    draw = torch.Generator().manual_seed(seed)
-    keys, heads = queries + past, groups * shared
-    query = torch.randn(batch, heads, queries, width, generator=draw)
-    key = torch.randn(batch, groups, keys, width, generator=draw)
-    seen = torch.rand(batch, 1, queries, keys, generator=draw) < 0.7
-    seen[..., -1] = True
-    added = torch.zeros(seen.shape).masked_fill(~seen, -1e9)
-    columns = torch.arange(keys)[:: 1 + seed % 2]
-    capture = Capture(columns)
-    capture.record(4, query, key, {"none": None, "bool": seen, "added": added}[kind], None)
-    full = query @ key.repeat_interleave(shared, dim=1).transpose(-1, -2) / math.sqrt(width)
-    full = (full if kind == "none" else full + added).softmax(dim=-1)
-    torch.testing.assert_close(capture.rows[4], full[:, :, -1, columns], atol=1e-6, rtol=1e-5)
-    capture.record(4, 2 * query, key, None, None)  # only the first pass counts
-    torch.testing.assert_close(capture.rows[4], full[:, :, -1, columns], atol=1e-6, rtol=1e-5)
-
-
 def test_layers_that_cannot_be_read_are_refused(random_models):
     language = random_models("gemma3")
     assert full_layers(language.model) == [vlm_models.LAYERS - 1]
-    with pytest.raises(EagorError, match="full attention"), capturing(language.model, [0], torch.arange(3)):
-        pass
     with pytest.raises(EagorError, match="sliding window"):
         Capture(torch.arange(9)).record(0, torch.zeros(1, 2, 1, 4), torch.zeros(1, 2, 5, 4), None, None)
 
@@ -298,7 +265,7 @@ def test_inputs_are_those_of_the_processors(random_models, family, make):
     square = noise(112)[:, :112]
     text = "Is there a red chair?"
     processor = make(language.processor, language.tokenizer)
-    written = language.template.replace("{text}", text)
+    written = language.family.prompt.replace("{text}", text)
     wanted = processor(text=written, images=[square], return_tensors="pt")
     ours = language.prompt(text, planned)
     assert torch.equal(torch.cat([ours.prefix, ours.suffix], dim=1), wanted["input_ids"])
@@ -315,24 +282,30 @@ def test_padding_is_that_of_janus(random_models):
     torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=0)
 
 
-def test_templates_of_checkpoints_count_where_they_know_images(random_models):
+OWN = (
+    "{% for message in messages %}<|im_start|>{{ message['role'] + '\n' }}{% for part in message['content'] %}"
+    "{% if part['type'] == 'image' %}<|vision_start|><|image_pad|><|vision_end|>{% else %}{{ part['text'] }}"
+    "{% endif %}{% endfor %}{{ '<|im_end|>\n' }}{% endfor %}{{ '<|im_start|>assistant\n' }}"
+)
+
+
+@pytest.mark.parametrize(
+    ("template", "counts"),
+    [
+        (OWN, True),
+        ("{% for message in messages %}{{ message['role'] + message['content'] }}{% endfor %}", False),  # words alone
+        ("{{ raise_exception('one message at a time') }}", False),
+        ("{% for message in messages %}{{ message.content", False),
+    ],
+)
+def test_templates_of_checkpoints_count_where_they_know_images(random_models, monkeypatch, template, counts):
     language = random_models("qwen2_5_vl")
-    tokenizer, family = language.tokenizer, language.family
-    own = (
-        "{% for message in messages %}<|im_start|>{{ message['role'] + '\n' }}{% for part in message['content'] %}"
-        "{% if part['type'] == 'image' %}<|vision_start|><|image_pad|><|vision_end|>{% else %}{{ part['text'] }}"
-        "{% endif %}{% endfor %}{{ '<|im_end|>\n' }}{% endfor %}{{ '<|im_start|>assistant\n' }}"
-    )
-    assert inputs.template_of(tokenizer, family) == family.template
-    try:
-        tokenizer.chat_template = own
-        assert inputs.template_of(tokenizer, family) == family.template.removeprefix(
-            "<|im_start|>system\nYou are a helpful assistant.<|im_end|>\n"
-        )
-        tokenizer.chat_template = "{% for message in messages %}{{ message['role'] }}{% endfor %}"
-        assert inputs.template_of(tokenizer, family) == family.template
-    finally:
-        tokenizer.chat_template = None
+    helper = "<|im_start|>system\nYou are a helpful assistant.<|im_end|>\n"
+    monkeypatch.setattr(language.tokenizer, "chat_template", template)
+    ids = language.prompt("Is it red?", language.plan(2.0)).prefix[0].tolist()
+    assert language.tokenizer.decode(ids).startswith(helper) is not counts
+    spelled = language.prompt("What is <|image_pad|>?", language.plan(2.0))  # which stands for no picture
+    assert len(spelled.columns) == language.plan(2.0).count
 
 
 # --- where tokens look -----------------------------------------------------------------------------------------------
@@ -344,19 +317,20 @@ def test_templates_of_checkpoints_count_where_they_know_images(random_models):
 )  # fmt: skip
 def test_sums_are_kept_and_constants_stay_constant(rows, cols, height, width, seed):
     block = Block(rows, cols, (0.0, 0.0, 1.0, 1.0))
-    layout = Layout((height, width), (block, block))
-    tokens = np.random.default_rng(seed).random((2, layout.count))
-    np.testing.assert_allclose(layout.cells(tokens).sum(axis=(-2, -1)), tokens.sum(axis=-1))
-    flat = layout.cells(np.ones(layout.count))
+    planned = InputPlan((1, 1), (height, width), (block, block))
+    tokens = np.random.default_rng(seed).random((2, planned.count))
+    np.testing.assert_allclose(planned.cells(tokens).sum(axis=(-2, -1)), tokens.sum(axis=-1))
+    flat = planned.cells(np.ones(planned.count))
     np.testing.assert_allclose(flat, 2 * rows * cols / (height * width))
 
 
 def test_padding_is_left_out_and_thumbnails_are_shared_out():
-    padded = Layout((2, 4), (Block(4, 4, (0.0, -0.5, 1.0, 1.5)),))
+    padded = InputPlan((1, 1), (2, 4), (Block(4, 4, (0.0, -0.5, 1.0, 1.5)),))
     np.testing.assert_array_equal(padded.cells(np.arange(16.0)), np.arange(4.0, 12.0).reshape(2, 4))
-    tiles = Layout((1, 2), (Block(1, 1, (0, 0, 0.5, 1)), Block(1, 1, (0.5, 0, 1, 1)), Block(1, 1)))
+    blocks = (Block(1, 1, (0, 0, 0.5, 1)), Block(1, 1, (0.5, 0, 1, 1)), Block(1, 1))
+    tiles = InputPlan((1, 1), (1, 2), blocks)
     np.testing.assert_allclose(tiles.cells(np.array([1.0, 2.0, 4.0])), [[3.0, 4.0]])
-    with pytest.raises(ValueError, match="3 image tokens"):
+    with pytest.raises(ValueError, match="4 values came for 3 image tokens"):
         tiles.cells(np.ones(4))
 
 
@@ -369,8 +343,8 @@ def test_plans_fit_their_models(random_models, family, aspect):
     with torch.inference_mode():
         features = language.model.model.get_image_features(**tensors, return_dict=True).pooler_output
     features = torch.cat(list(features)) if isinstance(features, tuple | list) else features
-    assert features.reshape(-1, features.shape[-1]).shape[0] == planned.layout.count
-    assert planned.layout.cells(np.ones(planned.layout.count)).min() > 0
+    assert features.reshape(-1, features.shape[-1]).shape[0] == planned.count
+    assert planned.cells(np.ones(planned.count)).min() > 0
 
 
 @some
@@ -386,13 +360,13 @@ def test_a_change_in_a_cell_changes_its_token_most(random_models, family):
         with torch.inference_mode():
             out = language.model.model.get_image_features(**tensors, return_dict=True).pooler_output
         out = torch.cat(list(out)) if isinstance(out, tuple | list) else out
-        return out.reshape(len(images), planned.layout.count, -1)
+        return out.reshape(len(images), planned.count, -1)
 
     for row, col in [(0, 0), (rows // 2, 1), (rows - 1, cols - 1), (1, cols // 2)]:
         image = plain.copy()
         image[row * height : (row + 1) * height, col * width : (col + 1) * width] = (255, 0, 0)
         changes = (features([image, plain])[0] - features([plain, plain])[0]).norm(dim=-1).numpy()
-        cells = planned.layout.cells(changes)
+        cells = planned.cells(changes)
         assert np.unravel_index(cells.argmax(), cells.shape) == (row, col)
 
 
@@ -405,11 +379,11 @@ def test_planted_cells_come_back_at_their_directions(random_models, monkeypatch,
     where = {}
 
     def record(capture, layer, query, *_):
-        tokens = np.zeros(planned.layout.count)
-        for index in range(planned.layout.count):
-            only = np.eye(1, planned.layout.count, index)[0]
-            cell = np.unravel_index(planned.layout.cells(only).argmax(), planned.shape)
-            tokens[index] = cell == where["cell"] and planned.layout.cells(only).max() > 0.99
+        tokens = np.zeros(planned.count)
+        for index in range(planned.count):
+            only = np.eye(1, planned.count, index)[0]
+            cell = np.unravel_index(planned.cells(only).argmax(), planned.shape)
+            tokens[index] = cell == where["cell"] and planned.cells(only).max() > 0.99
         row = torch.tensor(tokens / tokens.sum(), dtype=torch.float32)
         capture.rows[layer] = row.expand(query.shape[0], query.shape[1], -1)
 
@@ -417,7 +391,7 @@ def test_planted_cells_come_back_at_their_directions(random_models, monkeypatch,
     monkeypatch.setattr(language, "heads", Heads("x", family, ((vlm_models.LAYERS - 1, 0),), 3.0))
     for row, col in [(rows // 2, 1), (rows // 2 - 1, cols // 2), (rows // 2, cols - 1), (rows // 2, 0)]:
         where["cell"] = (row, col)
-        response = perception_of(language, seam=False).respond(noise(), ["red chair"])[0].astype(float)
+        response = response_of(perception_of(language, seam=False), noise(), "red chair").astype(float)
         assert response.shape == planned.shape
         across, down = response.sum(axis=0), response.sum(axis=1)
         turns = np.exp(2j * np.pi * (np.arange(cols) + 0.5) / cols)
@@ -440,16 +414,16 @@ def test_relative_attention_leaves_out_what_is_looked_at_anyway(random_models, m
     asked = []  # the question of no content comes first
 
     def record(capture, layer, query, *_):
-        rows = np.ones(planned.layout.count)
-        for index in range(planned.layout.count):
-            cells = planned.layout.cells(np.eye(1, planned.layout.count, index)[0])
+        rows = np.ones(planned.count)
+        for index in range(planned.count):
+            cells = planned.cells(np.eye(1, planned.count, index)[0])
             rows[index] += 200 * cells[sink] + (20 * cells[target] if asked else 0)
         asked.append(layer)
         row = torch.tensor(rows / rows.sum() / 2, dtype=torch.float32)
         capture.rows[layer] = row.expand(query.shape[0], query.shape[1], -1)
 
     monkeypatch.setattr(Capture, "record", record)
-    response = perception_of(language, seam=False).respond(noise(), ["red chair"])[0]
+    response = response_of(perception_of(language, seam=False), noise(), "red chair")
     assert np.unravel_index(response.argmax(), response.shape) == target
     assert len(asked) == 2
     assert response[sink] < 0.1 * response[target]
@@ -470,7 +444,7 @@ def peak_error(response, azimuth, elevation):
 def test_planted_weights_point_at_red_things(planted_models, family):
     perception = perception_of(planted_models(family))
     for azimuth, elevation in [(1.0, 0.0), (-2.0, 0.3), (0.2, -0.4), (2.6, -0.2)]:
-        response = perception.respond(vlm_models.marked(azimuth, elevation, seed=99), ["red thing"])[0]
+        response = response_of(perception, vlm_models.marked(azimuth, elevation, seed=99), "red thing")
         assert peak_error(response, azimuth, elevation) < 1.05
         assert response.max() > 0.2
         assert np.median(response) < 0.25 * response.max()
@@ -484,20 +458,10 @@ def test_the_seam_costs_nothing(planted_models, family):
     behind = np.roll(middle, middle.shape[1] // 2, axis=1)  # the same thing, cut by the seam but for half a cell
     cut = vlm_models.marked(math.pi, 0.1, seed=98)
     perception = perception_of(language)
-    ahead, back, seam = (perception.respond(image, ["red thing"])[0] for image in (middle, behind, cut))
+    ahead, back, seam = (response_of(perception, image, "red thing") for image in (middle, behind, cut))
     np.testing.assert_allclose(np.roll(ahead, cols // 2, axis=1), back, atol=2e-3)
     assert peak_error(seam, math.pi, 0.1) < 1.05
     assert peak_error(back, math.pi / cols + math.pi, 0.1) < 1.05
-
-
-@some
-def test_both_looks_at_the_seam_in_one_batch_are_two_looks(random_models, family):
-    language = random_models(family)
-    planned = language.plan(2.0)
-    picture = resized(noise(), planned.size, wrap=True)
-    single = perception_of(language, seam=False)
-    wanted = seamless(lambda image: single.respond(image, ["red chair"]), picture, planned.shape[1])
-    np.testing.assert_allclose(perception_of(language).respond(picture, ["red chair"]), wanted, atol=1e-5)
 
 
 @pytest.mark.parametrize("family", ["qwen2_5_vl", "gemma3", "internvl"])
@@ -517,10 +481,10 @@ def test_views_point_at_red_things_too(planted_models, family):
 def test_several_queries_answer_like_one_at_a_time(random_models, family):
     perception = perception_of(random_models(family), seam=False)
     queries = ["red chair", "the blue ball", "fridge"]
-    together = perception.respond(noise(), queries)
-    alone = np.concatenate([perception.respond(noise(), [query]) for query in queries])
-    np.testing.assert_allclose(together, alone, atol=1e-5)
-    assert perception.respond(noise(), []).shape == (0, *together.shape[1:])
+    together = perception.observe(noise(), queries)
+    for query, found in zip(queries, together, strict=True):
+        np.testing.assert_allclose(found.response, response_of(perception, noise(), query), atol=1e-5)
+    assert perception.observe(noise(), []) == []
 
 
 @languages
@@ -542,8 +506,8 @@ def test_evidence_tells_what_produced_it(folders, family):
     assert source["model"] == str(folders(family))
     assert source["revision"].startswith("folder:")
     assert (source["family"], source["extractor"], source["images"]) == (family, "attention", 2)
-    assert source["pixels"] == list(perception.loaded.size(2.0))
-    assert source["image_tokens"] == 2 * perception.loaded.plan(2.0).layout.count
+    assert source["pixels"] == list(perception.loaded.plan(2.0).size)
+    assert source["image_tokens"] == 2 * perception.loaded.plan(2.0).count
     assert source["prompt_tokens"] > 20
     assert source["answer_tokens"] == 0
     assert source["milliseconds"] > 0
@@ -553,9 +517,9 @@ def test_evidence_tells_what_produced_it(folders, family):
 
 def test_the_probability_of_yes_scales_attention(random_models, monkeypatch):
     language = random_models("llava")
-    asked = perception_of(language, seam=False).respond(noise(), ["red chair"])
+    asked = response_of(perception_of(language, seam=False), noise())
     monkeypatch.setattr(language, "presence", False)
-    plain = perception_of(language, seam=False).respond(noise(), ["red chair"])
+    plain = response_of(perception_of(language, seam=False), noise())
     share = asked[plain > 0.01] / plain[plain > 0.01]
     assert 0 < share.min() <= share.max() < 1
     assert np.ptp(share) < 1e-4
@@ -572,15 +536,13 @@ def writing(monkeypatch, language, answer, log=-0.1):
     """Make the model write ``answer(image)`` for each image that it is shown."""
     shown = []
     share = language.share
-    monkeypatch.setattr(
-        language, "share", lambda images, planned, account=None: shown.append(images) or share(images, planned, account)
-    )
+    monkeypatch.setattr(language, "share", lambda images, *rest: shown.append(images) or share(images, *rest))
 
     def decode(self, logits, most, stops):
         ids = [language.tokenizer.encode(answer(image), add_special_tokens=False) for image in shown[-1]]
         return Decoded(ids, [[log] * len(one) for one in ids])
 
-    monkeypatch.setattr(Running, "decode", decode)
+    monkeypatch.setattr(Run, "decode", decode)
 
 
 def red_box(family):
@@ -600,36 +562,31 @@ def red_box(family):
 
 
 @pytest.mark.parametrize("family", BOXES)
-@pytest.mark.parametrize("extractor", ["boxes", "both", "views"])
+@pytest.mark.parametrize("extractor", ["boxes", "views"])
 def test_boxes_lead_to_their_directions(random_models, monkeypatch, family, extractor):
     language = random_models(family)
     writing(monkeypatch, language, red_box(family))
     perception = perception_of(language, extractor, per_view="boxes")
     for azimuth, elevation in [(1.0, 0.1), (-2.0, -0.3)]:
         evidence = perception(vlm_models.marked(azimuth, elevation, 0.2, seed=96), "red thing")
-        assert (evidence.detections is None) == (extractor == "both")
-        if evidence.detections is not None:
-            assert len(evidence.detections) == 1
-        response = np.asarray(evidence.response)
-        peak = evidence.grid.directions[np.unravel_index(response.argmax(), response.shape)]
-        assert math.degrees(float(angular_distance(peak, direction(azimuth, elevation)))) < 7
+        (found,) = evidence.detections.directions
+        assert math.degrees(float(angular_distance(found, direction(azimuth, elevation)))) < 4
         assert evidence.source["answer_tokens"] > 20
-    nothing = perception(noise(seed=3) // 4 + 90, "red thing")
-    if extractor != "both":
-        assert float(np.max(nothing.response)) == 0
+    assert len(perception(noise(seed=3) // 4 + 90, "red thing").detections) == 0
 
 
 @pytest.mark.parametrize("family", BOXES)
 def test_boxes_are_scored_by_the_probability_of_their_tokens(random_models, monkeypatch, family):
     language = random_models(family)
-    peaks = []
+    scores = []
     for log in (-0.01, -0.3):
         with monkeypatch.context() as patch:
             writing(patch, language, red_box(family), log)
             image = vlm_models.marked(0.5, 0.0, 0.2, seed=96)
-            peaks.append(perception_of(language, "boxes", seam=False).respond(image, ["red thing"]).max())
-    assert 0.2 < peaks[1] / peaks[0] < 0.8
-    assert 0.2 < peaks[0] < 1
+            scores += list(perception_of(language, "boxes", seam=False)(image, "red thing").detections.scores)
+    assert len(scores) == 2
+    assert 0.2 < scores[1] / scores[0] < 0.8
+    assert 0.2 < scores[0] < 1
 
 
 @pytest.mark.parametrize("family", BOXES)
@@ -637,15 +594,15 @@ def test_answers_that_cannot_be_read_are_errors(random_models, monkeypatch, fami
     language = random_models(family)
     writing(monkeypatch, language, lambda image: "I would rather talk about the weather.")
     with pytest.raises(AnswerError, match="weather"):
-        perception_of(language, "boxes").respond(noise(), ["red chair"])
+        perception_of(language, "boxes")(noise(), "red chair")
 
 
 @pytest.mark.parametrize("family", [one for one in LANGUAGE if one not in BOXES])
 def test_families_without_boxes_say_so(folders, random_models, family):
-    with pytest.raises(EagorError, match="attention, views"):
+    with pytest.raises(EagorError, match=r"extractor = 'boxes'; for this model it can be (attention|views)"):
         TransformersPerception(str(folders(family)), extractor="boxes")
     with pytest.raises(EagorError, match="not trained to write boxes"):
-        random_models(family).ask_boxes("red chair")
+        random_models(family).boxes([noise()], ["red chair"])
 
 
 # --- attention to response -------------------------------------------------------------------------------------------
@@ -700,12 +657,12 @@ def test_localisation_heads_are_found_where_they_were_planted(planted_models, tm
     perception = perception_of(language)
     before, language.heads = language.heads, found
     try:
-        response = perception.respond(vlm_models.marked(-1.0, 0.0, seed=95), ["red thing"])[0]
+        response = response_of(perception, vlm_models.marked(-1.0, 0.0, seed=95), "red thing")
     finally:
         language.heads = before
     assert peak_error(response, -1.0, 0.0) < 1.05
     assert 0.2 < response.max() < 1
-    blind = [replace(look, direction=-np.asarray(look.direction), radius=0.05) for look in looks]
+    blind = [replace(look, direction=-look.direction, radius=0.05) for look in looks]
     with pytest.raises(EagorError, match="no head of tiny"):
         fit_heads(blind, "tiny", family)
 
@@ -720,7 +677,7 @@ def test_heads_of_another_model_are_refused(folders, tmp_path):
         file.write_text(text)
         with pytest.raises(EagorError, match="heads"):
             read_heads(file)
-    with pytest.raises(EagorError, match="cannot be read"):
+    with pytest.raises(EagorError, match="cannot be read as localisation heads"):
         read_heads(tmp_path / "missing.json")
 
 
@@ -728,158 +685,82 @@ def test_a_file_of_heads_is_used(folders, tmp_path):
     file = tmp_path / "heads.json"
     Heads("x", "llava", ((1, 2), (2, 0)), 1.5).write(file)
     perception = load(f"{folders('llava')}?extractor=attention&heads={file}")
-    assert perception.loaded.read == (1, 2)
-    assert perception.respond(noise(), ["red chair"]).max() > 0
-
-
-def test_the_elbow_is_where_the_curve_bends():
-    values = np.concatenate([np.linspace(0, 0.1, 80), np.linspace(0.1, 1.0, 20)])
-    assert 0.08 < elbow(np.random.default_rng(0).permutation(values)) < 0.16
-    assert elbow(np.array([0.3, 0.3, 0.3])) == 0.3
-
-
-def test_scattered_maps_have_more_spatial_entropy():
-    one, two, seam, floor = (np.zeros((8, 16)) for _ in range(4))
-    one[3, 4:6] = 1
-    two[3, 4], two[5, 12] = 1, 1
-    seam[3, 0], seam[3, -1] = 1, 1  # a single part, around the seam
-    floor[-1] = 1
-    assert spatial_entropy(one) == pytest.approx(0, abs=1e-12)
-    assert spatial_entropy(two) == pytest.approx(math.log(2))
-    assert spatial_entropy(seam) == pytest.approx(0, abs=1e-12)
-    assert spatial_entropy(floor) == spatial_entropy(np.ones((8, 16))) == math.inf
+    assert perception.loaded.layers == (1, 2)
+    assert response_of(perception, noise()).max() > 0
 
 
 # --- localisers ------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="session")
-def localisers(folders):
-    """Perceptions with the small localisers, by family and extractor."""
-    made = {}
-
-    def localiser(family, extractor=None):
-        if (family, extractor) not in made:
-            made[family, extractor] = TransformersPerception(
-                str(folders(family)), extractor=extractor, threshold=None if family == "clipseg" else 0.3
-            )
-        return made[family, extractor]
-
-    return localiser
+DETECTORS = (*LOCALISERS, "yolos")
 
 
-@pytest.mark.parametrize("family", LOCALISERS)
-@pytest.mark.parametrize("views", [False, True])
-def test_localisers_keep_the_contract(localisers, family, views):
-    perception = localiser = localisers(family, "views" if views else ("mask" if family == "clipseg" else "boxes"))
-    check_perception(perception, noise(), "the red chair")
-    source = localiser(noise(), "red chair").source
-    assert (source["family"], source["images"]) == (family, 6 if views else 2)
-    assert source["image_tokens"] > 30
-    assert source["prompt_tokens"] > 5
+@pytest.mark.parametrize("family", DETECTORS)
+def test_detectors_of_the_hub_keep_the_contract(folders, family):
+    query = "cat" if family == "yolos" else "the red chair"
+    check_perception(load(f"{folders(family)}?size=96&threshold=0.2"), noise(), query)
 
 
-@pytest.mark.parametrize("family", LOCALISERS)
-def test_queries_of_localisers_keep_their_order(localisers, family):
-    perception = localisers(family, "mask" if family == "clipseg" else "boxes")
-    queries = ["red chair", "an old fridge"]
-    forth, back = perception.respond(noise(), queries), perception.respond(noise(), queries[::-1])
-    np.testing.assert_allclose(forth, back[::-1], atol=5e-6)
-    alone = perception.respond(noise(), queries[1:])
-    np.testing.assert_allclose(forth[1], alone[0], atol=5e-6)
-    assert np.abs(forth[0] - forth[1]).max() > 5e-5
-    assert perception.respond(noise(), []).shape == (0, *forth.shape[1:])
-
-
-def planted_outputs(monkeypatch, perception, places):
-    """Make a localiser's network answer with boxes (or a mask) around `places` in its picture, fractions (x, y)."""
-    loaded = perception.loaded
-    model, height, width = loaded.model, *loaded.size(2.0)
-    side = max(height, width) if loaded.family.fit == "pad" else 0
+def planted_outputs(monkeypatch, model, place, score=3.0):
+    """Make a detector's network answer with a box (or a mask) around `place` in its picture, fractions (x, y)."""
     forward = model.forward
 
     def planted(*args, **kwargs):
         out = forward(*args, **kwargs)
-        if loaded.family.name == "clipseg":
-            out.logits = torch.full_like(out.logits, -9.0)
-            for row, (x, y) in enumerate(places):
-                rows, cols = int(y * height), int(x * width)
-                out.logits[row :: len(places), rows - 4 : rows + 4, cols - 4 : cols + 4] = 9.0
-            return out
-        scale = (width / side, height / side) if side else (1.0, 1.0)
-        out.pred_boxes[:] = 0.0
+        x, y = place
         out.logits[:] = -9.0
-        (x, y) = places[0]
-        out.pred_boxes[:, 3] = torch.tensor([x * scale[0], y * scale[1], 0.08 * scale[0], 0.16 * scale[1]])
-        out.logits[:, 3, 0] = 3.0
+        if model.config.model_type == "clipseg":
+            height, width = out.logits.shape[-2:]
+            rows, cols = int(y * height), int(x * width)
+            out.logits[..., rows - 4 : rows + 4, cols - 4 : cols + 4] = score
+            return out
+        out.pred_boxes[:, 3] = torch.tensor([x, y, 0.08, 0.16])
+        out.logits[:, 3, 0] = score
+        if model.config.model_type == "yolos":
+            out.logits[:, :, -1] = 2.0  # no object
+            out.logits[:, 3, -1] = -9.0
         return out
 
     monkeypatch.setattr(model, "forward", planted)
 
 
-@pytest.mark.parametrize("family", LOCALISERS)
-def test_planted_detections_come_back_at_their_directions(localisers, monkeypatch, family):
-    perception = localisers(family, "mask" if family == "clipseg" else "boxes")
-    monkeypatch.setattr(perception, "seam", False)
-    for x, y in [(0.25, 0.5), (0.75, 0.375), (0.625, 0.625)]:  # whole pixels of all the small models
+@pytest.mark.parametrize("family", DETECTORS)
+def test_planted_boxes_come_back_where_they_are_in_the_picture(folders, monkeypatch, family):
+    """Whatever the processor does to the picture, and in each of several at once; with a label where there are any."""
+    perception = load(f"{folders(family)}?size=96")
+    detector, picture = perception.function, noise(96)[:, :96]
+    for x, y in [(0.25, 0.5), (0.75, 0.375)]:
         with monkeypatch.context() as patch:
-            planted_outputs(patch, perception, [(x, y)])
-            evidence = perception(noise(96), "red chair")
-        response = np.asarray(evidence.response).astype(float)
-        weights = np.where(response > 0.3 * response.max(), response, 0) * evidence.grid.weights
-        mean = np.einsum("ij,ijk->k", weights, evidence.grid.directions)
-        wanted = direction(math.pi - 2 * math.pi * x, math.pi / 2 - math.pi * y)
-        assert math.degrees(float(angular_distance(mean, wanted))) < 3
-        assert response.max() > 0.9
+            planted_outputs(patch, detector.model, (x, y))
+            found = detector.many([picture, picture[::-1]], "chair")
+        for boxes, scores, *labels in found:
+            (left, top, right, bottom), (score,) = boxes[0], scores
+            assert ((left + right) / 2, (top + bottom) / 2) == pytest.approx((96 * x, 96 * y), abs=2)
+            assert score > 0.9
+            assert labels == ([["chair"]] if family == "yolos" else [])
 
 
-@pytest.mark.parametrize("family", [one for one in LOCALISERS if one != "clipseg"])
-def test_boxes_of_localisers_are_detections_and_both_looks_are_one(localisers, monkeypatch, family):
-    perception = localisers(family, "boxes")
-    width = perception.loaded.size(2.0)[1]
-    forward = perception.loaded.look  # the map is not asked for
-    monkeypatch.setattr(perception.loaded, "look", lambda *_: pytest.fail("drew a map"))
-    with monkeypatch.context() as patch:
-        boxes = [
-            [[Box(0.30, 0.4, 0.38, 0.5, "", 0.8), Box(0.7, 0.5, 0.71, 0.55, "", 0.5)]],
-            [[Box(0.80, 0.4, 0.88, 0.5, "", 0.6)]],
-        ]
-        patch.setattr(perception.loaded, "boxes", lambda images, queries: (boxes, Account(images=len(images))))
-        evidence = perception(noise(96), "red chair", stamp=4.0)
-    found = evidence.detections
-    assert evidence.stamp == 4.0
-    assert len(found) == 2
-    # The first is nearer to the middle in the rolled picture's own frame or in the straight one: one of both is kept.
-    wanted = direction(math.pi - 2 * math.pi * 0.34, math.pi / 2 - math.pi * 0.45)
-    assert np.degrees(angular_distance(found.directions, wanted)).min() < 360 / width + 1
-    monkeypatch.setattr(perception.loaded, "look", forward)
-    monkeypatch.setattr(perception, "calibration", Calibration())
-    assert perception(noise(96), "red chair").detections is None
-
-
-def test_scores_below_the_threshold_are_dropped(localisers, monkeypatch):
-    perception = localisers("owlv2", "boxes")
-    planted_outputs(monkeypatch, perception, [(0.5, 0.5)])
-    assert perception.respond(noise(), ["red chair"]).max() > 0.4  # the sigmoid of 3, in one of two looks
-    monkeypatch.setattr(perception.loaded, "threshold", 0.96)
-    assert perception.respond(noise(), ["red chair"]).max() == 0
+def test_scores_below_the_threshold_are_dropped(folders, monkeypatch):
+    perception = load(f"{folders('owlv2')}?size=96&threshold=0.96")
+    planted_outputs(monkeypatch, perception.function.model, (0.5, 0.5))  # the sigmoid of 3 is 0.953
+    assert len(perception(noise(), "red chair").detections) == 0
+    perception.function.threshold = 0.9
+    assert len(perception(noise(), "red chair").detections) > 0
 
 
 # --- loading ---------------------------------------------------------------------------------------------------------
 
 
 def test_every_family_is_tested_and_described():
-    assert {family.name for family in FAMILIES} == {*LANGUAGE, *LOCALISERS} == set(vlm_models.MAKERS)
+    assert {family.name for family in FAMILIES} == {*LANGUAGE}
     for family in FAMILIES:
         assert family.extractor in family.extractors
         assert family.checkpoints
-        assert all(0.1 < checkpoint.gigabytes < 200 for checkpoint in family.checkpoints)
-        if not family.localiser:
-            assert family.template.count("{text}") == family.template.count(family.placeholder) == 1
-            assert family.expansion.count(family.image_token) == 1
+        assert family.prompt.count("{text}") == family.prompt.count(family.placeholder) == 1
+        assert family.expansion.count(family.image_token) == 1
 
 
-@pytest.mark.parametrize("family", [*LANGUAGE, *LOCALISERS])
+@languages
 def test_folders_become_perceptions(folders, family):
     perception = load(str(folders(family)))
     assert perception.family.name == family
@@ -887,9 +768,9 @@ def test_folders_become_perceptions(folders, family):
 
 
 def test_options_are_read_from_the_name(folders):
-    perception = load(f"{folders('qwen2_5_vl')}?extractor=both&pixels=40000&layers=1,2&seam=false&presence=false")
-    assert (perception.extractor, perception.seam, perception.loaded.pixels) == ("both", False, 40000)
-    assert (perception.loaded.layers, perception.loaded.presence) == ((1, 2), False)
+    perception = load(f"{folders('qwen2_5_vl')}?extractor=attention&pixels=40000&seam=false&presence=false")
+    assert (perception.extractor, perception.seam, perception.loaded.pixels) == ("attention", False, 40000)
+    assert perception.loaded.presence is False
     assert parse_options("a=1&b=0.5&c=True&d=x-y") == {"a": 1, "b": 0.5, "c": True, "d": "x-y"}
     assert parse_options("revision=1234567&pixels=1234567") == {"revision": "1234567", "pixels": 1234567}
     assert parse_options("revision=12e4567&heads=2024") == {"revision": "12e4567", "heads": "2024"}
@@ -901,19 +782,16 @@ def test_options_are_read_from_the_name(folders):
 
 def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
     folder = folders("llava")
-    with pytest.raises(EagorError, match=r"options \['colour'\].*extractor"):
-        load(f"{folder}?colour=red")
-    with pytest.raises(EagorError, match="attention, views"):
-        load(f"{folder}?extractor=mask")
-    with pytest.raises(EagorError, match="full attention"):
-        load(f"{folder}?layers=77")
-    with pytest.raises(EagorError, match="numbers such as"):
-        load(f"{folder}?layers=some")
-    with pytest.raises(EagorError, match="float32, bfloat16"):
-        load(f"{folder}?dtype=int8")
-    with pytest.raises(EagorError, match="threshold"):
-        load(f"{folder}?threshold=0.3")
-    with pytest.raises(EagorError, match="heads cannot be used with CLIPSeg"):
+    for written, says in {
+        "colour=red": "'colour' is no key of a model here; known are",
+        "extractor=mask": "attention, views",
+        "per_view=views": "it can be attention",
+        "dtype=int8": "float32, bfloat16",
+        "threshold=0.3": "'threshold' is no key of a model here",
+    }.items():
+        with pytest.raises(EagorError, match=says):
+            load(f"{folder}?{written}")
+    with pytest.raises(EagorError, match="'heads' is no key of a detector"):
         load(f"{folders('clipseg')}?heads=x.json")
     with pytest.raises(EagorError, match=r"no config\.json"):
         load(str(tmp_path) + "/")
@@ -925,7 +803,7 @@ def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
     with pytest.raises(EagorError, match=r"'bert'.*Qwen2\.5-VL.*endpoint"):
         load(str(tmp_path))
     (tmp_path / "config.json").write_text((folder / "config.json").read_text())
-    with pytest.raises(EagorError, match="weights of"):
+    with pytest.raises(EagorError, match="cannot be loaded"):
         load(str(tmp_path))
 
     def offline(*_args, **_kwargs):
@@ -941,8 +819,8 @@ def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     "option",
-    ["seam=no", "presence=maybe", "batch=0", "batch=many", "max_tokens=0", "pixels=lots", "layers=2.5", "device=one",
-     "threshold=0.3", "heads=nowhere.json", "batch=2.5", "batch=true", "max_tokens=nan", "layers=true", "device=meta"],
+    ["seam=no", "presence=maybe", "batch=0", "batch=many", "max_tokens=0", "pixels=lots", "device=one",
+     "heads=nowhere.json", "batch=2.5", "batch=true", "device=meta"],
 )  # fmt: skip
 def test_options_without_a_meaning_are_refused_before_weights_are_read(folders, monkeypatch, option):
     def read(*_args, **_rest):
@@ -955,7 +833,7 @@ def test_options_without_a_meaning_are_refused_before_weights_are_read(folders, 
 
 @pytest.mark.parametrize("threshold", ["nan", "inf", "-1", "2", "true", "low"])
 def test_thresholds_that_are_no_scores_are_refused(folders, threshold):
-    with pytest.raises(EagorError, match=r"threshold = .*; wanted a score from 0 to 1"):
+    with pytest.raises(EagorError, match=r"threshold is .*; wanted a score from 0 to 1"):
         load(f"{folders('owlv2')}?threshold={threshold}")
 
 
@@ -966,24 +844,15 @@ def test_heads_of_another_family_are_refused(folders, tmp_path):
         load(f"{folders('llava')}?heads={file}")
 
 
-def test_too_few_pixels_for_a_localiser(folders):
-    with pytest.raises(ImageError, match=r"no picture of 2:1 .* at most 10 pixels; allow more"):
-        load(f"{folders('grounding_dino')}?pixels=10")(noise(), "red chair")
-
-
-def test_a_number_may_be_typed_as_people_do(folders):
-    assert load(f"{folders('qwen2_5_vl')}?pixels=1e5").loaded.pixels == 100_000
-
-
 @pytest.mark.parametrize("file", ["config.json", "model.safetensors", "tokenizer.json", "preprocessor_config.json"])
-@pytest.mark.parametrize("damage", ["missing", "empty", "cut", "other"])
+@pytest.mark.parametrize("damage", ["missing", "cut"])
 def test_a_damaged_checkpoint_is_named(folders, tmp_path, file, damage):
     folder = shutil.copytree(folders("llava"), tmp_path / "damaged")
     whole = (folder / file).read_bytes()
     if damage == "missing":
         (folder / file).unlink()
     else:
-        (folder / file).write_bytes({"empty": b"", "cut": whole[: len(whole) // 2], "other": b"[]"}[damage])
+        (folder / file).write_bytes({"cut": whole[: len(whole) // 2]}[damage])
     with pytest.raises(EagorError, match=r"damaged' (has no config\.json|cannot be loaded)"):
         load(str(folder))
 
@@ -998,22 +867,6 @@ def test_weights_that_are_not_there_are_missed(folders, tmp_path):
     save_file(weights, folder / "model.safetensors", metadata={"format": "pt"})
     with pytest.warns(UserWarning, match=r"lack 1 weights of the model, such as .*q_proj\.weight; they are random now"):
         load(str(folder))
-
-
-@pytest.mark.parametrize(
-    "template",
-    [
-        "{% for message in messages %}{{ message['role'] + message['content'] }}{% endfor %}",  # takes words alone
-        "{{ raise_exception('one message at a time') }}",
-        "{% for message in messages %}{{ message.content",
-    ],
-)
-def test_a_template_that_takes_no_pictures_is_passed_over(random_models, monkeypatch, template):
-    language = random_models("qwen2_5_vl")
-    monkeypatch.setattr(language.tokenizer, "chat_template", template)
-    assert inputs.template_of(language.tokenizer, language.family) == language.family.template
-    said = [Message("system", "Be brief."), Message("user", f"{IMAGE}What is it?", (noise(),))]
-    assert "Be brief." in conversation(language.tokenizer, language.family, said)
 
 
 @pytest.mark.parametrize(

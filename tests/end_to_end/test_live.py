@@ -172,9 +172,9 @@ def test_a_recording_is_a_run_of_the_studio(film, tmp_path, capsys):
         begun = min(answers)
         last = drawn.steps[-1]
         answer = answers[min(answers, key=lambda stamp: abs(stamp - begun - last["stamp"]))]
-        assert math.degrees(last["estimate"]["azimuth"]) == pytest.approx(answer["azimuth_deg"], abs=0.1)
+        assert last["estimate"]["azimuth_deg"] == pytest.approx(answer["azimuth_deg"], abs=0.1)
         assert last["estimate"]["status"] == answer["status"]
-        assert last["belief"]["coefficients"]
+        assert last["belief"]["url"].startswith("data:image/png")
     assert runs.again(folder, None).scene["query"] == "red"
     with pytest.raises(FormatError, match="has no query 'green cup'"):
         runs.again(folder, "green cup")
@@ -311,8 +311,6 @@ def test_an_ordinary_camera_live_and_looked_at_again(tmp_path, capsys):
     drawn = recorded(Replay(tmp_path / "run"))  # as the studio shows it
     assert drawn.scene["lens"]["plane"] == pytest.approx([math.tan(hfov / 2), 0.75 * math.tan(hfov / 2)], abs=1e-5)
     assert {Image.open(io.BytesIO(jpeg)).size for jpeg in drawn.pictures.values()} == {(240, 180)}
-    number = max(drawn.poses)
-    assert np.allclose(drawn.as_json(str)["steps"][number]["panorama"]["world_R_camera"], drawn.poses[number])
     assert abs(lines(capsys)[-1]["azimuth_deg"] - azimuth) < 3
     assert main(["live", str(tmp_path / "film"), "the red ball", "--perception", "colour", "--fast"]) == 2
     assert "--hfov DEGREES" in capsys.readouterr().err

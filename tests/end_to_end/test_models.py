@@ -22,9 +22,10 @@ from eagor.lab.agents.models import shared
 from eagor.lab.eval.labelled_looks import apartment_labels
 from eagor.media.panorama import cut, read_panorama
 from eagor.perception import is_model, load, rows_of, short_name
+from eagor.perception import transformers as local
 from eagor.perception.calibrated import Labelled, cap_radius, read_labelled
 from eagor.perception.partial import look_at_view
-from eagor.perception.transformers import TransformersPerception, loading
+from eagor.perception.transformers import TransformersPerception
 from eagor.perception.transformers.language import LanguageModel
 from eagor.sphere import angular_distance, direction, world_R_body
 
@@ -58,7 +59,7 @@ def planted(tmp_path_factory):
             transformers.utils.logging.disable_progress_bar()
             place = vlm_models.make(family, tmp_path_factory.mktemp("models") / f"tiny-{family}")
             pixels = vlm_models.PIXELS.get(family)
-            language = vlm_models.language_model(place, extractor="attention", presence=False, pixels=pixels)
+            language = vlm_models.language_model(place, presence=False, pixels=pixels)
             vlm_models.plant(language)
             language.model.save_pretrained(place)
             found = TransformersPerception(language, "attention", "attention").find_heads(EXAMPLES, 1)
@@ -124,7 +125,7 @@ def test_locate_points_at_what_the_planted_head_looks_at(eagor, planted, panoram
     assert (code, err) == (0, "")
     found = json.loads(out)
     answer = direction(math.radians(found["azimuth_deg"]), math.radians(found["elevation_deg"]))
-    rows, cols = load(spec).loaded.cells(2.0, "attention")
+    rows, cols = load(spec).loaded.plan(2.0).shape
     assert found["source"]["family"] == family
     assert found["source"]["model"] == str(folder)
     half = math.hypot(math.pi / rows, 2 * math.pi / cols) / 2
@@ -195,8 +196,10 @@ def records(folder):
     "task", ["navigation", *(pytest.param(task, marks=pytest.mark.slow) for task in ("waypoint", "tracking"))]
 )
 def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
-    loads, really = [], loading.load_model
-    monkeypatch.setattr(loading, "load_model", lambda name, **rest: loads.append(name) or really(name, **rest))
+    loads, really = [], local.load_model
+    monkeypatch.setattr(
+        local, "load_model", lambda name, *more, **rest: loads.append(name) or really(name, *more, **rest)
+    )
     folder = planted(QWEN)
     spec = f"{folder}?{SMALL}&heads={folder / 'heads.json'}"
     words = ("bench", "run", task, "--perception", spec, "--seed", "3", "--set", RUNS[task], "--out", tmp_path / "run")
@@ -283,10 +286,10 @@ def test_panoramas_are_rendered_as_fine_as_the_model_sees(planted, family):
     perception = load(str(planted(family)))
     rows = rows_of(perception)
     if perception.extractor == "views":  # a pixel of the panorama is one in the middle of a view
-        side = min(perception.loaded.size(1.0))
+        side = min(perception.loaded.plan(1.0, True).size)
         assert rows == pytest.approx(math.pi * (side / 2) / math.tan(math.radians(50)), abs=1)
     else:
-        assert rows == perception.loaded.size(2.0)[0]
+        assert rows == perception.loaded.plan(2.0).size[0]
 
 
 @pytest.mark.parametrize(

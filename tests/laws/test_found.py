@@ -6,12 +6,14 @@ import math
 import numpy as np
 import pytest
 
+from eagor.errors import EagorError
+from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import moments_of
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.things import blobs
 from eagor.perception.vlm.answers import Box
-from eagor.perception.vlm.projection import detected, things, united
+from eagor.perception.vlm.projection import Crop, InferencePlan, box_detections, fuse_detections
 from eagor.sphere import angular_distance, direction, world_R_body
 
 WHOLE = PatchGrid(18, 36)
@@ -20,56 +22,65 @@ WHOLE = PatchGrid(18, 36)
 def box(azimuth, elevation, width=8, height=8, score=0.8):
     """A box in a panorama; degrees."""
     x, y = (180 - azimuth) / 360, (90 - elevation) / 180
-    return Box(x - width / 720, y - height / 360, x + width / 720, y + height / 360, "", score)
+    return Box(x - width / 720, y - height / 360, x + width / 720, y + height / 360, score)
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.25, 0.5])
 def test_a_box_means_its_middle_whatever_the_roll(roll):
     seen = box(30, -10)
     rolled = Box((seen.x0 + roll) % 1, seen.y0, (seen.x0 + roll) % 1 + seen.x1 - seen.x0, seen.y1)
-    (thing,) = things([rolled], WHOLE, roll)
+    (thing,) = box_detections([rolled], WHOLE, roll)
     assert math.degrees(float(angular_distance(thing.direction, direction(*np.radians((30, -10)))))) < 0.2
     assert thing.size == pytest.approx(math.radians(8 / math.sqrt(12)), rel=0.02)
 
 
 def test_a_thing_in_two_looks_counts_once_as_the_deeper_one_has_it():
-    straight = things([box(80, 0, score=0.5), box(-150, 20)], WHOLE)
-    rolled = things([Box(0.75 + 0.02, 0.48, 0.75 + 0.05, 0.52, "", 0.9)], WHOLE, 0.5)  # 81 degrees, off the middle
+    straight = box_detections([box(80, 0, score=0.5), box(-150, 20)], WHOLE)
+    rolled = box_detections([Box(0.75 + 0.02, 0.48, 0.75 + 0.05, 0.52, 0.9)], WHOLE, 0.5)  # 81 degrees, off the middle
     for pictures in itertools.permutations((straight, rolled)):
-        found = united(pictures)
+        found = fuse_detections(pictures)
         assert len(found) == 2
         assert sorted(thing.score for thing in found) == [0.5, 0.8]
 
 
 def test_two_things_in_one_picture_are_two():
-    assert len(united([things([box(10, 0), box(14, 0)], WHOLE)])) == 2
-    assert len(united([things([box(10, 0), box(40, 0)], WHOLE), things([box(12, 0)], WHOLE)])) == 2
+    assert len(fuse_detections([box_detections([box(10, 0), box(14, 0)], WHOLE)])) == 2
+    assert (
+        len(fuse_detections([box_detections([box(10, 0), box(40, 0)], WHOLE), box_detections([box(12, 0)], WHOLE)]))
+        == 2
+    )
 
 
 def test_a_thing_that_the_seam_cuts_is_one():
-    halves = things([Box(0.0, 0.4, 0.06, 0.5), Box(0.94, 0.4, 1.0, 0.5)], WHOLE)
-    middle = things([Box(0.44, 0.4, 0.56, 0.5)], WHOLE, 0.5)
-    (thing,) = united([halves, middle])
+    halves = box_detections([Box(0.0, 0.4, 0.06, 0.5), Box(0.94, 0.4, 1.0, 0.5)], WHOLE)
+    middle = box_detections([Box(0.44, 0.4, 0.56, 0.5)], WHOLE, 0.5)
+    (thing,) = fuse_detections([halves, middle])
     assert thing.direction[0] < -0.9
     assert abs(thing.direction[1]) < 0.01
 
 
 def test_a_box_all_around_names_no_direction_and_hides_no_thing():
-    around = things([Box(0.0, 0.0, 1.0, 1.0, "", 0.7)], WHOLE)
-    evidence = detected(around, None, WHOLE, 1.0)
+    whole = Box(0.0, 0.0, 1.0, 1.0, 0.7)
+    plan = InferencePlan((Crop(np.zeros((18, 36, 3), np.uint8), WHOLE),), WHOLE, lambda maps: maps[0])
+    evidence = plan.evidence([[whole]], None, None, 1.0, {})
     assert np.ptp(evidence.log_ratio) < 1e-6
-    assert len(united([around, things([box(3, 0)], WHOLE)])) == 2
-    assert len(united([around, around])) == 1
+    around = box_detections([whole], WHOLE)
+    assert len(fuse_detections([around, box_detections([box(3, 0)], WHOLE)])) == 2
+    assert len(fuse_detections([around, around])) == 1
 
 
-def test_evidence_of_things_keeps_what_is_told():
+def test_evidence_of_boxes_tells_what_it_is_of():
     view = PerspectiveGrid(60, 80, 1.2, world_R_body(0.4))
-    evidence = detected(things([Box(0.4, 0.4, 0.6, 0.6)], view), DetectorModel(0.9), view, 3.0, source={"model": "m"})
+    plan = InferencePlan((Crop(np.zeros((60, 80, 3), np.uint8), view),), view, lambda maps: maps[0], view=view)
+    boxes = [[Box(0.4, 0.4, 0.6, 0.6)]]
+    evidence = plan.evidence(boxes, DetectorModel(0.9), None, 3.0, {"model": "m"})
     assert evidence.source == {"model": "m"}
     assert evidence.stamp == 3.0
     assert evidence.detections.model.detection_probability == 0.9
     assert evidence.detections.directions[0] @ direction(0.4, 0.0) > math.cos(1e-3)
     assert not evidence.detections.share(np.array([[-1.0, 0.0, 0.0]]))[0]
+    with pytest.raises(EagorError, match=r"a calibration came for boxes.*wanted detector="):
+        plan.evidence(boxes, None, Calibration(), None, {})
 
 
 # --- blobs -----------------------------------------------------------------------------------------------------------

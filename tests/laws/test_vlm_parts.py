@@ -11,15 +11,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from seams import seamless
 
-from eagor.errors import AnswerError, EagorError, GridError, ImageError, QueryError, ResponseError
-from eagor.evidence import Evidence
-from eagor.evidence.calibration import Calibration
+from eagor.errors import AnswerError, GridError, ImageError, QueryError
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid, tangent_views
 from eagor.media.panorama import cut, resized
 from eagor.perception.vlm import GENERAL, SERVED, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
 from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence
-from eagor.perception.vlm.lenient import values
-from eagor.perception.vlm.projection import drawn, filled, framed, lift
+from eagor.perception.vlm.projection import letterbox, letterbox_coverage, project_to_sphere
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 
 SIDES = {"pixels": (896, 448), "thousand": (1000, 1000), "percent": (100, 100), "unit": (1, 1)}  # across, down
@@ -72,9 +69,8 @@ def test_what_was_printed_is_read(entries, frame, order, wrapping):
     ][wrapping]
     found = parse_boxes(text, frame, SIZE, order)
     assert len(found) == len(entries)
-    for box, (corners, label) in zip(found, entries, strict=True):
+    for box, (corners, _) in zip(found, entries, strict=True):
         assert (box.x0, box.y0, box.x1, box.y1) == pytest.approx([c / 1000 for c in corners], abs=1e-9)
-        assert box.label == label
         assert box.score == 1
 
 
@@ -117,7 +113,7 @@ def test_what_was_printed_is_read(entries, frame, order, wrapping):
         "[10%, 20%, 30%, 40%]",
         "椅子在（100，200），（300，400）。",
         '{"Top Left": [100, 200], "bottom-right": [300, 400]}',
-        '{"min": {"x": 100, "y": 200}, "max": {"x": 300, "y": 400}}',
+        '{"box": "(100, 200), (300, 400)"}',
     ],
 )
 def test_ways_of_writing_one_box(text):
@@ -275,17 +271,6 @@ def test_a_key_written_again_and_again_holds_all(times):
     assert [[round(box.x0 * 10_000), 10, round(box.x1 * 10_000), 50] for box in found] == boxes
 
 
-@given(WRITTEN)
-@settings(deadline=None)
-def test_values_know_their_place(entries):
-    text = "so: " + json.dumps(printed(entries, "thousand", "xyxy")) + "."
-    (node,) = values(text)
-    assert text[node.start : node.end] == text[4:-1]
-    for entry, ((x0, *_), _) in zip(node.value, entries, strict=True):
-        number = entry.value["bbox_2d"].value[0]
-        assert text[number.start : number.end] == str(x0)
-
-
 # --- token probabilities ---------------------------------------------------------------------------------------------
 
 
@@ -393,8 +378,7 @@ def test_the_example_in_the_question_is_an_answer(frame, order):
     example = text[text.index("[{") : text.index("}]") + 2]
     numbers = text[text.index("for example [") + 12 : text.index("]. If") + 1]
     corners = example[example.index(": [") + 2 : example.index("],") + 1]
-    (box,) = parse_boxes(example.replace(corners, numbers), frame, SIZE, order)
-    assert box.label == "red 'chair'"
+    assert len(parse_boxes(example.replace(corners, numbers), frame, SIZE, order)) == 1
     (key, *_) = json.loads(example.replace(corners, numbers))[0]
     assert boxes_schema(frame, order)["items"]["required"] == [key, "label"]
 
@@ -609,10 +593,8 @@ def test_views_that_cannot_be(bad):
 def test_a_planted_blob_comes_back_where_it_was(where):
     centre = direction(*where)
     views, grid = tangent_views(48), PatchGrid(48, 96)
-    responses = [np.exp(60 * (view.directions @ centre - 1))[None] for view in views]
-    response, coverage = lift(responses, views, grid)
-    assert math.degrees(float(angular_distance(mean_direction(response[0], grid), centre))) < 0.1
-    assert coverage.min() > 1 - 1e-6
+    response = project_to_sphere([np.exp(60 * (view.directions @ centre - 1)) for view in views], views, grid)
+    assert math.degrees(float(angular_distance(mean_direction(response, grid), centre))) < 0.1
     assert response.max() > 0.85
 
 
@@ -622,37 +604,18 @@ def test_a_coarse_map_is_right_to_a_tenth_of_a_cell(where):
     """Cells as a model has them: 16 x 16 on a view of 100 degrees; the blob is two cells wide."""
     centre = direction(*where)
     views, grid = tangent_views(448), PatchGrid(48, 96)
-    responses = []
-    for view in views:
-        cells = PerspectiveGrid(16, 16, view.hfov, view.body_R_view)
-        responses.append(np.exp(20 * (cells.directions @ centre - 1))[None])
-    response, _ = lift(responses, views, grid)
-    assert math.degrees(float(angular_distance(mean_direction(response[0], grid), centre))) < 0.6
+    responses = [np.exp(20 * (view.resized(16, 16).directions @ centre - 1)) for view in views]
+    response = project_to_sphere(responses, views, grid)
+    assert math.degrees(float(angular_distance(mean_direction(response, grid), centre))) < 0.6
 
 
-@given(st.floats(0, 1), st.integers(1, 9), st.integers(1, 3))
+@given(st.floats(0, 1), st.integers(1, 9))
 @settings(deadline=None, max_examples=20)
-def test_constant_responses_stay_constant(value, cells, queries):
+def test_constant_responses_stay_constant(value, cells):
     views = tangent_views(32)
-    response, coverage = lift([np.full((queries, cells, cells), value)] * len(views), views, PatchGrid(12, 24))
+    response = project_to_sphere([np.full((cells, cells), value)] * len(views), views, PatchGrid(12, 24))
     np.testing.assert_allclose(response, value, atol=1e-6)
-    assert response.shape == (queries, 12, 24)
     assert response.dtype == np.float32
-    np.testing.assert_allclose(coverage, 1, atol=1e-6)
-
-
-def test_where_no_view_looks_nothing_is_said():
-    ahead = PerspectiveGrid(16, 16, math.radians(90))
-    grid = PatchGrid(36, 72)
-    response, coverage = lift([np.ones((1, 1, 1))], [ahead], grid)
-    inside = ahead.project(grid.directions)[2]
-    behind = grid.directions[..., 0] < 0
-    assert (coverage[behind] == 0).all()
-    assert (response[0][behind] == 0).all()
-    assert coverage[18, 36] == 1
-    assert 0 < coverage[inside].min() < 0.5  # tapered
-    evidence = Evidence.from_response(response[0], grid, coverage=coverage)
-    assert (np.asarray(evidence.log_ratio)[behind] == 0).all()
 
 
 @given(DIRECTION)
@@ -688,84 +651,23 @@ def test_fine_detail_is_averaged_not_skipped():
     assert abs(cut(stripes, PerspectiveGrid(32, 32, math.radians(90)))[0].astype(int) - 100).max() < 12
 
 
-def test_views_and_responses_must_fit():
-    views = tangent_views(16)
-    for bad in ([], [np.ones((1, 2, 2))] * 5, [np.ones((2, 2))] * 6, [np.ones((1, 2, 2))] * 5 + [np.ones((2, 2, 2))]):
-        with pytest.raises(ResponseError):
-            lift(bad, views, PatchGrid(4, 8))
-
-
-# --- drawing ---------------------------------------------------------------------------------------------------------
-
-
-@given(st.floats(0, 0.9), st.floats(0.1, 0.8), st.floats(0.01, 0.1), st.floats(0.02, 0.1), st.floats(0, 1))
-@settings(deadline=None)
-def test_boxes_are_drawn_as_evidence_draws_them(x, y, width, height, score):
-    box = Box(x, y, x + width, y + height, "", score)
-    pixels = [[x * 100, y * 50, (x + width) * 100, (y + height) * 50]]
-    evidence = Evidence.from_boxes(pixels, ErpGrid(50, 100), [score], Calibration())
-    mine = drawn([box], PatchGrid(7, 9), evidence.grid)
-    np.testing.assert_allclose(mine, np.asarray(evidence.response), atol=1e-4)
-    assert mine.max() <= score + 1e-6
-    # The same thing in a picture that was rolled before the model saw it.
-    roll = 1 / 3 if x + width + 1 / 3 <= 1 else -1 / 3 if x >= 1 / 3 else 0
-    moved = Box(x + roll, y, x + width + roll, y + height, "", score)
-    np.testing.assert_allclose(drawn([moved], PatchGrid(7, 9), evidence.grid, roll=roll), mine, atol=1e-5)
-
-
-@pytest.mark.parametrize("box", [Box(0, 0, 1, 1, "", 0.6), Box(0, 0.2, 1, 0.8, "", 0.6)])
-@pytest.mark.parametrize("roll", [0.0, 0.5])
-def test_a_box_all_around_names_no_direction_and_is_no_error(box, roll):
-    response = drawn([box], PatchGrid(7, 14), PatchGrid(9, 18), roll)
-    np.testing.assert_allclose(response, 0.6)
-    other = Box(0.4, 0.45, 0.5, 0.55)  # what does name one still counts
-    both = drawn([box, other], PatchGrid(7, 14), PatchGrid(9, 18), roll)
-    assert both.max() == drawn([other], PatchGrid(7, 14), PatchGrid(9, 18), roll).max() > 0.6
-
-
 @pytest.mark.parametrize("side", [1e-300, 1e-15, 1e-7])
 def test_boxes_of_no_size_to_speak_of_are_left_out(side):
     assert parse_boxes(f"[[0.5, 0.5, {0.5 + side!r}, 0.6]]", "unit", SIZE) == []
     assert parse_boxes(f"[[0.0, 0.0, {side!r}, {side!r}]]", "unit", SIZE) == []
 
 
-def test_no_box_is_a_look_that_saw_nothing():
-    assert not drawn([], PatchGrid(1, 2), PatchGrid(4, 8)).any()
-    best = drawn(
-        [Box(0.4, 0.4, 0.5, 0.5, "", 0.3), Box(0.4, 0.4, 0.5, 0.5, "", 0.8)], PatchGrid(1, 2), PatchGrid(36, 72)
-    )
-    assert 0.7 < best.max() <= 0.8
-
-
-# --- evidence tells where it comes from ------------------------------------------------------------------------------
-
-
-@given(st.sampled_from([Calibration(), Calibration(0.2, 0.1), Calibration.paper()]))
-def test_the_source_stays_with_the_evidence(calibration):
-    source = {"model": "m", "milliseconds": 12.5}
-    coverage = np.arange(8).reshape(2, 4) / 7
-    for mask in (None, coverage):
-        evidence = Evidence.from_response(np.eye(2, 4) / 2, PatchGrid(2, 4), stamp=1.0, coverage=mask, source=source)
-        assert evidence.source == source
-        assert evidence.with_calibration(calibration).source == source
-    assert Evidence.from_response(np.eye(2, 4), PatchGrid(2, 4)).source is None
-
-
-def test_errors_are_ours():
-    assert issubclass(AnswerError, EagorError)
-
-
 @pytest.mark.parametrize("size", [(28, 56), (56, 56), (90, 64), (33, 47)])
-def test_a_framed_picture_bends_nothing(size):
+def test_a_letterboxed_picture_bends_nothing(size):
     """Directions of the image's pixels stay where they are, whatever shape the model wants."""
     grid = PerspectiveGrid(270, 480, math.radians(100), world_R_body(0.4, -0.2))
     image = np.full((270, 480, 3), 40, dtype=np.uint8)
     image[60:100, 300:340] = 250
-    picture, posed, inner = framed(image, grid, size)
+    picture, posed, inner = letterbox(image, grid, size)
     assert picture.shape == (*size, 3)
     brightness = np.maximum(picture.max(axis=-1) - 60.0, 0)  # the border is not much brighter than the image's rest
     middle = unit(np.einsum("ij,ijk->k", brightness, posed.directions))
     wanted = unit(grid.directions[60:100, 300:340].reshape(-1, 3).mean(axis=0))
     assert angular_distance(middle, wanted) < posed.hfov / posed.width / 2
-    assert filled(size, size, inner).sum() == pytest.approx(inner[0] * inner[1])
-    assert filled((7, 9), size, inner).mean() == pytest.approx(inner[0] * inner[1] / (size[0] * size[1]))
+    assert letterbox_coverage(size, size, inner).sum() == pytest.approx(inner[0] * inner[1])
+    assert letterbox_coverage((7, 9), size, inner).mean() == pytest.approx(inner[0] * inner[1] / (size[0] * size[1]))

@@ -54,7 +54,7 @@ from eagor.odometry.axes import AXES, settled  # noqa: E402
 from eagor.odometry.files import interpolated, pair, read_poses, usable  # noqa: E402
 from eagor.perception.endpoint import EndpointPerception  # noqa: E402
 from eagor.perception.vlm.answers import parse_boxes, parse_presence  # noqa: E402
-from eagor.perception.vlm.projection import things  # noqa: E402
+from eagor.perception.vlm.projection import box_detections  # noqa: E402
 
 SECONDS, MEMORY = 5.0, 3 << 30  # of CPU for one input; bytes above what the samples take
 ODD = [b"0", b"-1", b"1", b"-0.0", b"0.5", b"360", b"1e308", b"-1e308", b"1e-320", b"1e400", b"nan", b"inf", b"-inf",
@@ -117,7 +117,7 @@ def answers(data, draw, folder):
     for frame, order in (("pixels", "xyxy"), ("thousand", "yxyx"), ("percent", "xyxy"), ("unit", "xyxy")):
         found = tried(parse_boxes, said, frame, size, order, tokens if draw.random() < 0.3 else None) or []
         assert all(0 <= b.x0 < b.x1 <= 1 and 0 <= b.y0 < b.y1 <= 1 and 0 <= b.score <= 1 for b in found), found
-        yield from ((each.direction, each.covariance) for each in things(found[:20], ErpGrid(*size)))
+        yield from ((each.direction, each.covariance) for each in box_detections(found[:20], ErpGrid(*size)))
     yield 0.0 if (presence := tried(parse_presence, said, tokens)) is None else presence
     whole = {"choices": [{"message": {"content": said}, "finish_reason": "stop"}]}
     SERVER.sent = data if data.lstrip()[:1] == b"{" else json.dumps(whole).encode()
@@ -331,6 +331,6 @@ class Serving(ContractServer):
 if __name__ == "__main__":
     with Serving(lambda request: "[]") as SERVER:
         about = {"retries": 0, "seam": False, "pixels": 112 * 112, "frame": "pixels", "cell": 28, "backoff": 0.001}
-        ASKING = [EndpointPerception("qwen", (SERVER.url,), **about, **more) for more in (
+        ASKING = [EndpointPerception("qwen", SERVER.url, **about, **more) for more in (
             {}, {"extractor": "views"}, {"extractor": "views", "per_view": "boxes"})]  # fmt: skip
         sys.exit(main())

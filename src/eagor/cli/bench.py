@@ -43,10 +43,7 @@ class BenchRun(Common):
     agent: Annotated[str | None, bare("NAME")] = None
     """Benchmarks: the agent (default: eagor)."""
     model: Annotated[str | None, bare("MODEL")] = None
-    (
-        "Benchmarks: the model of the agent vlm: FOLDER or hub name on this machine, or MODEL@ADDRESS on a server; "
-        "options after ?."
-    )
+    """Benchmarks: the model of the agent vlm: MODEL@ADDRESS on a server; options after ?."""
     limit: Annotated[int | None, bare("N")] = None
     """Benchmarks: only the first N cases."""
     shard: Annotated[str | None, bare("I/N")] = None

@@ -223,8 +223,8 @@ def heads(options: Calibrate) -> int:
         )
     count = options.episodes if options.labels is None else len(labelled_lines(options.labels))
     perception: Any = load(name)
-    if "attention" not in perception.family.extractors:
-        raise terminal.UsageError(f"{perception.family.title} has no attention heads; wanted a language model")
+    if not hasattr(perception, "find_heads"):
+        raise terminal.UsageError(f"{name} is a detector and has no attention heads; wanted a language model")
     if options.labels is None:
         from eagor.lab.eval.labelled_looks import apartment_labels
 

@@ -44,34 +44,39 @@ class Heat:
     """A belief as heat.
 
     `rgba` ``(H, W, 4)`` uint8, a whole panorama; `border`: the polylines around the 90 % region, empty where it is not
-    drawn, and `missing` then says why.
+    drawn, and `missing` then says why. `share` ``(H, W)``: the root of the share of the highest density, 0 to 1;
+    `contrast`: 0 for a uniform belief, 1 for a sharp one.
     """
 
     rgba: np.ndarray
     border: tuple[np.ndarray, ...] = ()
     missing: str = ""
+    share: np.ndarray | None = None
+    contrast: float = 1.0
 
 
 @lru_cache(maxsize=1)  # a video and a page draw the same estimate one after the other
-def heat_of(belief: Estimate | Readable) -> Heat | None:
+def heat_of(belief: Estimate | Readable, rows: tuple[int, ...] = ROWS) -> Heat | None:
     """The density as heat with the border of its 90 % region; None for a uniform belief, and while nothing is known.
 
     The border is missing if the region is larger than half of the sphere or if ripples alone decide where it runs.
+    `rows`: of the map, multiples of 180; the first that are enough for the region.
     """
     if isinstance(belief, Estimate) and belief.direction is None:
         return None
     level, area = _region(belief)
-    grid = _cells(area)
+    grid = _cells(area, rows)
     log_density = _density(belief, grid, level)
     times = 4 * math.pi * np.exp(log_density)  # relative to the uniform density
     most = float(times.max())
     if most - float(times.min()) < FLAT:
         return None
     share = np.sqrt(np.clip((times - 1) * (1 / (most - 1)), 0, 1))
-    rgba = _colours(1 - 1 / most)[np.rint(255 * share).astype(np.uint8)]
+    contrast = 1 - 1 / most
+    rgba = _colours(contrast)[np.rint(255 * share).astype(np.uint8)]
     if why := undrawn(log_density, grid.weights, level, area):
-        return Heat(rgba, missing=f"{100 * MASS:.0f} % region not drawn: {why}")
-    return Heat(rgba, _contour(log_density, grid, level))
+        return Heat(rgba, (), f"{100 * MASS:.0f} % region not drawn: {why}", share, contrast)
+    return Heat(rgba, _contour(log_density, grid, level), "", share, contrast)
 
 
 def worth_an_arrow(estimate: Estimate) -> bool:
@@ -139,13 +144,13 @@ def _region(belief: Estimate | Readable) -> tuple[float, float]:
     return found.threshold, found.area
 
 
-def _cells(area: float) -> PatchGrid:
+def _cells(area: float, rows: tuple[int, ...]) -> PatchGrid:
     """Cells for the heat, fine enough for a region of this solid angle."""
-    rows = math.ceil(math.sqrt(CELLS * 2 * math.pi / max(area, 1e-9)))
-    return _grid(next((enough for enough in ROWS if enough >= rows), ROWS[-1]))
+    wanted = math.ceil(math.sqrt(CELLS * 2 * math.pi / max(area, 1e-9)))
+    return _grid(next((enough for enough in rows if enough >= wanted), rows[-1]))
 
 
-@lru_cache(maxsize=len(ROWS))
+@lru_cache(maxsize=3)
 def _grid(rows: int) -> PatchGrid:
     return PatchGrid(rows, 2 * rows)
 
@@ -162,6 +167,8 @@ def _density(belief: Estimate | Readable, grid: PatchGrid, level: float) -> np.n
         return np.asarray(belief.log_density(grid.directions), dtype=np.float32)
     coarse = _grid(COARSE)
     found = np.asarray(belief.log_density(coarse.directions), dtype=np.float32)
+    if grid.height == coarse.height:
+        return found
     near: Any = found > level - BELOW
     x, y, _ = coarse.project(np.array([belief.direction, *(mode.direction for mode in belief.modes)]))
     near[np.minimum(y.astype(int), coarse.height - 1), x.astype(int) % coarse.width] = True

@@ -31,17 +31,22 @@ T = TypeVar("T")
 
 
 def answers_in_turn(
-    frames: Iterable[PosedFrame], core: LiveCore, inference: Inference, take: Callable[[Event], list[Answer]]
+    frames: Iterable[PosedFrame],
+    core: LiveCore,
+    inference: Inference,
+    take: Callable[[Event], list[Answer]],
+    waits: bool = False,
 ) -> Iterator[Answer]:
     """An answer to each query at each frame. `take` gives events to the `core`, and returns its answers.
 
-    Raises `QueryError` for a query that the perception does not understand, `NoEvidenceError` if what comes for the
+    `waits`: a frame is answered before the next one is read. Raises `QueryError` for a query of the beginning that the
+    perception does not understand, `NoEvidenceError` if what comes for the
     first frame is no evidence, and what `frames` raise, after the answer at the frame before.
     """
     for failed in inference.start():
         raise EagorError(failed.text)
-    before, fed = -math.inf, -math.inf
-    for posed, after in _with_next(frames):
+    before, fed, asked = -math.inf, -math.inf, core.queries
+    for posed, after in ((each, None) for each in frames) if waits else _with_next(frames):
         frame, stamp, poses = posed.frame, posed.frame.stamp, posed.poses
         if posed.lost:
             take(PosesLost(stamp, f"{frame.name}: {LOST}"))
@@ -61,7 +66,7 @@ def answers_in_turn(
         looking = () if frame.problem or not posed.looked else core.queries
         for said in inference.look(frame.picture, looking, stamp, turn, frame.grid, frame.unseen) if looking else ():
             if isinstance(said, Failed):
-                if said.refused:
+                if said.refused and said.query in asked:
                     raise QueryError(said.text)
                 if said.malformed and first:
                     raise NoEvidenceError(said.text)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -37,13 +37,13 @@ from eagor.live.threads import (
 from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.media.camera_sources import open_source
 from eagor.media.odometry import poses_for
-from eagor.media.posed_frames import PosedFrames, prefetched
+from eagor.media.posed_frames import PosedFrame, PosedFrames, prefetched
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception import Perception, as_perception
 from eagor.perception.recordings import RecordedLooks
 from eagor.tracking import Around, TrackerConfig
 
-__all__ = ["Counts", "Loop", "Sink"]
+__all__ = ["LOADING", "Counts", "Loop", "Sink"]
 
 RATE = 20.0  # answers per second
 STALLED = 10.0  # seconds without a picture after which a stream is opened again
@@ -51,11 +51,13 @@ SLIPPED = 0.1  # seconds by which this machine's clock is set before it is worth
 LONGEST_LATE = 60.0  # seconds: evidence may come so late, if the perception has the patience
 ON_DEMAND = 0.2  # seconds between pictures while the perception is busy
 LEAVING = 5.0  # seconds that threads have to come back from a device
+LOADING = "the perception is being loaded"  # a fault until it is
 
 Source = str | CameraSource | Callable[[], CameraSource]
 Poses = str | PoseSource | Callable[[], PoseSource] | VisualOdometer | None
 
 
+@runtime_checkable
 class Sink(Protocol):
     """Sees all that comes into the loop and out of it, in the loop's thread: a recording, a viewer."""
 
@@ -89,7 +91,8 @@ class Loop:
 
     In turn, the perception looks at the pictures one after the other, `looks` in each second of the recording (None:
     all), and an answer comes for each of them. With `realtime`, and always with a source that is `live`, answers come
-    `rate` times a second, however slow the perception is, which looks at the newest picture.
+    `rate` times a second, however slow the perception is, which looks at the newest picture. A source that is a sink as
+    well hears the answers, such as a simulated body that follows them.
 
     - `source`: text for `eagor.open_source`, a source, or a function that opens one, which is called again when the
       camera is gone. It is closed at the end.
@@ -193,6 +196,8 @@ class Loop:
         if record is not None:
             self._recorder = Recorder(record, self._settings, partial(self._trouble, "recording"), pictures)
         self._sinks: list[Sink] = [*sinks, *([] if self._recorder is None else [self._recorder])]
+        if isinstance(self._camera, Sink):  # a simulated body follows the answers to its pictures
+            self._sinks.insert(0, self._camera)
         self._perception: PerceptionThread | None = None
         self._seer: VisualPosesThread | None = None
         # A source that keeps the newest picture itself makes it a panorama when asked: not more often than needed.
@@ -300,7 +305,7 @@ class Loop:
             next_tick += (missed + 1) / self.rate
 
     def _begin(self) -> None:
-        self._trouble("perception", "the perception is being loaded")
+        self._trouble("perception", LOADING)
         self._perception = PerceptionThread(
             self._inference,
             self.core.queries,
@@ -332,9 +337,10 @@ class Loop:
         frames = self._camera.posed if isinstance(self._camera, RecordedLooks) else self.frames
         assert frames is not None
         assert isinstance(self._inference, Inference)
-        ahead = prefetched(frames)
+        waits = getattr(self._camera, "waits", False)  # for what is said of its pictures: none is read ahead
+        ahead = self._drained(frames) if waits else prefetched(frames)
         try:
-            for answer in answers_in_turn(ahead, self.core, self._inference, self._taken):
+            for answer in answers_in_turn(ahead, self.core, self._inference, self._taken, waits):
                 self._drain()
                 if self._stopped.is_set():
                     return
@@ -342,6 +348,12 @@ class Loop:
         finally:
             ahead.close()
             self._drain()
+
+    def _drained(self, frames: Iterable[PosedFrame]) -> Generator[PosedFrame, None, None]:
+        """The same, after what was posted while each of them was waited for."""
+        for frame in frames:
+            self._drain()
+            yield frame
 
     def _drain(self) -> None:
         """Take in what has been posted, without waiting."""

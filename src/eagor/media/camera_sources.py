@@ -30,7 +30,7 @@ from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_inp
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "open_footage", "open_source"]
 
 GROUP = "eagor.cameras"
-BUILT_IN = {"ros": "eagor.robots.ros:RosCamera"}
+BUILT_IN = {"apartment": "eagor.lab.tasks.sim.walk:open_walk", "ros": "eagor.robots.ros:RosCamera"}
 SOURCES = (
     "a folder of pictures, a picture, a video file, a ROS 2 bag (BAG?topic=/image), /dev/video0 or v4l2:0 "
     "(?size=1920x960&rate=30&format=mjpeg), rtsp://..., rtmp://..., http://..., udp://..., ros:/image_topic, - "
@@ -80,7 +80,7 @@ def open_source(
         settings["camera"] = camera
     if kinds[0] == "plugin":
         name, _, rest = text.partition(":")
-        if stitched and name in BUILT_IN:
+        if stitched and name == "ros":
             settings["stitched"] = True
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
     streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]

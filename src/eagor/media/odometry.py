@@ -100,6 +100,8 @@ def open_poses(
     motion = source.motion if isinstance(source, Footage) else None
     if text == "auto" and motion is not None:
         return MotionPoses(motion)
+    if text == "auto" and (own := getattr(source, "poses", None)) is not None:  # a simulated body knows its own
+        return own
     if text in BY_SIGHT:
         need("the rotation from pictures", "photos", "cv2")
         from eagor.odometry.visual import VisualOdometer

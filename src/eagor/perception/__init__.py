@@ -144,9 +144,9 @@ def load(spec: str, **options: Any) -> Perception:
     if name not in choices:
         model, _, written = str(spec).partition("?")
         if _names_a_model(model):
-            from eagor.perception.transformers import TransformersPerception
+            from eagor.perception.transformers import perception_here
 
-            return local_model(TransformersPerception, model, parse_options(written) | options)
+            return local_model(perception_here, model, parse_options(written) | options)
         raise QueryError(
             f"there is no perception {name!r}; known are {', '.join(sorted(choices))}, folders with a model, and hub "
             "names such as Qwen/Qwen2.5-VL-7B-Instruct. A model on a server is endpoint:MODEL@ADDRESS"
@@ -229,6 +229,14 @@ def is_model(spec: str) -> bool:
     return _names_a_model(str(spec).partition("?")[0])
 
 
+def place_of(text: str) -> tuple[str, str]:
+    """Model and address of a server in ``MODEL@ADDRESS``; empty where missing."""
+    if first := re.search(r"https?://", text):  # a password in an address may hold another @
+        return text[: first.start()].removesuffix("@"), text[first.start() :]
+    model, at, address = text.rpartition("@")
+    return (model, address) if at else (text, "")
+
+
 def _in_a_file(spec: str) -> bool:
     """Whether it is a function in a file of Python."""
     return str(spec).rpartition(":")[0].endswith(".py")
@@ -238,8 +246,6 @@ def short_name(spec: str) -> str:
     """A short form of `spec` for file names, not unique: ``scout``, ``endpoint-qwen2.5vl-7b``."""
     name, _, text = str(spec).partition(":")
     if name == "endpoint":
-        from eagor.perception.endpoint.addresses import place_of
-
         model, _ = place_of(text.partition("?")[0])
         name = f"endpoint-{model.rstrip('/').rpartition('/')[2]}" if model else name
     elif name == "onnx":
@@ -285,20 +291,13 @@ def _names_a_model(text: str) -> bool:
 def local_model(make: Callable[..., Any], name: str, options: dict[str, Any]) -> Any:
     """The result of `make` for the model with this hub name or in this folder, with options by name.
 
-    Raises `EagorError` for a folder without a model, or options that `make` does not take.
+    Raises `EagorError` for a folder without a model.
     """
     folder = os.path.expanduser(name)  # leaves the name as it is if there is no such user
     if os.path.isdir(folder) and not os.path.isfile(os.path.join(folder, "config.json")):
         raise EagorError(f"the folder {name!r} has no config.json; wanted one that holds a model")
     if not os.path.isdir(folder) and name.startswith((".", "~", "/")):
         raise EagorError(f"there is no folder {name!r}; wanted one that holds a model, or a hub name")
-    try:
-        inspect.signature(make).bind(name, **options)
-    except TypeError as error:
-        raise EagorError(
-            f"the model {name!r} cannot be taken with the options {sorted(options)}: {error}. It takes "
-            f"{', '.join([*inspect.signature(make).parameters][1:])}"
-        ) from error
     return make(str(Path(folder)) if os.path.isdir(folder) else name, **options)
 
 

@@ -1,15 +1,12 @@
 """Messages between the server and a page.
 
-To the page: a header in JSON, and blobs (pictures, coefficients) after it, in one binary frame. A frame is the length
-of the header (uint32, little-endian), the header in UTF-8, and the blobs back to back, as the header's ``blobs`` lists
-them: name, type and bytes of each.
-
-From the page: JSON objects, checked field by field, because the browser is not trusted.
+To the page: a header in JSON, and blobs (pictures) after it, in one binary frame. A frame is the length of the header
+(uint32, little-endian), the header in UTF-8, and the blobs back to back, as the header's ``blobs`` lists them: name and
+bytes of each. From the page: JSON objects, checked field by field, because the browser is not trusted.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import struct
@@ -17,24 +14,18 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 import msgspec
-import numpy as np
 from msgspec import Meta, Struct
-from PIL import Image
 
-from eagor._checks import parsed, shown
 from eagor.errors import EagorError
+from eagor.media.intrinsics import Camera
 
-__all__ = ["LATE", "LONGEST", "SEED", "Blob", "Message", "PageError", "jpeg", "merged", "packed", "read", "rounded"]
+__all__ = [
+    "LONGEST", "Ask", "Drive", "FromPage", "Message", "Open", "Opening", "PageError", "Pause", "Restart", "merged",
+    "packed", "read", "rounded",
+]  # fmt: skip
 
-CARRIED = ("panorama", "belief", "evidence", "things")  # parts that stay wanted until they have been sent
-
-
-@dataclass(frozen=True)
-class Blob:
-    """Bytes of a media type, such as image/jpeg, or float32 (little-endian)."""
-
-    type: str
-    content: bytes
+CARRIED = ("panorama", "belief", "evidence")  # parts that stay wanted until they have been sent
+LONGEST = 16_384  # bytes of a message of a page
 
 
 @dataclass(frozen=True)
@@ -42,31 +33,40 @@ class Message:
     """A `header` with a "type", and `blobs` by name."""
 
     header: dict[str, Any]
-    blobs: dict[str, Blob] = field(default_factory=dict)
+    blobs: dict[str, bytes] = field(default_factory=dict)
+
+    @classmethod
+    def problem(cls, problem: str, change: str = "", fatal: bool = False, question: int = 0, **more: Any) -> Message:
+        """What is wrong, and what to do; `question`: the number of one that is refused."""
+        words = problem[:1].upper() + problem[1:]
+        told = {"problem": words if words.endswith(".") else f"{words}.", "change": change, "fatal": fatal}
+        return cls({"type": "problem", **told, "question": question, **more})
+
+    @classmethod
+    def status(cls, words: str) -> Message:
+        """What is going on."""
+        return cls({"type": "status", "words": words})
 
 
 def packed(message: Message) -> bytes:
     """The message as one binary frame. Raises `ValueError` for numbers that JSON does not have."""
-    listed = [{"name": name, "type": b.type, "bytes": len(b.content)} for name, b in message.blobs.items()]
+    listed = [{"name": name, "bytes": len(blob)} for name, blob in message.blobs.items()]
     text = json.dumps(message.header | {"blobs": listed}, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     head = text.encode()
-    return b"".join([struct.pack("<I", len(head)), head, *(blob.content for blob in message.blobs.values())])
+    return b"".join([struct.pack("<I", len(head)), head, *message.blobs.values()])
 
 
 def merged(unsent: Message | None, newer: Message) -> Message:
-    """The `newer` step, with what an `unsent` one before it had and it has not: pictures and beliefs.
+    """The `newer` step, with the pictures and beliefs of an `unsent` one before it that it does not have itself.
 
-    So a client that is slow misses steps, but never the newest picture or belief.
+    So a page that is slow misses steps, but never the newest picture or belief.
     """
     if unsent is None:
         return newer
-    header, blobs = dict(newer.header), dict(newer.blobs)
-    for name in CARRIED:
-        if name in unsent.header and name not in header:
-            header[name] = unsent.header[name]
-            if name in unsent.blobs:
-                blobs[name] = unsent.blobs[name]
-    return Message(header, blobs)
+    kept = [name for name in CARRIED if name in unsent.header and name not in newer.header]
+    header = {name: unsent.header[name] for name in kept}
+    blobs = {name: unsent.blobs[name] for name in kept if name in unsent.blobs}
+    return Message(newer.header | header, newer.blobs | blobs)
 
 
 def rounded(value: Any, digits: int = 5) -> Any:
@@ -82,32 +82,26 @@ def rounded(value: Any, digits: int = 5) -> Any:
     return value
 
 
-QUALITY = 80
+@dataclass(frozen=True)
+class Opening:
+    """What a stream shows: a `source`, its `poses`, `rig` and `camera` as of `eagor.open_source`; what looks for what.
 
+    `title`: what a person calls the source. `question`: the number of the query, which answers carry.
+    """
 
-def jpeg(panorama: np.ndarray) -> bytes:
-    """A picture ``(H, W, 3)`` uint8 as JPEG."""
-    buffer = io.BytesIO()
-    Image.fromarray(panorama).save(buffer, "JPEG", quality=QUALITY)
-    return buffer.getvalue()
+    source: str
+    title: str
+    query: str
+    perception: str
+    question: int = 0
+    poses: str = "auto"
+    rig: str | None = None
+    camera: Camera = field(default_factory=Camera)
 
-
-def webp(picture: np.ndarray) -> bytes:
-    """A picture ``(H, W, 3)`` uint8 as WebP, for what is kept: half the bytes of JPEG, and more time."""
-    buffer = io.BytesIO()
-    Image.fromarray(picture).save(buffer, "WEBP", quality=QUALITY)
-    return buffer.getvalue()
-
-
-def media_type(picture: bytes) -> str:
-    """The media type of a picture by `jpeg` or `webp`."""
-    return "image/webp" if picture.startswith(b"RIFF") else "image/jpeg"
-
-
-LONGEST = 16_384  # bytes of a message
-LATE = 0.5  # seconds that a body moves at once at most: what was held up makes no leap
-NO_CONTROL = r"^[^\x00-\x1f]*\Z"  # a text of one line
-SEED = 11  # the apartment of the first walk: see `eagor.studio.houses.TOUR`
+    @property
+    def simulated(self) -> bool:
+        """Whether it is a walk through a built-in apartment."""
+        return self.source.startswith("apartment:")
 
 
 class PageError(EagorError):
@@ -120,12 +114,11 @@ class PageError(EagorError):
 
 # --- what a page may say -------------------------------------------------------------------------------------------
 
-Name = Annotated[str, Meta(max_length=64, pattern=NO_CONTROL)]
-Query = Annotated[str, Meta(max_length=200, pattern=NO_CONTROL)]
-Seed = Annotated[int, Meta(ge=0, le=9999)]
-Methods = Annotated[list[Name], Meta(max_length=16)]
+_LINE = r"^[^\x00-\x1f]*\Z"  # a text of one line
+Name = Annotated[str, Meta(max_length=64, pattern=_LINE)]
+Query = Annotated[str, Meta(max_length=200, pattern=_LINE)]
 Number = Annotated[int, Meta(ge=0, le=1 << 53)]  # of a question: the page gives it, and answers carry it
-Angle = Annotated[float, Meta(ge=-100, le=100)]  # radians, or radians per second
+Driver = Literal["tour", "policy", "person"]
 
 
 class FromPage(Struct, tag_field="type", tag=str.lower):
@@ -133,23 +126,20 @@ class FromPage(Struct, tag_field="type", tag=str.lower):
 
 
 class Open(FromPage):
-    """Show a view."""
+    """Show a source: ``apartment:7``, ``upload:ID``, or ``live``, the one that the server was started with."""
 
-    view: Literal["walk", "picture", "live"]
+    source: Name
     query: Query = ""
     perception: Name = ""
-    seed: Seed | None = None
-    drive: Literal["policy", "person", "tour"] = "policy"
-    id: Name = ""
+    drive: Driver | Literal[""] = ""
     hfov: Annotated[float, Meta(ge=2, le=150)] | None = None  # degrees, of an ordinary camera's picture
-    methods: Methods = []
     question: Number = 0
 
 
-class Ask(FromPage, tag="query"):
+class Ask(FromPage):
     """Look for something else, or with another perception (empty: with the same)."""
 
-    text: Query
+    query: Query
     perception: Name = ""
     question: Number = 0
 
@@ -157,18 +147,10 @@ class Ask(FromPage, tag="query"):
 class Drive(FromPage):
     """Who moves the body, and how the person has moved it: metres and radians per second, for so many seconds."""
 
-    by: Literal["policy", "person"] = "person"
+    by: Driver = "person"
     forward: Annotated[float, Meta(ge=-10, le=10)] = 0.0
-    turn: Angle = 0.0
-    seconds: Annotated[float, Meta(ge=0, le=LATE)] = 0.0
-
-
-class Camera(FromPage):
-    """Where the camera points in a photograph."""
-
-    yaw: Angle = 0.0
-    pitch: Angle = 0.0
-    roll: Angle = 0.0
+    turn: Annotated[float, Meta(ge=-100, le=100)] = 0.0
+    seconds: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
 
 
 class Pause(FromPage):
@@ -177,56 +159,18 @@ class Pause(FromPage):
     on: bool
 
 
-class Seek(FromPage):
-    """Go to a frame of a video."""
-
-    frame: Annotated[int, Meta(ge=0, le=10**9)]
-
-
-class Degree(FromPage):
-    """Believe with harmonics of this degree."""
-
-    L: Annotated[int, Meta(ge=1, le=31)]
-
-
-class Compare(FromPage, tag="methods"):
-    """Run these methods beside ours."""
-
-    names: Methods
-
-
 class Restart(FromPage):
     """Begin again."""
 
 
-_KINDS = {
-    str(kind.__struct_config__.tag): kind for kind in (Open, Ask, Drive, Camera, Pause, Seek, Degree, Compare, Restart)
-}
-
-
-def read(text: str | bytes) -> dict[str, Any]:
-    """The message in `text`, with every field that its type has. Raises `PageError`, which says what was wanted."""
-    if len(text) > LONGEST:
-        raise PageError(f"A message of {len(text)} bytes came; at most {LONGEST} were wanted.", "Send less.", 413)
+def read(text: str | bytes) -> Open | Ask | Drive | Pause | Restart:
+    """The message in `text`. Raises `PageError`, which says what was wanted."""
     try:
-        found = parsed(text, strict=True)
-    except ValueError as error:
-        raise PageError(f"A message came that is no JSON ({error}).", "Send one JSON object per message.") from None
-    name = found.get("type") if isinstance(found, dict) else None
-    if not isinstance(name, str) or name not in _KINDS:
-        raise PageError(f"A message of the type {shown(name)} came; known are {', '.join(_KINDS)}.", "Reload the page.")
-    try:
-        told = msgspec.convert({key: each for key, each in found.items() if each is not None}, _KINDS[name])
-    except (msgspec.ValidationError, OverflowError) as error:
-        raise PageError(f"In a message {name!r} something is wrong: {error}.", "Reload the page.") from None
-    message = {key: _tidy(each) for key, each in msgspec.to_builtins(told).items()}
-    if name == "query" and not any(each.isalnum() for each in message["text"]):
+        found = msgspec.json.decode(text, type=Open | Ask | Drive | Pause | Restart)
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
+        raise PageError(f"A message came that makes no sense: {error}.", "Reload the page.") from None
+    if isinstance(found, Ask) and not any(each.isalnum() for each in found.query):
         raise PageError("The query has no words.", "Say what to look for, such as 'red chair'.")
-    return message
-
-
-def _tidy(value: Any) -> Any:
-    """Texts with one space between words."""
-    if isinstance(value, list):
-        return [_tidy(each) for each in value]
-    return " ".join(value.split()) if isinstance(value, str) else value
+    if isinstance(found, Open | Ask):
+        return msgspec.structs.replace(found, query=" ".join(found.query.split()))
+    return found

@@ -1,138 +1,168 @@
-"""The web server of the studio: pages, JSON about runs and pictures, and a socket per page for what is live.
+"""The web server of the studio: the page, JSON about runs and pictures, and a socket per page for what is live.
 
-Nothing is computed here. Sessions run in the engine's process, episodes are drawn again in a worker's; this process
-passes bytes on. A page that reads slowly has a slot of its own with the newest step (`eagor.studio.hub.Slot`), so it
-delays nobody.
+Only its own page may speak to it, from this machine, or whoever has the token. Nothing is computed here: a page that
+reads slowly keeps the newest step alone (`eagor.studio.sessions.Page`), so it delays nobody.
 """
 
 from __future__ import annotations
 
 import asyncio
+import hmac
 import threading
 import webbrowser
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from dataclasses import asdict
 from importlib.resources import files
+from ipaddress import ip_address
 from pathlib import Path
 from socket import SO_SNDBUF, SOL_SOCKET, socket
 from typing import Any
-from urllib.parse import quote, unquote
+from urllib.parse import parse_qs, unquote, urlsplit
 
 import uvicorn
 from starlette.applications import Starlette
-from starlette.exceptions import HTTPException
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from eagor.studio.guard import Guard
-from eagor.studio.hub import Page, Settings, Studio
-from eagor.studio.messages import LONGEST, Message, PageError, media_type, packed, read
+from eagor.studio.answers import media_type
+from eagor.studio.messages import LONGEST, Message, Open, PageError, packed, read
+from eagor.studio.sessions import Page, SessionManager, Settings
 
-__all__ = ["Punctual", "configured", "create_app", "serve"]
+__all__ = ["Auth", "create_app", "is_loopback", "serve"]
 
 PAGES = 64  # open at a time
-RUBBISH = 10  # messages that make no sense, after which a page is sent away
-TOO_MANY, TOO_WRONG = 4429, 4400  # codes with which a socket is closed
+TOO_MANY, FOREIGN = 4429, 4403  # codes with which a socket is closed
+STATIC = Path(str(files("eagor.studio") / "static"))
+POLICY = (
+    "default-src 'self'; img-src 'self' blob: data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+LEAVING = 2  # seconds that pages have to go
+NEWEST = 1 << 16  # bytes that wait in the network for a page that reads slowly: about a panorama, else it sees the past
+OPENING = 0.5  # seconds until the browser is told: the server needs a moment
 
 
-def create_app(studio: Studio) -> Starlette:
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach what is bound to `host`."""
+    with suppress(ValueError):
+        return ip_address(host).is_loopback
+    return host == "localhost"
+
+
+class Auth:
+    """ASGI middleware: refuses who may not speak here, and sets the headers that keep a page to itself.
+
+    `host` that is bound; `token` that is wanted in the query of all but the page itself (None: none). Without one, only
+    names of this machine are answered to: a foreign name for 127.0.0.1 is another site's way in (DNS rebinding).
+    """
+
+    def __init__(self, app: ASGIApp, host: str, token: str | None) -> None:
+        self.app, self.host, self.token = app, host, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        why = None if scope["type"] == "lifespan" else self.refusal(scope)
+
+        async def dressed(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(HEADERS)
+            await send(message)
+
+        if why is None:
+            await self.app(scope, receive, dressed)
+        elif scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": FOREIGN, "reason": why[1]})
+        else:
+            await JSONResponse({"problem": why[1], "change": why[2]}, why[0])(scope, receive, dressed)
+
+    def refusal(self, scope: Scope) -> tuple[int, str, str] | None:
+        """Why a request is refused: a status, the problem, and what to change; None: it is not."""
+        headers = Headers(scope=scope)
+        host, origin = headers.get("host", ""), headers.get("origin")
+        name = urlsplit(f"//{host}").hostname or ""
+        if self.token is None and name != self.host and not is_loopback(name):
+            return 421, "This server has another name.", f"Open it as {self.host}."
+        if origin is not None and urlsplit(origin).netloc != host:
+            return 403, "The request comes from another site's page.", "Open the studio's own page."
+        if self.token is not None and scope["path"].startswith(("/api", "/ws")):
+            given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])
+            if not hmac.compare_digest(given[0].encode(), self.token.encode()):
+                return 401, "The token is missing or wrong.", "Open the address that eagor studio printed."
+        return None
+
+
+def create_app(manager: SessionManager) -> Starlette:
     """The ASGI application. Its processes run from its start to its end."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        studio.start()
+        manager.start()
         try:
             yield
         finally:
-            await asyncio.to_thread(studio.close)
+            await asyncio.to_thread(manager.close)
+
+    async def index(_: Request) -> Response:
+        if not (STATIC / "index.html").is_file():
+            raise PageError("The page has not been built in this clone.", "Run make page (it needs Node).", 503)
+        return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
     async def state(_: Request) -> Response:
-        return JSONResponse(studio.state())
+        return JSONResponse(manager.state())
 
     async def runs(_: Request) -> Response:
-        folder = str(studio.settings.runs)
-        return JSONResponse({"folder": folder, "runs": await studio.library.listed()})
+        return JSONResponse({"folder": str(manager.settings.runs), "runs": await manager.runs.ask("listed")})
 
     async def run(request: Request) -> Response:
-        name = request.path_params["name"]
-        return JSONResponse({"name": name, **await studio.library.opened(name)})
+        return JSONResponse(await manager.runs.ask("opened", request.path_params["name"]))
 
     async def episode(request: Request) -> Response:
-        name, key = request.path_params["name"], request.path_params["key"]
-        found = await studio.library.episode(name, key)
-        if isinstance(found, int):
-            return JSONResponse({"progress": found}, 202)
-        here = f"/api/runs/{quote(name, safe='')}/episodes/{quote(key, safe='')}/panorama"
-        return JSONResponse(found.as_json(lambda number: f"{here}/{number}"))
+        return JSONResponse(await manager.runs.ask("episode", *request.path_params.values()))
 
     async def panorama(request: Request) -> Response:
-        name, key, number = (request.path_params[each] for each in ("name", "key", "number"))
-        found = await studio.library.episode(name, key)
-        if isinstance(found, int) or number not in found.pictures:
-            raise PageError(f"Step {number} has no picture here.", "Open the episode again.", 404)
-        picture = found.pictures[number]
+        picture = await manager.runs.ask("picture", *request.path_params.values())
         return Response(picture, media_type=media_type(picture), headers={"Cache-Control": "max-age=3600"})
 
     async def pictures(request: Request) -> Response:
-        declared = request.headers.get("content-length", "")
-        name = unquote(request.headers.get("x-name", ""))
-        try:
-            path = await studio.uploads.receive(int(declared) if declared.isdecimal() else None, request.stream())
-        except ClientDisconnect:
-            return Response(status_code=400)  # nobody reads it
-        found = await asyncio.to_thread(studio.uploads.keep, path, name)
-        return JSONResponse(found.as_json(), 201)
+        declared, name = request.headers.get("content-length", ""), unquote(request.headers.get("x-name", ""))
+        size = int(declared) if declared.isdecimal() else 0
+        with suppress(ClientDisconnect):  # nobody reads the answer
+            return JSONResponse(asdict(await manager.uploads.receive(size, request.stream(), name)), 201)
+        return Response(status_code=400)
 
     async def socket(web: WebSocket) -> None:
-        await serve_page(studio, web)
+        await _serve_page(manager, web)
 
-    routes = [
-        Route("/", index),
-        Route("/api/state", state),
-        Route("/api/runs", runs),
-        Route("/api/runs/{name}", run),
-        Route("/api/runs/{name}/episodes/{key}", episode),
-        Route("/api/runs/{name}/episodes/{key}/panorama/{number:int}", panorama),
-        Route("/api/pictures", pictures, methods=["POST"]),
-        WebSocketRoute("/ws", socket),
-        Mount("/assets", _Assets(directory=str(assets() / "assets"), check_dir=False)),
-    ]
-    handlers: dict[Any, Any] = {PageError: _refused, 404: _missing, 405: _missing, 500: _broken}
     return Starlette(
-        routes=routes,
+        routes=[
+            Route("/", index),
+            Route("/api/state", state),
+            Route("/api/runs", runs),
+            Route("/api/runs/{name}", run),
+            Route("/api/runs/{name}/episodes/{key}", episode),
+            Route("/api/runs/{name}/episodes/{key}/panorama/{number:int}", panorama),
+            Route("/api/pictures", pictures, methods=["POST"]),
+            WebSocketRoute("/ws", socket),
+            Mount("/assets", StaticFiles(directory=STATIC / "assets", check_dir=False)),
+        ],
         lifespan=lifespan,
-        middleware=[Middleware(Guard, gate=studio.settings.gate)],
-        exception_handlers=handlers,
+        middleware=[Middleware(Auth, host=manager.settings.host, token=manager.settings.token)],
+        exception_handlers={PageError: _refused, 404: _failed, 405: _failed, 500: _failed},
     )
-
-
-class _Assets(StaticFiles):
-    """The built files; none, while the page has not been built."""
-
-    async def check_config(self) -> None:
-        if not (assets() / "assets").is_dir():
-            raise HTTPException(404)
-        await super().check_config()
-
-
-def assets() -> Path:
-    """The folder of the built page."""
-    return Path(str(files("eagor.studio") / "static"))
-
-
-async def index(_: Request) -> Response:
-    """The page."""
-    page = assets() / "index.html"
-    if not page.is_file():
-        raise PageError(
-            "The page has not been built in this clone.", "Run make page there (it needs Node), then reload.", 503
-        )
-    return FileResponse(page, headers={"Cache-Control": "no-cache"})
 
 
 async def _refused(_: Request, error: Exception) -> Response:
@@ -140,30 +170,27 @@ async def _refused(_: Request, error: Exception) -> Response:
     return JSONResponse({"problem": error.problem, "change": error.change}, error.status)
 
 
-async def _missing(request: Request, error: Exception) -> Response:
-    said = {"problem": f"There is nothing at {request.url.path[:200]}.", "change": "Open the page at /."}
-    return JSONResponse(said, getattr(error, "status_code", 404))
+async def _failed(request: Request, error: Exception) -> Response:
+    status = getattr(error, "status_code", 500)
+    problem = f"There is nothing at {request.url.path[:200]}." if status < 500 else "The server has failed."
+    return JSONResponse({"problem": problem, "change": "Open the page at /; the server's terminal says more."}, status)
 
 
-async def _broken(_: Request, error: Exception) -> Response:
-    said = {"problem": f"The server has failed ({type(error).__name__}).", "change": "Its terminal says more."}
-    return JSONResponse(said, 500)
-
-
-async def serve_page(studio: Studio, web: WebSocket) -> None:
+async def _serve_page(manager: SessionManager, web: WebSocket) -> None:
     """One page, until it goes: what it says is checked and passed on, what is for it is sent as fast as it reads."""
     await web.accept()
-    if studio.open >= PAGES:
+    if manager.pages >= PAGES:
         await web.close(TOO_MANY, f"{PAGES} pages are open already; close one of them")
         return
-    studio.open += 1
+    manager.pages += 1
     page = Page()
     sending = asyncio.create_task(_send(page, web))
     try:
-        await _listen(studio, page, web)
+        while (received := await web.receive())["type"] != "websocket.disconnect":
+            _hear(manager, page, received.get("text") or received.get("bytes") or "")
     finally:
-        studio.open -= 1
-        studio.hide(page)
+        manager.pages -= 1
+        manager.leave(page)
         sending.cancel()
         with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError, OSError):
             await sending
@@ -172,80 +199,17 @@ async def serve_page(studio: Studio, web: WebSocket) -> None:
 async def _send(page: Page, web: WebSocket) -> None:
     with suppress(WebSocketDisconnect, RuntimeError):
         while True:
-            await web.send_bytes(packed(await page.slot.get()))
+            await web.send_bytes(packed(await page.get()))
 
 
-async def _listen(studio: Studio, page: Page, web: WebSocket) -> None:
-    while True:
-        received = await web.receive()
-        if received["type"] == "websocket.disconnect":
-            return
-        text, message = received.get("text"), {}
-        try:
-            if text is None:
-                raise PageError("A message of bytes came; text was wanted.", "Reload the page.")
-            message = read(text)
-            if not page.may_speak():
-                continue
-            if message["type"] == "open":
-                studio.show(page, message)
-            else:
-                studio.tell(page, message)
-        except PageError as error:
-            page.rubbish += 1
-            words = {"problem": error.problem, "change": error.change, "fatal": False,
-                     "question": message.get("question", 0)}  # fmt: skip
-            page.slot.put(Message({"type": "problem", **words}))
-            if page.rubbish >= RUBBISH:
-                await web.close(TOO_WRONG, "too many messages that make no sense")
-                return
-
-
-LEAVING = 2  # seconds that pages have to go
-NEWEST = 1 << 16  # bytes that wait in the network for a page that reads slowly: about a panorama, else it sees the past
-PATIENCE = 15.0  # seconds that a request's head may take from its first byte on
-OPENING = 0.5  # seconds until the browser is told: the server needs a moment
-
-
-class Punctual(H11Protocol):
-    """HTTP as uvicorn speaks it, that lets go whoever begins a request and does not finish its head in `PATIENCE`.
-
-    Nothing else would: what waits for the rest of a head has no other deadline.
-    """
-
-    _late: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """A client that says nothing at all has as long."""
-        super().connection_made(transport)
-        self._late = self.loop.call_later(PATIENCE, transport.close)
-
-    def data_received(self, data: bytes) -> None:
-        """The clock runs while no request is whole; it stands still while one is answered."""
-        super().data_received(data)
-        answering = self.cycle is not None and not self.cycle.response_complete
-        if answering or self.transport.get_protocol() is not self:  # it has become a WebSocket
-            self._in_time()
-        elif self._late is None:
-            self._late = self.loop.call_later(PATIENCE, self.transport.close)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """The client has gone."""
-        self._in_time()
-        super().connection_lost(exc)
-
-    def _in_time(self) -> None:
-        if self._late is not None:
-            self._late.cancel()
-            self._late = None
-
-
-def configured(app: Any, **further: Any) -> uvicorn.Config:
-    """How the server runs `app`."""
-    return uvicorn.Config(
-        app, log_level="warning", http=Punctual, ws="websockets-sansio", ws_max_size=LONGEST,
-        ws_per_message_deflate=False, timeout_graceful_shutdown=LEAVING, server_header=False, **further,
-    )  # fmt: skip
+def _hear(manager: SessionManager, page: Page, text: str | bytes) -> None:
+    message: Any = None
+    try:
+        message = read(text)
+        (manager.open if isinstance(message, Open) else manager.tell)(page, message)
+    except PageError as error:
+        question = getattr(message, "question", 0)
+        page.put(Message.problem(error.problem, error.change, question=question))
 
 
 def serve(settings: Settings, taken: socket, opens: str | None = None) -> None:
@@ -253,4 +217,8 @@ def serve(settings: Settings, taken: socket, opens: str | None = None) -> None:
     taken.setsockopt(SOL_SOCKET, SO_SNDBUF, NEWEST)  # connections have it from the socket that accepts them
     if opens is not None:
         threading.Timer(OPENING, webbrowser.open, [opens]).start()
-    uvicorn.Server(configured(create_app(Studio(settings)))).run(sockets=[taken])
+    config = uvicorn.Config(
+        create_app(SessionManager(settings)), log_level="warning", ws="websockets-sansio", ws_max_size=LONGEST,
+        ws_per_message_deflate=False, timeout_graceful_shutdown=LEAVING, server_header=False,
+    )  # fmt: skip
+    uvicorn.Server(config).run(sockets=[taken])

@@ -1,15 +1,14 @@
 /**
  * When to draw, and how finely: at most one drawing is under way; their times set the resolution of the next ones.
  *
- * What rests is drawn with all pixels, however long that takes. While things move, the resolution falls as far as it must.
- * A drawing costs something for itself and something for its pixels, and what each is worth depends on the machine. So
- * nothing is extrapolated: a scale is left when its own drawings are too slow, and the next finer one is tried again when
- * there is time to spare.
+ * What rests is drawn with all pixels, however long that takes. While things move, the resolution falls as far as it
+ * must. What a drawing costs for itself and for its pixels depends on the machine, so nothing is extrapolated: a scale is
+ * left when a drawing at it is too slow, and the next finer one is tried again when there is time to spare.
  */
 
 const AIM = 60; // milliseconds for a drawing while things move
 const SPARE = 0.7; // of them: a finer scale is tried below
-const REMEMBERED = 5; // drawings at each scale: one that the machine was too busy for says nothing
+const PATIENCE = 3; // drawings in a row that are too slow: one alone says that the machine was busy
 const FORGOTTEN = 4000; // milliseconds after which a scale that was too slow is tried again
 const REST = 350; // milliseconds without a movement
 const GIVEN_UP = 5000; // milliseconds after which a drawing counts as finished: its end may never be told
@@ -19,8 +18,8 @@ const SCALES = [0.25, 0.35, 0.5, 0.7, 1];
 /** The scale of drawings while things move, learnt from how long they took. */
 export class Scale {
   private at = SCALES.length - 1;
-  private readonly costs = SCALES.map((): number[] => []); // milliseconds of the newest drawings, by scale
-  private readonly when = SCALES.map(() => -Infinity);
+  private slow = 0; // drawings in a row
+  private left = -Infinity; // when a finer scale was too slow
 
   get current(): number {
     return SCALES[this.at];
@@ -28,23 +27,10 @@ export class Scale {
 
   /** A drawing at a scale took so many milliseconds; `now` in milliseconds, too. */
   learn(took: number, scale: number, now: number): void {
-    const which = SCALES.indexOf(scale);
-    this.costs[which] = [...this.costs[which], took].slice(-REMEMBERED);
-    this.when[which] = now;
-    const here = this.usual(this.at);
-    if (here === null) return;
-    if (here > AIM && this.at > 0) this.at--;
-    else if (here < SPARE * AIM && this.at < SCALES.length - 1) {
-      const finer = this.usual(this.at + 1);
-      const old = now - this.when[this.at + 1] > FORGOTTEN;
-      if (old) this.costs[this.at + 1] = [];
-      if (old || finer === null || finer < AIM) this.at++;
-    }
-  }
-
-  private usual(at: number): number | null {
-    const sorted = [...this.costs[at]].sort((a, b) => a - b);
-    return sorted[Math.floor(sorted.length / 2)] ?? null;
+    if (scale !== this.current) return;
+    this.slow = took > AIM ? this.slow + 1 : 0;
+    if (this.slow >= PATIENCE && this.at > 0) [this.at, this.slow, this.left] = [this.at - 1, 0, now];
+    else if (took < SPARE * AIM && this.at < SCALES.length - 1 && now - this.left > FORGOTTEN) this.at++;
   }
 }
 

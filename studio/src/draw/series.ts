@@ -1,6 +1,7 @@
 /** Quantities over time, one strip below the other, with a line at the step that is shown. */
 
-import { font, sheetOf, themed, type Sheet } from "./canvas";
+import type { Point } from "../math/projection";
+import { disc, polyline, sheetOf, themed, unit, write } from "./canvas";
 
 export interface Strip {
   name: string;
@@ -17,93 +18,53 @@ export interface Series {
   now: number; // index
 }
 
-/** The horizontal part of the canvas that the time takes, as shares of its width. */
-export function span(sheet: { width: number; rem: number }): [number, number] {
-  return [(78 * sheet.rem) / 16, sheet.width - (54 * sheet.rem) / 16];
+/** The horizontal part of a canvas of this width that the time takes. */
+export function span(width: number): [number, number] {
+  return [78 * unit(), width - 54 * unit()];
 }
 
-export function drawSeries(canvas: HTMLCanvasElement, series: Series): void {
+export function drawSeries(canvas: HTMLCanvasElement, { stamps, strips, now }: Series): void {
   const sheet = sheetOf(canvas);
-  if (!sheet || !series.strips.length) return;
-  const u = sheet.rem / 16;
-  const [left, right] = span(sheet);
-  const [first, last] = [series.stamps[0] ?? 0, series.stamps.at(-1) ?? 1];
+  if (!sheet || !strips.length) return;
+  const { context, width, height, u } = sheet;
+  const [left, right] = span(width);
+  const [first, last] = [stamps[0] ?? 0, stamps.at(-1) ?? 1];
   const x = (stamp: number) => left + ((stamp - first) / Math.max(last - first, 1e-6)) * (right - left);
-  const foot = 18 * u;
-  const high = (sheet.height - foot) / series.strips.length;
-  series.strips.forEach((strip, k) => drawStrip(sheet, strip, series, x, k * high + 5 * u, high - 10 * u, u));
-  const { context } = sheet;
-  context.font = font(sheet, 11);
-  context.fillStyle = themed("quiet");
-  context.textBaseline = "bottom";
-  context.textAlign = "left";
-  context.fillText("0 s", left, sheet.height);
-  context.textAlign = "right";
-  context.fillText(`${(last - first).toFixed(last - first < 10 ? 1 : 0)} s`, right, sheet.height);
-  if (series.stamps.length) {
-    const at = x(series.stamps[Math.min(series.now, series.stamps.length - 1)]);
-    context.beginPath();
-    context.moveTo(at, 0);
-    context.lineTo(at, sheet.height - foot);
-    context.strokeStyle = themed("ink");
-    context.lineWidth = 1.4 * u;
-    context.stroke();
-  }
+  const bottom = height - 18 * u;
+  const high = bottom / strips.length - 10 * u;
+  const shown = Math.min(now, stamps.length - 1);
+  strips.forEach((strip, k) => {
+    const top = (k * bottom) / strips.length + 5 * u;
+    const middle = top + high / 2;
+    const y = (value: number) => {
+      const share = (value - strip.low) / Math.max(strip.high - strip.low, 1e-9);
+      return top + high * (1 - Math.max(0, Math.min(1, share)));
+    };
+    context.fillStyle = themed("well");
+    context.fillRect(left, top, right - left, high);
+    write(context, strip.name, [left - 9 * u, middle], u, { size: 12, colour: themed("quiet"), align: "right" });
+    for (const points of runs(strip.values.map((value, i): Point | null => (value === null ? null : [x(stamps[i]), y(value)])))) {
+      if (stamps.length === 1) points.push([right, points[0][1]]); // one look at one picture: it stays as it is
+      const [colour, end] = [themed(strip.colour), points.at(-1)!];
+      polyline(context, [[points[0][0], top + high], ...points, [end[0], top + high]], { fill: colour, alpha: 0.18 });
+      polyline(context, points, { stroke: colour, width: 2 * u });
+      if (points.length === 1) disc(context, end, 2.5 * u, { fill: colour });
+    }
+    const value = strip.values[shown];
+    const text = value === null || value === undefined ? "–" : strip.format(value);
+    write(context, text, [right + 8 * u, middle], u, { size: 13, weight: 600, colour: themed("ink") });
+  });
+  const quiet = { size: 11, colour: themed("quiet") };
+  write(context, "0 s", [left, height - 7 * u], u, quiet);
+  write(context, `${(last - first).toFixed(last - first < 10 ? 1 : 0)} s`, [right, height - 7 * u], u, { ...quiet, align: "right" });
+  if (stamps.length) polyline(context, [[x(stamps[shown]), 0], [x(stamps[shown]), bottom]], { stroke: themed("ink"), width: 1.4 * u });
 }
 
-function drawStrip(
-  { context, width, rem }: Sheet, strip: Strip, series: Series, x: (stamp: number) => number, top: number, high: number, u: number,
-): void {
-  const [left, right] = span({ width, rem });
-  const y = (value: number) => top + high * (1 - (value - strip.low) / Math.max(strip.high - strip.low, 1e-9));
-  context.fillStyle = themed("well");
-  context.fillRect(left, top, right - left, high);
-  const sheet = { context, width, height: 0, rem };
-  context.font = font(sheet, 12);
-  context.fillStyle = themed("quiet");
-  context.textAlign = "right";
-  context.textBaseline = "middle";
-  context.fillText(strip.name, left - 9 * u, top + high / 2);
-  context.save();
-  context.beginPath();
-  context.rect(left, top - 2, right - left + 2, high + 4);
-  context.clip();
-  const colour = themed(strip.colour);
-  const runs: [number, number][][] = [];
-  let run: [number, number][] = [];
-  strip.values.forEach((value, i) => {
-    if (value === null) {
-      if (run.length) runs.push(run);
-      run = [];
-    } else run.push([x(series.stamps[i]), y(Math.max(strip.low, Math.min(strip.high, value)))]);
-  });
-  if (run.length) runs.push(run);
-  for (const points of runs) {
-    context.beginPath();
-    context.moveTo(points[0][0], top + high);
-    for (const [a, b] of points) context.lineTo(a, b);
-    context.lineTo(points.at(-1)![0], top + high);
-    context.closePath();
-    context.globalAlpha = 0.18;
-    context.fillStyle = colour;
-    context.fill();
-    context.globalAlpha = 1;
-    context.beginPath();
-    points.forEach(([a, b], i) => (i ? context.lineTo(a, b) : context.moveTo(a, b)));
-    context.strokeStyle = colour;
-    context.lineWidth = 2 * u;
-    context.lineJoin = "round";
-    context.stroke();
-    if (points.length === 1) {
-      context.beginPath();
-      context.arc(points[0][0], points[0][1], 2.5 * u, 0, 2 * Math.PI);
-      context.fill();
-    }
-  }
-  context.restore();
-  const value = strip.values[Math.min(series.now, strip.values.length - 1)];
-  context.textAlign = "left";
-  context.font = font(sheet, 13, 600);
-  context.fillStyle = themed("ink");
-  context.fillText(value === null || value === undefined ? "–" : strip.format(value), right + 8 * u, top + high / 2);
+/** The stretches without a gap. */
+function runs(points: (Point | null)[]): Point[][] {
+  const found: Point[][] = [[]];
+  for (const point of points)
+    if (point) found.at(-1)!.push(point);
+    else found.push([]);
+  return found.filter((run) => run.length > 0);
 }

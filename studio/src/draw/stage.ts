@@ -10,7 +10,7 @@ import { sheetOf } from "./canvas";
 import { Mosaic } from "./mosaic";
 import { drawMarks, type Marks } from "./marks";
 import { Pace } from "./pace";
-import { heatTexture, lookTexture, Sphere, type Camera } from "./sphere";
+import { Sphere, type Camera } from "./sphere";
 
 const FIELDS: readonly [number, number] = [0.35, 2.1];
 const STEEPEST = 1.5;
@@ -35,8 +35,7 @@ export class Stage {
   private mosaicOf = "";
   private mosaicUntil = 0; // stamp of the newest picture in it
   private drawnFrom: number[] = []; // where the camera was, and where one looked, when they moved last
-  private textures: object | null = null;
-  private drawnSent: number | null = null;
+  private textures: object | null = null; // what glows on the spheres
   private begun = 0;
 
   constructor(
@@ -45,11 +44,13 @@ export class Stage {
     flatly: [HTMLCanvasElement, HTMLCanvasElement],
   ) {
     const pair = ([canvas, overlay]: [HTMLCanvasElement, HTMLCanvasElement]): Pair => {
+      let sphere: Sphere | null = null;
       try {
-        return { canvas, overlay, sphere: new Sphere(canvas) };
+        sphere = new Sphere(canvas);
       } catch {
-        return { canvas, overlay, sphere: null };
+        // Without WebGL 2 the marks, the plots and the words are left.
       }
+      return { canvas, overlay, sphere };
     };
     [this.inside, this.flat] = [pair(inside), pair(flatly)];
     this.broken = !this.inside.sphere || !this.flat.sphere;
@@ -114,10 +115,6 @@ export class Stage {
   private seenFrom(which: "inside" | "flat"): Matrix {
     const shown = this.lens && which === "inside" ? this.store.panorama?.head.world_R_camera : null;
     return shown ?? this.world_R_body;
-  }
-
-  private get world_R_belief(): Matrix {
-    return this.store.world_R_belief ?? IDENTITY;
   }
 
   /** Azimuth in the body frame and the horizontal angle of what the view from inside shows. */
@@ -190,11 +187,6 @@ export class Stage {
     return apply(pose(this.store.look.yaw, this.store.look.pitch), this.projection("inside").unproject(at));
   }
 
-  /** The camera's yaw and pitch in the world with which `grabbed` (world) lies under the pointer. */
-  attitude(grabbed: Vector, at: Point): { yaw: number; pitch: number } {
-    return lookThatHolds(grabbed, this.under("inside", at), STEEPEST);
-  }
-
   drag(grabbed: Vector, at: Point): void {
     this.follows = false;
     const found = lookThatHolds(grabbed, this.projection("inside").unproject(at), STEEPEST);
@@ -215,7 +207,6 @@ export class Stage {
   private draw(scale: number): void {
     this.heat();
     this.begun = performance.now();
-    this.drawnSent = this.store.step?.sent ?? null;
     for (const which of ["inside", "flat"] as const) {
       const { sphere, canvas, overlay } = this[which];
       if (!overlay.clientWidth) continue;
@@ -224,38 +215,26 @@ export class Stage {
       if (canvas.width !== columns || canvas.height !== rows) [canvas.width, canvas.height] = [columns, rows];
       sphere?.draw(this.camera(which));
       const sheet = sheetOf(overlay);
-      if (sheet) drawMarks(sheet.context, this.projection(which), this.marks(which), sheet.rem);
+      if (sheet) drawMarks(sheet.context, this.projection(which), this.marks(which), sheet.u);
     }
-    this.store.stats.drawn++;
   }
 
   /** Milliseconds that the last drawing took; null while it is under way. */
   private finished(): number | null {
     for (const { sphere } of [this.inside, this.flat]) if (sphere?.finished() === null) return null;
     const took = Math.max(0.5, performance.now() - this.begun - POLL);
-    const { stats } = this.store;
-    if (this.drawnSent) {
-      stats.ages.push(Date.now() / 1000 - this.drawnSent);
-      if (stats.ages.length > 600) stats.ages.shift();
-      this.drawnSent = null;
-    }
-    if (!stats.firstPicture && this.store.panorama) stats.firstPicture = performance.now();
+    this.store.drawn ||= this.store.panorama !== null;
     return took;
   }
 
   /** Uploads what is to glow if it is another than before. */
   private heat(): void {
     const { store } = this;
-    const source = store.showsEvidence ? store.evidence : store.heat;
-    if (source === this.textures) return;
-    this.textures = source;
-    const texture = store.showsEvidence && store.evidence
-      ? lookTexture(store.evidence.values, store.evidence.columns, store.evidence.rows)
-      : store.heat && heatTexture(store.heat);
-    for (const { sphere } of [this.inside, this.flat]) {
-      sphere?.colours(store.showsEvidence ? "look" : "heat");
-      sphere?.heat(texture);
-    }
+    const which = store.showsEvidence ? "look" : "heat";
+    const image = store.showsEvidence ? store.evidence : (store.belief?.image ?? null);
+    if (image === this.textures) return;
+    this.textures = image;
+    for (const { sphere } of [this.inside, this.flat]) sphere?.heat(image, which);
   }
 
   private camera(which: "inside" | "flat"): Camera {
@@ -267,14 +246,12 @@ export class Stage {
     const seen = !lens ? body : which === "flat" ? IDENTITY : times(body, lens.body_R_view);
     const { overlay } = this[which];
     const high = Math.tan(this.field / 2);
-    const frame = store.showsEvidence && store.evidence?.frame === "world" ? IDENTITY : this.world_R_belief;
-    const glows = store.showsEvidence || (store.heat !== null && store.layers.has("heat"));
     return {
       plane: which === "flat" ? null : [(high * overlay.clientWidth) / overlay.clientHeight, high],
       panorama_R_view: times(inverse(seen), world_R_view),
-      belief_R_view: times(inverse(frame), world_R_view),
+      world_R_view,
       lens: which === "flat" ? null : (lens?.plane ?? null),
-      heat: glows ? 1 : 0,
+      glows: store.showsEvidence || (store.belief !== null && store.layers.has("heat")),
     };
   }
 
@@ -284,12 +261,12 @@ export class Stage {
     const view_R_body = times(view_R_world, this.world_R_body);
     const { inside } = this;
     return {
-      border: store.layers.has("border") && store.heat ? store.heat.border : [],
-      view_R_belief: times(view_R_world, this.world_R_belief),
+      border: store.layers.has("border") && store.belief ? store.belief.border : [],
+      view_R_world,
       view_R_body,
       answer: store.layers.has("estimate") ? store.direction : null,
       sure: this.lens && which === "inside" ? (store.answer?.sure ?? null) : null,
-      pointed: (store.answer?.credible_angle ?? 0) <= Math.PI / 2,
+      pointed: (store.answer?.credible_angle_deg ?? 0) <= 90,
       modes: store.layers.has("modes") ? store.modes : [],
       truth: store.layers.has("truth") ? store.truth : null,
       rivals: store.others,

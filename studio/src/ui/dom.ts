@@ -1,5 +1,7 @@
 /** Making elements. */
 
+import { words } from "../words";
+
 type Child = Node | string | null | undefined | false;
 type Props = Record<string, unknown>;
 
@@ -72,3 +74,19 @@ export const ICONS = {
   hold: "M6 8V6a4 4 0 0 1 8 0v2h1.500v9h-11V8zm2 0h4V6a2 2 0 0 0-4 0z",
   full: "M3 3h5v2H5v3H3zM12 3h5v5h-2V5h-3zM3 12h2v3h3v2H3zM15 12h2v5h-5v-2h3z",
 } as const;
+
+/** A round button with a picture on it. */
+export function tool(label: string, path: string, act: () => void): HTMLButtonElement {
+  return h("button", { type: "button", class: "tool", "aria-label": label, title: label, onclick: act }, icon(path));
+}
+
+/** A form that asks how wide an ordinary camera sees; `why`: a sentence before it; `told` gets degrees. */
+export function fieldQuestion(told: (degrees: number) => void, why: string): HTMLFormElement {
+  const { ask, hint, least, most, submit, usual } = words.picture.field;
+  const width = h("input", { type: "number", id: "hfov", min: least, max: most, step: "any", value: usual, required: true });
+  return h("form", { class: "question", onsubmit: (event: Event) => {
+    event.preventDefault();
+    told(Number(width.value));
+  } }, h("p", {}, why), h("label", { for: "hfov" }, ask), h("p", { class: "hint" }, hint), width,
+    h("button", { type: "submit", class: "primary" }, submit));
+}

@@ -3,15 +3,8 @@
 import { RIVALS } from "../draw/palette";
 import { LAYERS, type LayerName, type Store } from "../store";
 import { words } from "../words";
-import { h, svg } from "./dom";
+import { h, say, svg } from "./dom";
 import type { Shell } from "./shell";
-
-const OUTLINES: Record<string, string> = {
-  square: "M4 4h8v8H4z", diamond: "M8 2.5L13 8l-5 5.5L3 8z", up: "M8 3l5 9H3z", down: "M8 13l5-9H3z",
-  left: "M3 8l9-5v10z", right: "M13 8L4 3v10z",
-  star: "M8 1.7l1.6 4.3 4.7.3-3.6 2.9 1.2 4.4L8 11.1l-3.9 2.5 1.2-4.4-3.6-2.9 4.7-.3z",
-  plus: "M6.3 3h3.4v3.3H13v3.4H9.7V13H6.3V9.7H3V6.3h3.3z", cross: "M5.2 3L8 5.8 10.8 3 13 5.2 10.2 8l2.8 2.8-2.2 2.2L8 10.2 5.2 13 3 10.8 5.8 8 3 5.2z",
-};
 
 function glyph(name: LayerName): SVGElement {
   const parts: Record<LayerName, [string, Record<string, string | number>][]> = {
@@ -36,41 +29,29 @@ function chip(text: string | (string | Node)[], mark: SVGElement, on: boolean, f
   return button;
 }
 
-export interface LayerActions {
-  degree(L: number): void;
-  methods(names: string[]): void;
-  fixed(): boolean; // the degree is what it is: a stored episode, or a source that others watch, too
-}
-
-export function layers(store: Store, shell: Shell, actions: LayerActions): void {
-  const text = (name: LayerName) => (name === "border" ? words.layers.border(store.scene?.region ?? 0.9, store.waiting === null ? store.density?.undrawn : "") : words.layers[name as "heat"]);
+export function layers(store: Store, shell: Shell): void {
+  const text = (name: LayerName) =>
+    name === "border" ? store.belief?.undrawn || words.layers.border(store.scene?.region ?? 0.9) : words.layers[name];
   const chips = LAYERS.map((name) =>
     chip(text(name), glyph(name), store.layers.has(name), (on) => store.toggle(name, on)));
-  const degree = h("select", { onchange: () => actions.degree(Number(degree.value)) });
-  const degreeField = h("label", { class: "field small", title: words.layers.degreeHint }, h("span", {}, words.layers.degree), degree);
   const rivals = h("details", { class: "rivals" }, h("summary", {}, words.layers.rivals), h("div", { class: "chips" }));
-  shell.legend.append(...chips, rivals, degreeField);
+  shell.legend.append(...chips, rivals);
 
   const border = chips[LAYERS.indexOf("border")].querySelector("span")!;
   const renew = () => {
-    const { scene } = store;
-    const choices = [...new Set([...(scene?.degrees ?? [3, 7, 15, 23, 31]), scene?.degree ?? 15])].sort((a, b) => a - b);
-    degree.replaceChildren(...choices.map((L) => h("option", { value: L, selected: L === (scene?.degree ?? 15) }, String(L))));
-    degree.disabled = !scene || actions.fixed();
-    const methods = scene?.methods ?? [];
-    rivals.hidden = methods.length === 0;
+    const methods = store.scene?.methods ?? [];
+    rivals.hidden = methods.length < 2;
     rivals.querySelector(".chips")!.replaceChildren(...methods.map(({ name, words: told }, index) => {
-      const { shape, colour } = RIVALS[index % RIVALS.length];
-      const mark = svg("svg", { viewBox: "0 0 16 16", class: "glyph", "aria-hidden": "true" }, svg("path", { d: OUTLINES[shape], fill: colour, class: "g-rival" }));
+      const { path, colour } = RIVALS[index % RIVALS.length];
+      const mark = svg("svg", { viewBox: "0 0 16 16", class: "glyph", "aria-hidden": "true" }, svg("path", { d: path, fill: colour, class: "g-rival" }));
       return chip([name, told && told !== name ? h("small", {}, told) : ""], mark, store.rivals.has(name), (on) => {
         if (on) store.rivals.add(name);
         else store.rivals.delete(name);
-        actions.methods([...store.rivals]);
         store.emit("layers");
       });
     }));
   };
   store.on("scene", renew);
-  store.on("step", () => { if (border.textContent !== text("border")) border.textContent = text("border"); });
+  for (const topic of ["step", "layers"] as const) store.on(topic, () => say(border, text("border")));
   renew();
 }

@@ -1,12 +1,11 @@
 /** The answer in words and numbers, the candidates, the plots and their equivalents in words. */
 
-import { remSize } from "../draw/canvas";
 import { drawPlan, interval } from "../draw/plan";
 import { RIVALS } from "../draw/palette";
-import { around, BINS, byAzimuth, drawPolar } from "../draw/polar";
+import { around, BINS, drawPolar } from "../draw/polar";
 import { drawSeries, span, type Strip } from "../draw/series";
 import type { Stage } from "../draw/stage";
-import { apply, azimuthOf, degrees, elevationOf, IDENTITY, inverse, times, wrapped, type Vector } from "../math/rotation";
+import { apply, azimuthOf, degrees, elevationOf, inverse, wrapped, type Vector } from "../math/rotation";
 import type { Store } from "../store";
 import { tenths, words } from "../words";
 import { h, say } from "./dom";
@@ -21,19 +20,12 @@ export class Panels {
   private scheduled = false;
   private talked = 0;
   private announced = 0;
-  private lastNews = "";
   private plotted = 0;
   private later = 0;
-  private share: { heat: object; pose: object; share: Float32Array } | null = null;
 
-  constructor(
-    private readonly store: Store, private readonly shell: Shell, private readonly stage: Stage,
-    private readonly ask: (query: string) => void,
-  ) {
+  constructor(private readonly store: Store, private readonly shell: Shell, private readonly stage: Stage) {
     for (const topic of ["scene", "step", "look", "style", "layers"] as const) store.on(topic, () => this.request());
-    store.on("scene", () => this.calibration());
     new ResizeObserver(() => this.request()).observe(shell.look);
-    this.calibration();
     this.request();
   }
 
@@ -44,7 +36,6 @@ export class Panels {
       this.scheduled = false;
       this.answer();
       this.modes();
-      this.others();
       const wait = PLOTS - (performance.now() - this.plotted);
       if (wait <= 0) this.plots();
       else if (!this.later) this.later = window.setTimeout(() => this.plots(), wait);
@@ -60,7 +51,7 @@ export class Panels {
   /** "1.2 to 3.4 m", or nothing. */
   private get far(): string {
     const { answer } = this.store;
-    const found = answer && answer.status !== "searching" && interval(answer.distance, answer.distance_spread);
+    const found = answer && answer.status !== "searching" && interval(answer.distance_m, answer.distance_spread);
     return found ? words.answer.metres(rounded(found.near), rounded(found.far)) : "";
   }
 
@@ -84,7 +75,7 @@ export class Panels {
     const dash = words.answer.unknown;
     const rows: [string, string, boolean?][] = [
       [words.answer.presence, answer?.presence == null ? dash : words.percent(answer.presence)],
-      [words.answer.cone(region), answer?.credible_angle == null ? dash : words.answer.degrees(degrees(answer.credible_angle))],
+      [words.answer.cone(region), answer?.credible_angle_deg == null ? dash : words.answer.degrees(answer.credible_angle_deg)],
       [words.answer.sure, answer?.sure == null ? dash : words.answer.howSure(answer.sure)],
       [words.answer.distance, this.far || dash],
       [words.answer.entropy, answer?.entropy == null ? dash : words.answer.nats(answer.entropy)],
@@ -94,13 +85,12 @@ export class Panels {
       rows.push([words.answer.error, store.error === null ? dash : words.answer.degrees(store.error)]);
     rows.push([words.answer.look, age === null ? words.answer.never : words.answer.seconds(age), age !== null && age > SLOW]);
     fill(shell.facts, rows);
-    this.news(`${name}. ${direction && answer?.words ? answer.words : told}`);
+    this.news(`${name}. ${told}`);
   }
 
   private news(text: string): void {
-    if (text === this.lastNews || performance.now() - this.announced < NEWS || !this.store.step) return;
+    if (performance.now() - this.announced < NEWS || !this.store.step || text === this.shell.news.textContent) return;
     this.announced = performance.now();
-    this.lastNews = text;
     say(this.shell.news, text);
   }
 
@@ -108,19 +98,15 @@ export class Panels {
     const { list, candidates } = this.shell;
     const { modes } = this.store;
     candidates.classList.toggle("none", modes.length === 0);
-    while (list.children.length > Math.max(1, modes.length)) list.lastElementChild!.remove();
-    if (!modes.length) {
-      if (!list.querySelector(".nothing")) list.replaceChildren(h("li", { class: "nothing" }, words.candidates.none));
-      return;
+    if (list.dataset.count !== String(modes.length)) {
+      list.dataset.count = String(modes.length);
+      list.replaceChildren(...modes.map((_, i) =>
+        h("li", {}, h("button", { type: "button", onclick: () => this.stage.lookAt(this.store.modes[i].direction) },
+          h("span", { class: "where" }), h("span", { class: "weight" }), h("i", { "aria-hidden": "true" }, h("b"))))));
+      if (!modes.length) list.append(h("li", { class: "nothing" }, words.candidates.none));
     }
-    list.querySelector(".nothing")?.remove();
     modes.forEach(({ direction, weight }, i) => {
-      let row = list.children[i] as HTMLElement | undefined;
-      if (!row) {
-        row = h("li", {}, h("button", { type: "button", onclick: () => this.stage.lookAt(this.store.modes[i].direction) },
-          h("span", { class: "where" }), h("span", { class: "weight" }), h("i", { "aria-hidden": "true" }, h("b"))));
-        list.append(row);
-      }
+      const row = list.children[i];
       row.querySelector("button")!.disabled = this.stage.lens !== null; // there is nowhere to look to
       say(row.querySelector(".where")!, this.where(direction));
       say(row.querySelector(".weight")!, words.percent(weight));
@@ -128,46 +114,8 @@ export class Panels {
     });
   }
 
-  /** What else is here. The order stays while a hand or the focus is on the list: no button leaves from under it. */
-  private others(): void {
-    const { others, othersCard } = this.shell;
-    const { store } = this;
-    const { things } = store;
-    const asked = store.waiting ?? store.scene?.query;
-    othersCard.hidden = things.every(({ query }) => query === asked);
-    const rows = new Map([...others.children].map((row) => [(row as HTMLElement).dataset.query!, row]));
-    for (const { query, direction, sure, seen, of } of things) {
-      let row = rows.get(query);
-      rows.delete(query);
-      if (!row) {
-        const ask = () => { if (query !== (store.waiting ?? store.scene?.query)) this.ask(query); };
-        row = h("li", { "data-query": query }, h("button", { type: "button", onclick: ask },
-          h("span", {}, h("strong", {}, query), " ", h("span", { class: "where" })), h("span", { class: "weight" })));
-        others.append(row);
-      }
-      const here = direction && store.pose ? apply(inverse(store.pose), direction) : null;
-      say(row.querySelector(".where")!, here ? this.where(here) : words.others.unsure);
-      say(row.querySelector(".weight")!, words.percent(sure));
-      row.firstElementChild!.setAttribute("title", words.others.seen(seen, of));
-      row.firstElementChild!.setAttribute("aria-current", String(query === asked));
-    }
-    for (const row of rows.values()) row.remove();
-    if (others.matches(":hover, :focus-within")) return;
-    things.forEach(({ query }, i) => {
-      if ((others.children[i] as HTMLElement).dataset.query === query) return;
-      others.insertBefore([...others.children].find((row) => (row as HTMLElement).dataset.query === query)!, others.children[i]);
-    });
-  }
-
-  private get byAzimuth(): Float32Array | null {
-    const { heat } = this.store;
-    if (!heat) return null;
-    const pose = this.stage.world_R_body;
-    if (this.share?.heat !== heat || this.share.pose !== pose) {
-      const body_R_belief = times(inverse(pose), this.store.world_R_belief ?? IDENTITY);
-      this.share = { heat, pose, share: byAzimuth(heat, body_R_belief) };
-    }
-    return this.share.share;
+  private get byAzimuth(): number[] | null {
+    return this.store.waiting === null ? (this.store.step?.around ?? null) : null;
   }
 
   private plots(): void {
@@ -189,7 +137,7 @@ export class Panels {
     });
     const path = this.path;
     shell.plan.card.hidden = !store.scene?.plan && path.length === 0;
-    const far = interval(store.answer?.distance ?? null, store.answer?.distance_spread ?? null);
+    const far = interval(store.answer?.distance_m, store.answer?.distance_spread);
     const inWorld = direction && apply(world_R_body, direction);
     const view = apply(world_R_body, apply(stage.body_R_view, [1, 0, 0]));
     drawPlan(shell.plan.canvas, {
@@ -201,9 +149,7 @@ export class Panels {
       }),
       heading: azimuthOf(apply(world_R_body, [1, 0, 0])),
       gaze: { azimuth: azimuthOf(view), wide: gaze.wide },
-      answer: inWorld && {
-        azimuth: azimuthOf(inWorld), near: far?.near ?? null, far: far?.far ?? null, middle: far?.middle ?? null,
-      },
+      answer: inWorld && { azimuth: azimuthOf(inWorld), range: far },
       goal: store.step?.goal?.position ?? null,
     });
     drawSeries(shell.series.canvas, { stamps: store.history.map(({ stamp }) => stamp), strips: this.strips, now: store.now });
@@ -259,23 +205,10 @@ export class Panels {
     say(shell.told, store.step ? `${shell.status.textContent}. ${shell.sentence.textContent}.` : words.panorama.noPicture);
   }
 
-  private calibration(): void {
-    const { calibrationFacts, calibrationWords } = this.shell;
-    const { scene } = this.store;
-    say(calibrationWords, scene?.calibration?.words ?? words.calibration.none);
-    const rows: [string, string][] = scene
-      ? [[words.calibration.degree, String(scene.degree)], [words.calibration.region, words.percent(scene.region)]]
-      : [];
-    if (scene?.perception) rows.push([words.calibration.perception, scene.perception]);
-    for (const [name, value] of Object.entries(scene?.calibration?.numbers ?? {}))
-      rows.push([name, typeof value === "number" ? String(Number(value.toPrecision(4))) : String(value)]);
-    fill(calibrationFacts, rows);
-  }
-
   /** The moment of the time line under a pixel of its canvas. */
   momentAt(x: number): number {
     const { canvas } = this.shell.series;
-    const [left, right] = span({ width: canvas.clientWidth, rem: remSize() });
+    const [left, right] = span(canvas.clientWidth);
     const { history } = this.store;
     if (!history.length) return 0;
     const [first, last] = [history[0].stamp, history.at(-1)!.stamp];

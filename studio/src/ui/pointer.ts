@@ -1,24 +1,18 @@
 /** Dragging, pinching, turning the wheel and pressing keys over the panorama. */
 
 import type { Stage } from "../draw/stage";
-import { apply, azimuthOf, elevationOf, RADIANS, type Vector } from "../math/rotation";
+import { RADIANS, type Vector } from "../math/rotation";
 import type { Point } from "../math/projection";
 
-export interface Hands {
-  /** Whether dragging and arrow keys turn the camera itself. */
-  turnsCamera(): boolean;
-  /** A person wants the camera to point there in the world, radians; pitch is positive up. */
-  turnCamera(yaw: number, pitch: number): void;
-  /** Keys that steer, and when (an event's `timeStamp`): returns whether this one does. */
-  steer(key: string, down: boolean, at: number): boolean;
-}
+/** Keys that steer, and when (an event's `timeStamp`): returns whether this one does. */
+type Steer = (key: string, down: boolean, at: number) => boolean;
 
 const STEP = 5 * RADIANS;
 const KEYS: Record<string, readonly [number, number]> = {
   ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
 };
 
-export function handle(stage: Stage, element: HTMLElement, hands: Hands): void {
+export function handle(stage: Stage, element: HTMLElement, steer: Steer): void {
   const fingers = new Map<number, Point>();
   let grabbed: Vector | null = null;
 
@@ -26,9 +20,6 @@ export function handle(stage: Stage, element: HTMLElement, hands: Hands): void {
     const box = element.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   };
-  // What lies under a finger: in the world if the camera turns, else in the frame that the look is told in.
-  const hold = (place: Point): Vector =>
-    hands.turnsCamera() ? apply(stage.world_R_body, stage.under("inside", place)) : stage.grab(place);
   const spread = () => {
     const [a, b] = [...fingers.values()];
     return Math.hypot(a[0] - b[0], a[1] - b[1]);
@@ -38,7 +29,7 @@ export function handle(stage: Stage, element: HTMLElement, hands: Hands): void {
     if (event.button !== 0 || (event.target as Element).closest("button, a, input, label, .stick")) return;
     element.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, at(event));
-    grabbed = fingers.size === 1 ? hold(at(event)) : null;
+    grabbed = fingers.size === 1 ? stage.grab(at(event)) : null;
     element.classList.add("dragging");
   });
   element.addEventListener("pointermove", (event) => {
@@ -47,17 +38,11 @@ export function handle(stage: Stage, element: HTMLElement, hands: Hands): void {
     const here = at(event);
     fingers.set(event.pointerId, here);
     if (fingers.size === 2) stage.zoom(before / Math.max(1, spread()));
-    else if (grabbed && hands.turnsCamera()) {
-      const { yaw, pitch } = stage.attitude(grabbed, here);
-      hands.turnCamera(yaw, pitch);
-    } else if (grabbed) stage.drag(grabbed, here);
+    else if (grabbed) stage.drag(grabbed, here);
   });
   const release = (event: PointerEvent) => {
     fingers.delete(event.pointerId);
-    grabbed = null;
-    if (fingers.size === 1) {
-      grabbed = hold([...fingers.values()][0]);
-    }
+    grabbed = fingers.size === 1 ? stage.grab([...fingers.values()][0]) : null;
     if (!fingers.size) element.classList.remove("dragging");
   };
   element.addEventListener("pointerup", release);
@@ -76,12 +61,8 @@ export function handle(stage: Stage, element: HTMLElement, hands: Hands): void {
     if (event.altKey || event.metaKey || event.ctrlKey || event.target !== element) return;
     const way = KEYS[event.key];
     if (way) {
-      if (!event.shiftKey && hands.steer(event.key, true, event.timeStamp)) held.add(event.key);
-      else {
-        const ahead = apply(stage.world_R_body, [1, 0, 0]);
-        if (hands.turnsCamera()) hands.turnCamera(azimuthOf(ahead) + way[0] * STEP, elevationOf(ahead) + way[1] * STEP);
-        else stage.turn(way[0] * STEP, way[1] * STEP);
-      }
+      if (!event.shiftKey && steer(event.key, true, event.timeStamp)) held.add(event.key);
+      else stage.turn(way[0] * STEP, way[1] * STEP);
     } else if (event.key === "+" || event.key === "=") stage.zoom(1 / 1.15);
     else if (event.key === "-" || event.key === "_") stage.zoom(1.15);
     else if (event.key === "Home") stage.lookAt([1, 0, 0]);
@@ -89,7 +70,7 @@ export function handle(stage: Stage, element: HTMLElement, hands: Hands): void {
     event.preventDefault();
   });
   const letGo = (key: string, at: number) => {
-    if (held.delete(key)) hands.steer(key, false, at);
+    if (held.delete(key)) steer(key, false, at);
   };
   element.addEventListener("keyup", (event) => letGo(event.key, event.timeStamp));
   element.addEventListener("blur", (event) => {

@@ -1,7 +1,7 @@
 /** The page's frame: what is always there, and the places that views fill. */
 
 import { words } from "../words";
-import { h, icon, ICONS, svg } from "./dom";
+import { h, svg } from "./dom";
 
 export type Shell = ReturnType<typeof shell>;
 
@@ -11,10 +11,6 @@ const logo = () =>
     svg("ellipse", { cx: 16, cy: 16, rx: 13.5, ry: 5, class: "logo-line" }),
     svg("circle", { cx: 21.5, cy: 12, r: 4.4, class: "logo-glow" }),
     svg("circle", { cx: 21.5, cy: 12, r: 1.9, class: "logo-dot" }));
-
-export function tool(label: string, path: string, act: () => void): HTMLButtonElement {
-  return h("button", { type: "button", class: "tool", "aria-label": label, title: label, onclick: act }, icon(path));
-}
 
 function card(name: string, title: string, ...children: (Node | null)[]): HTMLElement {
   return h("section", { class: `card ${name}`, "aria-labelledby": `${name}-title` }, h("h2", { id: `${name}-title` }, title), ...children);
@@ -78,14 +74,6 @@ export function shell(root: HTMLElement) {
   const choice = h("div", { class: "choice", hidden: true });
   const list = h("ol", { class: "modes" });
   const candidates = card("candidates", words.candidates.label, h("p", { class: "hint" }, words.candidates.hint), list);
-  const others = h("ol", { class: "modes others-list" });
-  const othersCard = card("others", words.others.label, h("p", { class: "hint" }, words.others.hint), others);
-  othersCard.hidden = true;
-  const calibrationFacts = h("dl", { class: "facts" });
-  const calibrationWords = h("p", {});
-  const calibration = h("details", { class: "card calibration" },
-    h("summary", {}, h("h2", {}, words.calibration.label)), calibrationWords, calibrationFacts);
-
   root.append(
     h("a", { class: "skip", href: "#stage", onclick: (event: Event) => {
       event.preventDefault();
@@ -98,12 +86,12 @@ export function shell(root: HTMLElement) {
       h("div", { class: "bar" }, ask, controls),
       choice,
       h("div", { class: "left" }, stage, player, legend, h("div", { class: "below" }, flat, series.card)),
-      h("aside", { class: "side", "aria-label": words.answer.label }, answer, candidates, othersCard, polar.card, plan.card, calibration)),
+      h("aside", { class: "side", "aria-label": words.answer.label }, answer, candidates, polar.card, plan.card)),
     news,
   );
   return {
-    tabs, theme, problems, news, ask, query, targets, controls, stage, look, insideView, insideMarks, empty, badge, tools, stick, keys, looking,
-    told, legend, player, flat, flatView, flatMarks, flatHint, series, polar, plan, status, sentence, means, facts, choice, candidates, list, others, othersCard,
-    calibration, calibrationFacts, calibrationWords, ICONS,
+    tabs, theme, problems, news, ask, query, targets, controls, stage, look, insideView, insideMarks, empty, badge, tools, stick, keys,
+    looking, told, legend, player, flatView, flatMarks, flatHint, series, polar, plan, status, sentence, means, facts, choice, candidates,
+    list,
   };
 }

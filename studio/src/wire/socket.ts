@@ -1,9 +1,13 @@
 /** The connection to the server: it comes back by itself, and never piles up messages. */
 
-import { decode, type Decoded } from "./decode";
-import type { Step } from "./messages";
+import type { Blobs, Message, Step } from "./messages";
 
 export type Connection = "connecting" | "open" | "lost";
+
+export interface Decoded {
+  message: Message;
+  blobs: Blobs;
+}
 
 export interface SocketEvents {
   message(decoded: Decoded): void;
@@ -11,6 +15,17 @@ export interface SocketEvents {
 }
 
 const WAITS = [0.5, 1, 2, 4, 8];
+
+/** A binary message: length, JSON, blobs. Throws if its parts do not add up. */
+export function decode(data: ArrayBuffer): Decoded {
+  const length = new DataView(data).getUint32(0, true);
+  const message = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  const blobs: Blobs = {};
+  let at = 4 + length;
+  for (const { name, bytes } of message.blobs) blobs[name] = data.slice(at, (at += bytes));
+  if (at !== data.byteLength) throw new Error(`a message of ${data.byteLength} bytes; wanted ${at}`);
+  return { message, blobs };
+}
 
 export class Socket {
   private socket: WebSocket | null = null;
@@ -22,15 +37,14 @@ export class Socket {
 
   constructor(private readonly address: string, private readonly events: SocketEvents) {}
 
-  /** Ask for a session; it is asked for again after each reconnection. */
+  /** Ask for a source; it is asked for again after each reconnection. */
   open(request: object): void {
     this.opening = request;
     this.waiting = [];
-    if (this.socket?.readyState === WebSocket.OPEN) this.send(request);
-    else this.connect();
+    if (!this.send(request)) this.connect();
   }
 
-  /** Change the session that is asked for after a reconnection. */
+  /** Change what is asked for after a reconnection. */
   amend(change: object): void {
     if (this.opening) this.opening = { ...this.opening, ...change };
   }
@@ -42,7 +56,7 @@ export class Socket {
     return true;
   }
 
-  /** End the session, and stay away. */
+  /** Stay away. */
   close(): void {
     this.opening = null;
     clearTimeout(this.timer);
@@ -54,24 +68,21 @@ export class Socket {
 
   retry(): void {
     clearTimeout(this.timer);
-    if (this.socket === null && this.opening) this.connect();
+    if (this.opening) this.connect();
   }
 
   private connect(): void {
     if (this.socket) return;
     clearTimeout(this.timer);
     this.events.connection("connecting", 0);
-    const socket = new WebSocket(this.address);
+    const socket = (this.socket = new WebSocket(this.address));
     socket.binaryType = "arraybuffer";
-    this.socket = socket;
     socket.onopen = () => {
       this.failures = 0;
       this.events.connection("open", 0);
       if (this.opening) this.send(this.opening);
     };
-    socket.onmessage = ({ data }) => {
-      if (this.socket === socket && data instanceof ArrayBuffer) this.take(decode(data));
-    };
+    socket.onmessage = ({ data }) => { if (this.socket === socket) this.take(decode(data)); };
     socket.onclose = () => {
       if (this.socket !== socket) return;
       this.socket = null;
@@ -81,32 +92,27 @@ export class Socket {
     };
   }
 
-  /** Messages that come faster than they are handled become one: the newest words, the newest of each blob. */
+  /** Steps that come faster than they are handled become one: the newest words, the newest of each picture. */
   private take(decoded: Decoded): void {
     const last = this.waiting.at(-1);
-    if (last?.message.type === "step" && decoded.message.type === "step") {
-      this.waiting[this.waiting.length - 1] = merged(last, decoded);
-    } else this.waiting.push(decoded);
+    if (last?.message.type === "step" && decoded.message.type === "step") this.waiting.splice(-1, 1, merged(last, decoded));
+    else this.waiting.push(decoded);
     if (this.scheduled) return;
     this.scheduled = true;
     setTimeout(() => {
       this.scheduled = false;
-      const waiting = this.waiting;
-      this.waiting = [];
-      for (const one of waiting) this.events.message(one);
+      for (const one of this.waiting.splice(0)) this.events.message(one);
     }, 0);
   }
 }
 
 /** The newer step, with what only the older one brought along. */
 export function merged(older: Decoded, newer: Decoded): Decoded {
-  const [before, after] = [older.message as unknown as Step, newer.message as unknown as Step];
-  const message = { ...newer.message } as unknown as Step;
-  const [blobs, types] = [{ ...newer.blobs }, { ...newer.types }];
-  for (const name of ["panorama", "belief", "evidence"] as const) {
-    if (blobs[name] || !older.blobs[name] || after[name] === null) continue;
-    (message as unknown as Record<string, unknown>)[name] = before[name];
-    [blobs[name], types[name]] = [older.blobs[name], older.types[name]];
-  }
-  return { message: message as unknown as Decoded["message"], blobs, types };
+  const carried: Partial<Step> = {};
+  const { panorama, belief } = older.message as unknown as Step;
+  if (panorama) carried.panorama = panorama;
+  if (belief !== undefined) carried.belief = belief;
+  const blobs = { ...older.blobs, ...newer.blobs };
+  if ((newer.message as unknown as Step).belief === null) delete blobs.belief;
+  return { message: { ...carried, ...newer.message }, blobs };
 }

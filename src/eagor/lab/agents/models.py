@@ -20,7 +20,7 @@ import numpy as np
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.lab.envs.episodes import EpisodeSpec
-from eagor.perception import Perception, load, local_model, look, parse_options
+from eagor.perception import Perception, load, look
 from eagor.perception.calibrated import from_json
 from eagor.perception.vlm import Chat
 from eagor.plugins import bring
@@ -122,7 +122,6 @@ def load_chat(spec: str) -> Chat:
 
     - ``MODEL@ADDRESS[?option=value&...]``: on an OpenAI-compatible server (`ServedChat`). The model defaults to the
       server's only one, the address to ``http://localhost:8000/v1``.
-    - ``FOLDER[?option=value&...]`` with ``config.json``, or a hub name: on this machine (`LocalChat`).
     - ``package.module:function``: the `Chat` that ``function()`` returns.
     """
     module, colon, name = spec.partition(":")
@@ -136,13 +135,13 @@ def load_chat(spec: str) -> Chat:
             wanted = "a function without arguments that returns the model"
             raise EagorError(f"the model {spec!r} cannot be made ({error}); wanted {wanted}") from error
         return make()
-    place, _, options = spec.partition("?")
-    here = os.path.isfile(os.path.join(os.path.expanduser(place), "config.json"))
-    if here or ("/" in place and "@" not in place and "://" not in place):
-        from eagor.perception.transformers import LocalChat
-
-        return local_model(LocalChat, place, parse_options(options))
-    from eagor.perception.endpoint.server import chat_from_text
+    place = spec.partition("?")[0]
+    if "@" not in place and "://" not in place and ("/" in place or os.path.isdir(os.path.expanduser(place))):
+        raise EagorError(
+            f"{place} is a model for this machine, which talks where it is served: `vllm serve {place}` (or "
+            "transformers serve, llama.cpp, Ollama), then name it as MODEL@http://localhost:8000/v1"
+        )
+    from eagor.perception.endpoint import chat_from_text
 
     return chat_from_text(spec)
 

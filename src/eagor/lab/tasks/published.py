@@ -131,8 +131,8 @@ class PublishedTask:
             )
         if talks and not config.model:
             raise EagorError(
-                f"the agent {agent} asks a model; name it with --model, such as MODEL@http://localhost:8000/v1, a "
-                "folder or hub name, or package.module:function"
+                f"the agent {agent} asks a model; name it with --model, such as MODEL@http://localhost:8000/v1, "
+                "or package.module:function"
             )
         found = msgspec.structs.replace(
             config,

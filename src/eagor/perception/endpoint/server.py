@@ -1,151 +1,103 @@
-"""A model on a server, the limits of asking it (concurrency, timeout, retries), and conversations with it.
+"""A model on an OpenAI-compatible server: how it is reached, and what it answers.
 
-Requests run on an event loop in a thread of its own. Only there can a whole answer have one deadline, whatever the
-server does meanwhile (a byte now and then, endless headers), and a look be cancelled at any moment.
+The openai client asks, waits and tries again. Two features are tried, JSON schemas and token probabilities; what a
+server refuses is left out from then on. The client is told what it does not know: a deadline for the whole answer,
+errors within HTTP 200, and the first pause.
 """
 
 from __future__ import annotations
 
 import asyncio
+import base64
+import io
+import json
+import math
 import os
+import re
+import ssl
 import threading
-import weakref
-from collections.abc import Coroutine, Sequence
+from collections.abc import Coroutine, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, TypeVar
-from urllib.parse import parse_qsl
+from importlib import import_module
+from typing import Annotated, Any
+from urllib.parse import unquote, urlsplit, urlunsplit
 
+import msgspec
 import numpy as np
+from PIL import Image
 
-from eagor._checks import above, require, whole, within
+from eagor._checks import whole, within
 from eagor._extras import need
-from eagor._files import redacted
-from eagor.errors import AnswerError, EagorError, QueryError
-from eagor.perception.endpoint.addresses import DEFAULT_SERVER, checked_address, place_of, shown_address
-from eagor.perception.endpoint.client import Answer, Picture, Request
-from eagor.perception.endpoint.transport import client_of, explained, message, refused_feature
-from eagor.perception.vlm import IMAGE, MAX_TOKENS, ChatReply, Message
+from eagor._files import keep_out, redacted
+from eagor.errors import AnswerError, EagorError, QueryError, ServerError
+from eagor.perception.vlm.answers import Token, means, without_thoughts
 
-_LONGEST = 86400.0  # longest timeout, seconds: sockets store timeouts in few bits
-_CONNECTING = threading.Lock()
+DEFAULT_SERVER = "http://localhost:8000/v1"
+_TRIES = "x-stainless-retry-count"  # where the client says how often it asked before
+_SENT = re.compile("host|content-type|content-length|accept|connection|user-agent|x-stainless-.*")  # headers
+_LEAST_BYTES, _PER_TOKEN = 4 << 20, 2 << 10  # of an answer at most: some, and for each token with ten alternatives
+_LONGEST_PAUSE = 30.0  # seconds between two tries at most, unless the server asks for longer
+_FEATURES = {"response_format", "logprobs"}  # that are tried
+_RENAMED = {"max_tokens": "max_completion_tokens"}  # as OpenAI's reasoning models call it
+
+Count = Annotated[int, msgspec.Meta(ge=1, description="a whole number, 1 or more")]
+Amount = Annotated[int, msgspec.Meta(ge=0, description="a whole number, 0 or more")]
 
 
-@dataclass(frozen=True, repr=False)
-class Asker:
-    """A model on an OpenAI-compatible server, with timeout and retries; base class of everything that asks one.
+class ServerOptions(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=True):
+    """How a server is asked; docs/models.md says what each option means."""
 
-    It connects with the first request. Threads share the connections; pickled copies and forked processes connect anew.
+    timeout: Annotated[float, msgspec.Meta(gt=0, le=86400, description="seconds above 0, at most 86400")] = 120.0
+    retries: Amount = 3
+    backoff: Annotated[float, msgspec.Meta(ge=0, le=86400, description="seconds, at most 86400")] = 0.5
+    key: Annotated[str, msgspec.Meta(description="the name of an environment variable")] = ""
+    ca: Annotated[str, msgspec.Meta(description="a file of certificates")] = ""
 
-    `model`: its name there, empty for the server's only model. `servers`: the server's address, mostly ending in
-    ``/v1``, in a tuple of one: several servers need a proxy. The rest: docs/models.md.
+
+@dataclass(frozen=True)
+class Answer:
+    """A server's answer.
+
+    `tokens` are the pieces of the answer with log probabilities, `likeliest` the alternatives at each piece; both are
+    empty if the server sends none. Counts are None if it does not send them.
     """
 
-    model: str = ""
-    servers: tuple[str, ...] = (DEFAULT_SERVER,)
-    _: KW_ONLY
-    timeout: float = 120.0
-    retries: int = 3
-    backoff: float = 0.5
-    key: str = ""
-    ca: str = ""
+    text: str
+    tokens: tuple[Token, ...]
+    likeliest: tuple[tuple[Token, ...], ...]
+    model: str
+    revision: str | None
+    prompt_tokens: int | None
+    completion_tokens: int | None
+    requests: int
 
-    def __post_init__(self) -> None:
-        addresses = list(self.servers) if isinstance(self.servers, tuple | list) else []
-        require(
-            self,
-            {
-                "model": (isinstance(self.model, str), "its name on the server, empty for the only one"),
-                "key": (isinstance(self.key, str), "the name of an environment variable, empty for no key"),
-                "ca": (isinstance(self.ca, str), "a file of certificates to trust, empty for the usual ones"),
-                "timeout": (above(self.timeout, 0, _LONGEST), f"seconds above 0, at most {_LONGEST:g}"),
-                "retries": (whole(self.retries, 0), "a whole number, 0 or more"),
-                "backoff": (within(self.backoff, 0), "seconds, 0 or more"),
-                "servers": (len(addresses) > 0, f"a tuple of one address, such as ({DEFAULT_SERVER!r},)"),
-            },
-        )
-        if len(addresses) > 1:
-            raise EagorError(
-                f"{len(addresses)} addresses of servers came; wanted one. To share the work among several servers, put "
-                "a proxy before them and give its address: docs/how-to/server.md shows how"
-            )
-        object.__setattr__(self, "servers", (checked_address(addresses[0]),))
-
-    def _server(self, concurrency: int, max_tokens: int) -> Server:
-        """The connections, made once per process: at most `concurrency` requests at once, answers of `max_tokens`."""
-        name = f"_connected_{os.getpid()}"
-        with _CONNECTING:
-            if name not in self.__dict__:
-                self.__dict__[name] = Server(self, concurrency, max_tokens)
-            return self.__dict__[name]
-
-    def __repr__(self) -> str:
-        shown = [f"{field.name}={getattr(self, field.name)!r}" for field in fields(self)]
-        return redacted(f"{type(self).__name__}({', '.join(shown)})")
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+    @property
+    def verdict(self) -> tuple[Token, ...]:
+        """The alternatives at the first piece, after any thoughts, that means yes or no; () if there is none."""
+        bare, place = without_thoughts("".join(piece for piece, _ in self.tokens)), 0
+        for token, others in zip(self.tokens, self.likeliest, strict=True):
+            said = bare[place : place + len(token[0])]
+            place += len(token[0])
+            if said.strip() and means(said) is not None:
+                return others or (token,)
+        return ()
 
 
-Named = TypeVar("Named", bound=Asker)
+class ChatClient:
+    """Asks the `model` at `address`: its name there (empty for the only one), and the address, mostly with ``/v1``.
 
-
-def named(kind: type[Named], text: str, **options: Any) -> Named:
-    """The `kind` of asker named by ``MODEL@ADDRESS[?option=value&...]``; options passed by name take precedence.
-
-    Model and address may be missing. Options are the fields of `kind`. Raises `EagorError` for unknown or unreadable
-    options, and for missing packages.
+    It connects anew for each call of `ask`, with `concurrency` requests at once at most. Raises `EagorError` for an
+    address that is none, and `MissingExtraError`.
     """
-    need_client()
-    place, _, written = text.partition("?")
-    model, addresses = place_of(place)
-    known = {field.name: field.default for field in fields(kind)}
-    given: dict[str, Any] = {"model": model} | ({"servers": addresses} if addresses else {})
-    for name, value in parse_qsl(written, keep_blank_values=True):
-        if name in ("servers", "calibration", "detector", "model"):
-            raise EagorError(f"{name} cannot be set after the ?; write the model and the address before it")
-        if name in given:
-            raise EagorError(f"{name} comes twice in the name of a served model; wanted each option once")
-        given[name] = _option(name, value, known.get(name))
-    given |= options
-    if unknown := sorted(given.keys() - known.keys()):
-        raise EagorError(f"a served model has no option {', '.join(unknown)}; it has the options {', '.join(known)}")
-    return kind(**given)
 
-
-def _option(name: str, value: str, default: Any) -> Any:
-    """An option from text, converted to the type of its default."""
-    try:
-        if isinstance(default, bool):
-            return {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}[value.lower()]
-        return type(default)(value) if isinstance(default, int | float) else value
-    except (ValueError, KeyError) as error:
-        raise EagorError(f"{name}={value} for a served model; wanted a {type(default).__name__}") from error
-
-
-class Server:
-    """The connections to one server, shared by threads. Raises `EagorError` without the packages or the key."""
-
-    def __init__(self, asker: Asker, concurrency: int, max_tokens: int) -> None:
-        need_client()
-        import openai
-
-        key = os.environ.get(asker.key, "") if asker.key else ""
-        if asker.key and not key:
-            variable = asker.key if asker.key.isupper() else "that key=... names"  # it may hold the key itself
-            raise EagorError(f"the environment variable {variable}, which should hold the server's key, is not set")
-        (url,) = asker.servers
-        self._model, self._timeout = asker.model, asker.timeout
-        self._shown = shown_address(url)
-        # What the client raises, and what reading its result raises if the server sent something else.
-        nonsense = (ValueError, AttributeError, TypeError, RecursionError)
-        self._failures = (openai.OpenAIError, *nonsense)
-        self._refused: set[str] = set()  # what the server rejected
-        self._room = asyncio.Semaphore(concurrency)
-        self._client = client_of(url, key, asker.timeout, max_tokens, asker.ca, asker.retries, asker.backoff)
-        self._loop = _loop(os.getpid())
-        weakref.finalize(self, _close, self._client).atexit = False
+    def __init__(self, model: str, address: str, options: ServerOptions, max_tokens: int, concurrency: int = 1) -> None:
+        need("a served model", "endpoint", "openai")
+        self.address, self.options = checked_address(address), options
+        self.shown = redacted(self.address)  # without a password
+        self._model, self._max_tokens, self._concurrency = model, max_tokens, concurrency
+        self._left_out: set[str] = set()  # what the server refused
 
     def model(self) -> str:
         """The model's name; if none was given, that of the server's only model.
@@ -153,77 +105,157 @@ class Server:
         Raises `ServerError` if the server does not answer, `QueryError` if it has several models or none.
         """
         if not self._model:
-            self._model = self._awaited(self._only_model())
+            names = _awaited(self._with_client(self._names))
+            if len(names) != 1:
+                has = f"{self.shown} has {len(names)} models"
+                raise QueryError(f"{has} ({', '.join(names)}); name one before the @")
+            (self._model,) = names
         return self._model
 
-    def ask(self, requests: Sequence[Request]) -> list[Answer]:
-        """The answers to `requests`, in order; as many at once as the limit allows.
+    def ask(self, bodies: Sequence[Mapping[str, Any]], silence: bool = False) -> list[Answer]:
+        """The answers to chat completions, in order; `silence`: an empty one is an answer.
 
-        Raises the first error (`ServerError`, `QueryError`, `AnswerError`) and drops the requests not yet sent.
+        Raises the first error (`ServerError`, `QueryError`, `AnswerError`) and drops what is not yet sent.
         """
-        self.model()
-        return self._awaited(self._all(requests))
+        model = self.model()
 
-    def _awaited(self, work: Coroutine[Any, Any, Any]) -> Any:
-        """The result of `work`; cancels it if the caller is interrupted."""
-        future = asyncio.run_coroutine_threadsafe(work, self._loop)
-        try:
-            return future.result()
-        finally:
-            future.cancel()
+        async def all_of_them(client: Any) -> list[Answer]:
+            room = asyncio.Semaphore(self._concurrency)
+            tasks = [asyncio.ensure_future(self._one(client, room, {"model": model, **body}, silence))
+                     for body in bodies]  # fmt: skip
+            try:
+                return await asyncio.gather(*tasks)
+            finally:  # all done, one failed, or the caller was interrupted
+                for task in tasks:
+                    task.cancel()
 
-    async def _all(self, requests: Sequence[Request]) -> list[Answer]:
-        tasks = [asyncio.ensure_future(self._one(request)) for request in requests]
-        try:
-            return await asyncio.gather(*tasks)
-        finally:  # all done, one failed, or the caller was interrupted
-            for task in tasks:
-                task.cancel()
+        return _awaited(self._with_client(all_of_them))
 
-    async def _one(self, request: Request) -> Answer:
-        """One answer, without what the server rejects; the client retries, and keeps its slot meanwhile."""
-        async with self._room:
+    async def _one(self, client: Any, room: asyncio.Semaphore, body: dict[str, Any], silence: bool) -> Answer:
+        """One answer, without what the server refuses; the client tries again, and keeps its place meanwhile."""
+        async with room:
+            left_out = set(self._left_out)
             while True:
-                refused = frozenset(self._refused)
-                body = await asyncio.to_thread(request.body, self._model, refused)  # encodes pictures
+                sent = {_RENAMED[key] if key in left_out else key: value for key, value in body.items()
+                        if key not in left_out or key in _RENAMED}  # fmt: skip
+                if "logprobs" not in sent:
+                    sent.pop("top_logprobs", None)
                 try:
-                    raw = await self._client.chat.completions.with_raw_response.create(**body)
-                    return request.read(raw.parse(), self._model, 1 + raw.retries_taken)
-                except self._failures as error:
-                    if isinstance(error, EagorError):
-                        raise
-                    if feature := refused_feature(error, request.features - refused):
-                        self._refused.add(feature)
-                        continue
-                    raise self._explained(error, request.size, await self._served(error)) from error
+                    raw = await client.chat.completions.with_raw_response.create(**sent)
+                    answer = _read(raw.http_response.json(), sent, silence, 1 + raw.retries_taken)
+                except AnswerError:
+                    raise
+                except Exception as error:  # of the client, and of reading what is no completion
+                    refused = _refused(error, body.keys() - left_out)
+                    if not refused:
+                        raise await self._explained(client, error) from error
+                    left_out |= refused
+                else:
+                    self._left_out |= left_out
+                    return answer
 
-    async def _served(self, error: Any) -> list[str] | None:
-        """The server's models, if the failure may have to do with the model's name."""
-        if getattr(error, "status_code", None) in (400, 404, 422) and "model" in message(error).lower():
-            with suppress(*self._failures):
-                return await self._names()
-        return None
-
-    def _explained(self, error: Any, image: tuple[int, int], served: list[str] | None) -> EagorError:
-        return explained(error, self._model, self._shown, self._timeout, image=image, served=served)
-
-    async def _names(self) -> list[str]:
-        return [str(model.id) for model in (await self._client.with_options(max_retries=0).models.list()).data]
-
-    async def _only_model(self) -> str:
+    async def _names(self, client: Any) -> list[str]:
+        """The names of the server's models."""
         try:
-            names = await self._names()
-        except self._failures as error:
-            raise self._explained(error, (0, 0), None) from error
-        if len(names) != 1:
-            has = f"{self._shown} has {len(names)} models"
-            raise QueryError(f"{has} ({', '.join(names)}); name one before the @")
-        return names[0]
+            raw = await client.with_options(max_retries=0).models.with_raw_response.list()
+            return [str(each["id"]) for each in raw.http_response.json()["data"]]
+        except Exception as error:
+            raise await self._explained(client, error) from error
 
+    async def _with_client(self, work: Any) -> Any:
+        """The result of `work` with an `openai.AsyncOpenAI`. Raises `EagorError` without the key or certificates."""
+        import openai
 
-def need_client() -> None:
-    """Raise `MissingExtraError` if the packages of the extra are missing."""
-    need("a served model", "endpoint", "openai")
+        options, host = self.options, urlsplit(self.address).hostname or ""
+        key = os.environ.get(options.key, "") if options.key else "none"
+        if not key:
+            variable = options.key if options.key.isupper() else "that key=... names"  # it may hold the key itself
+            raise EagorError(f"the environment variable {variable}, which should hold the server's key, is not set")
+        keep_out(key)
+        theirs, most = f".{host}".endswith(".openai.com"), _LEAST_BYTES + _PER_TOKEN * self._max_tokens
+
+        class Http(openai.DefaultAsyncHttpxClient):
+            async def send(self, request: Any, **how: Any) -> Any:
+                if not theirs:  # the client adds account data of OpenAI from the environment for every server
+                    for name in {name for name in request.headers if not _SENT.match(name)}:
+                        del request.headers[name]
+                request.headers |= {"authorization": f"Bearer {key}", "accept-encoding": "identity"}
+                try:
+                    return await asyncio.wait_for(self._whole(request, **how), options.timeout)
+                except asyncio.TimeoutError as error:  # noqa: UP041 - of its own before Python 3.11
+                    below = import_module(type(request).__module__.partition(".")[0])  # httpx, or its successor
+                    raise below.ReadTimeout("too late", request=request) from error
+
+            async def _whole(self, request: Any, **how: Any) -> Any:
+                response, body = await super().send(request, **{**how, "stream": True}), b""
+                try:
+                    async for piece in response.aiter_raw():
+                        body += piece
+                        if len(body) > most:
+                            error = {"message": f"it sent more than {most} bytes for one answer"}
+                            return _honest(response, 413, json.dumps({"error": error}), options.backoff)
+                finally:
+                    await response.aclose()
+                return _honest(response, response.status_code, body.decode("utf-8", "replace"), options.backoff)
+
+        authorities = options.ca or os.environ.get("SSL_CERT_FILE")
+        try:
+            trusted = ssl.create_default_context(cafile=authorities) if authorities else True
+        except OSError as error:  # includes ssl.SSLError
+            raise EagorError(f"ca is {authorities}, where no certificates can be read ({error})") from error
+        local = host in ("localhost", "127.0.0.1", "::1")  # which a proxy cannot reach
+        async with openai.AsyncOpenAI(
+            base_url=self.address,
+            api_key=key,
+            timeout=openai.Timeout(options.timeout, connect=min(10.0, options.timeout)),
+            max_retries=options.retries,
+            http_client=Http(trust_env=not local, verify=trusted, follow_redirects=False),
+        ) as client:
+            return await work(client)
+
+    async def _explained(self, client: Any, error: Any) -> EagorError:
+        """The error to raise for what the client raised after its tries."""
+        import openai
+
+        request, model, said = getattr(error, "request", None), self._model, _message(error)
+        count = 1 + int(request.headers.get(_TRIES, 0)) if request is not None else 1
+        tries, status = "tried once" if count == 1 else f"tried {count} times", getattr(error, "status_code", None)
+        if model and (status == 404 or (status is not None and "model" in said.lower())):
+            with suppress(EagorError):
+                if (served := await self._names(client)) and model not in served:
+                    has = f"{self.shown} has no model {model!r} ({said}); it has {', '.join(map(repr, served))}"
+                    return QueryError(f"{has}. Name one of these before the @")
+        what = f"{self.shown} refused the request ({tries}; HTTP {status}): {said}"
+        advice = (
+            f"Is {model!r} a vision-language model, and loaded (llama.cpp: with its --mmproj file)? If the picture "
+        )
+        advice += "is too large for it, send fewer pixels (pixels=...), or start it with a longer context"
+        if isinstance(error, openai.APITimeoutError):
+            what = f"{self.shown} gave no answer within {self.options.timeout:g} s ({tries})"
+            advice = (
+                "Allow more time (timeout=...), send fewer pixels, or fewer requests at once (concurrency=...), or "
+            )
+            advice += "check whether the server hangs"
+        elif isinstance(error, openai.APIConnectionError):
+            cause = error.__cause__ or error
+            what = (
+                f"no server answers at {self.shown} ({type(cause).__name__}: {' '.join(str(cause).split())}; {tries})"
+            )
+            advice = (
+                f"Start a server, for example `vllm serve {model or 'MODEL'}`, or check the host, the port and the "
+            )
+            advice += "path (most end in /v1)"
+        elif status is None:
+            what = f"{self.shown} answered with something other than a chat completion ({type(error).__name__}: {said})"
+            advice = "Is it an OpenAI-compatible server, and does the address end in /v1?"
+        elif status in (401, 403):
+            advice = "It wants a key: put that in an environment variable, and name it with key=VARIABLE"
+        elif status < 400:  # a redirect
+            place = redacted(str(error.response.headers.get("location", "")).partition("?")[0])[:200]
+            advice = (
+                f"It redirects to {place}; neither key nor picture was sent there: if the model is there, name that"
+            )
+        return ServerError(f"{what}. {advice}")
 
 
 @lru_cache(maxsize=1)
@@ -234,63 +266,159 @@ def _loop(_process: int) -> asyncio.AbstractEventLoop:
     return loop
 
 
-def _close(client: Any) -> None:
-    """Close the connections."""
-    asyncio.run_coroutine_threadsafe(client.close(), _loop(os.getpid()))
+def _awaited(work: Coroutine[Any, Any, Any]) -> Any:
+    """The result of `work`, which is cancelled if the caller is interrupted."""
+    future = asyncio.run_coroutine_threadsafe(work, _loop(os.getpid()))
+    try:
+        return future.result()
+    finally:
+        future.cancel()
 
 
-# --- conversations ----------------------------------------------------------------------------------------------------
+def checked_address(url: str) -> str:
+    """`url` with ``/v1`` added if it has no path; its password is kept out of output. Raises `EagorError`."""
+    shown = re.sub(r"//[^/]*@", "//***@", str(url).partition("?")[0])
+    if "," in str(url):
+        raise EagorError(
+            f"several addresses of servers came ({shown}); wanted one. To share the work among several servers, put a "
+            "proxy before them and give its address: docs/how-to/server.md shows how"
+        )
+    try:
+        parts = urlsplit(str(url).strip())
+        valid = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0 and not parts.query
+    except ValueError:
+        parts, valid = None, False
+    if not (parts and valid):
+        raise EagorError(f"{shown!r} is not the address of a server; wanted one such as {DEFAULT_SERVER}")
+    login, at, _ = parts.netloc.rpartition("@")
+    if at:  # also as it is sent
+        keep_out(unquote(parts.password or ""), login, base64.b64encode(unquote(login).encode()).decode())
+    return urlunsplit(parts._replace(path=parts.path.rstrip("/") or "/v1", fragment=""))
 
-QUALITY = 85  # of JPEG, as in H*Bench's runner
-_AT_ONCE = 1024  # requests at once: the number of workers is the limit
+
+# --- requests and answers ---------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, repr=False)
-class ServedChat(Asker):
-    """A `eagor.perception.vlm.Chat` with a model on an OpenAI-compatible server.
+def part(content: str | np.ndarray, form: str = "png", quality: int | None = None) -> dict[str, Any]:
+    """Text, or a picture ``(H, W, 3)`` uint8, as a part of a message.
 
-    Attributes, in addition to those of `eagor.perception.endpoint.server.Asker`:
-        temperature, max_tokens: of a reply.
-        quality: of the JPEG pictures that are sent, 1 to 100; 0 sends PNG.
-
-    Raises `EagorError` for invalid values.
+    `quality`: of JPEG; None: 95 without chroma subsampling.
     """
-
-    temperature: float = 0.0
-    max_tokens: int = MAX_TOKENS
-    quality: int = QUALITY
-
-    def __post_init__(self) -> None:
-        wanted = {
-            "temperature": (within(self.temperature, 0), "0 or more"),
-            "max_tokens": (whole(self.max_tokens, 1), "a whole number, 1 or more"),
-            "quality": (whole(self.quality, 0, 100), "a whole number from 0 to 100"),
-        }
-        require(self, wanted)
-        super().__post_init__()
-
-    def __call__(self, messages: Sequence[Message]) -> ChatReply:
-        """The reply. Raises `ServerError`, `QueryError` (no such model), or `AnswerError` for a reply without text."""
-        return self._said(messages, self.max_tokens)
-
-    def check(self) -> None:
-        """Ask for one word about a grey picture, to test the setup before a long run; ignores an empty reply."""
-        grey = np.full((112, 112, 3), 128, dtype=np.uint8)
-        with suppress(AnswerError):
-            self._said([Message("user", f"{IMAGE}\nWhat is this?", (grey,))], 1)
-
-    def _said(self, messages: Sequence[Message], max_tokens: int) -> ChatReply:
-        said = [(message.role, [self._part(part) for part in message.parts()]) for message in messages]
-        asked = Request(said, max_tokens, self.temperature, silence=True)
-        (answer,) = self._server(_AT_ONCE, self.max_tokens).ask([asked])
-        return ChatReply(answer.text, answer.prompt_tokens, answer.completion_tokens)
-
-    def _part(self, part: str | np.ndarray) -> str | Picture:
-        if isinstance(part, str):
-            return part
-        return Picture(part, "jpeg", self.quality) if self.quality else Picture(part)
+    if isinstance(content, str):
+        return {"type": "text", "text": content}
+    how: dict[str, Any] = {"quality": quality}
+    if quality is None:
+        how = {"compress_level": 1} if form == "png" else {"quality": 95, "subsampling": 0}
+    file = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(content)).save(file, form, **how)
+    uri = f"data:image/{form};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
+    return {"type": "image_url", "image_url": {"url": uri}}
 
 
-def chat_from_text(text: str) -> ServedChat:
-    """The model named by ``MODEL@ADDRESS[?option=value&...]``; see `eagor.perception.endpoint.server.named`."""
-    return named(ServedChat, text)
+def _read(found: Any, sent: Mapping[str, Any], silence: bool, tries: int) -> Answer:
+    """The answer in a completion. Raises `AnswerError` if it is empty; other errors if it is no chat completion."""
+    choices, who = found["choices"], str(found.get("model") or sent["model"])
+    if not isinstance(choices, list):
+        raise TypeError(f"no list of choices in {found!r}")
+    if not choices:
+        raise AnswerError(f"{who} returned no choices; look at the log of its server")
+    choice, said = choices[0], choices[0]["message"]
+    content, reason, probabilities = said.get("content"), choice.get("finish_reason"), choice.get("logprobs")
+    text, thoughts = _text(content), _text(said.get("reasoning_content") or said.get("reasoning"))
+    if not text.strip() and thoughts.strip() and reason != "length":
+        # Servers whose parser waits for the end of thoughts that were never begun: the end of these is the answer.
+        content = text = re.split(r"\n\s*\n", without_thoughts(thoughts).strip() or thoughts.strip())[-1]
+        probabilities = None
+    usage = found.get("usage")
+    counts = [usage.get(f"{each}_tokens") if isinstance(usage, dict) else None for each in ("prompt", "completion")]
+    prompt, answer = (count if whole(count, 0) else None for count in counts)
+    if content is None or (not silence and not text.strip()):
+        why = f"it stopped because of {reason!r}" + (f", {answer} tokens" if answer is not None else "")
+        why += f", after {len(thoughts)} characters of reasoning" if thoughts else ""
+        raise AnswerError(
+            f"{who} gave an empty answer ({why}). If it thinks before it answers, allow more tokens (max_tokens=...) "
+            "or turn that off; else look at the server's chat template for this model"
+        )
+    pieces = _pieces(probabilities.get("content") if "logprobs" in sent and probabilities else None)
+    likeliest = (_pieces(each.get("top_logprobs")) for each in pieces)
+    revision = found.get("system_fingerprint")
+    return Answer(
+        text, tuple(map(_token, pieces)), tuple(tuple(map(_token, each)) for each in likeliest),
+        str(found.get("model") or ""), str(revision) if revision else None, prompt, answer, tries,
+    )  # fmt: skip
+
+
+def _text(content: Any) -> str:
+    """The text of a message's content, a string or a list of parts; parts with thoughts are left out."""
+    if isinstance(content, list):
+        parts = [{"text": part} if isinstance(part, str) else part for part in content]
+        return "".join(_text(part.get("text")) for part in parts if part.get("type", "text") in ("text", "output_text"))
+    if content is not None and not isinstance(content, str):
+        raise TypeError(f"the answer is {content!r}")
+    return content or ""
+
+
+def _pieces(entries: Any) -> list[dict[str, Any]]:
+    """The entries with a text and a log probability; some servers write null, or NaN."""
+    return [each for each in entries or () if isinstance(each["token"], str) and within(each["logprob"], -math.inf)]
+
+
+def _token(piece: dict[str, Any]) -> Token:
+    return piece["token"], piece["logprob"]
+
+
+# --- failures ---------------------------------------------------------------------------------------------------------
+
+
+def _honest(response: Any, status: int, body: str, backoff: float) -> Any:
+    """The answer without secrets that the server echoes, and as an error where one hides in a success.
+
+    An error in the body of HTTP 200 (OpenRouter, proxies) counts by its own code, if that is an HTTP status; else as
+    429 or 500. The pause before the next try is told where the server tells none.
+    """
+    body = redacted(body)
+    if status < 300 and (error := _error_within(body)):
+        codes = [str(error.get(key)) for key in ("code", "status")] if isinstance(error, dict) else []
+        guess = 429 if re.search(r"rate.?limit|too many requests", str(error).lower()) else 500
+        status = next((int(code) for code in codes if re.fullmatch("[45][0-9]{2}", code)), guess)
+        body = json.dumps({"error": error})
+    kept = {"content-type", "location", "retry-after", "retry-after-ms"} & response.headers.keys()
+    headers = {name: response.headers[name] for name in kept}
+    if status >= 400 and not {"retry-after", "retry-after-ms"} & kept:
+        pause = backoff * 2 ** int(response.request.headers.get(_TRIES, 0))
+        headers["retry-after-ms"] = str(1000 * max(0.001, min(pause, _LONGEST_PAUSE)))
+    return type(response)(status, headers=headers, content=body.encode(), request=response.request)
+
+
+def _error_within(body: str) -> Any:
+    """The error in the body of a success; None if there is none."""
+    try:
+        found = json.loads(body)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict) or isinstance(found.get("data"), list):
+        return None
+    choices = found.get("choices")
+    if isinstance(choices, list) and choices:
+        return choices[0].get("error") if isinstance(choices[0], dict) else None
+    told = next((found[key] for key in ("message", "detail", "msg", "error_msg") if found.get(key)), None)
+    return found.get("error") or (told and not choices and {"message": told, "code": found.get("code")})
+
+
+def _refused(error: Any, used: set[str]) -> set[str]:
+    """What to leave out or call otherwise where a server refuses a request: what it names, else what is tried."""
+    if getattr(error, "status_code", None) not in (400, 404, 422, 500, 501):
+        return set()
+    said = _message(error).lower()
+    named = {name for name in used & (_FEATURES | {*_RENAMED, "temperature"}) if name in said}
+    return named or (used & _FEATURES if error.status_code in (400, 422, 501) else set())
+
+
+def _message(error: Any) -> str:
+    """The server's error message, on one line."""
+    body = getattr(error, "body", None)
+    for key in ("error", "message", "detail"):
+        if isinstance(body, dict) and key in body:
+            body = body[key]
+    text = " ".join(str(body if isinstance(body, str | list | dict) and body else error).split())
+    return text if len(text) <= 300 else text[:297] + "..."

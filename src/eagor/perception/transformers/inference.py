@@ -13,18 +13,20 @@ import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
 from transformers import AttentionInterface, AttentionMaskInterface
-from transformers.cache_utils import DynamicLayer
 from transformers.integrations.sdpa_attention import sdpa_attention_forward
 from transformers.masking_utils import sdpa_mask
 
 from eagor.errors import EagorError
 from eagor.perception.transformers.inputs import Prompt, typed
 from eagor.perception.vlm import Family
+
+NAME = "eagor_rows"
+_ATTRIBUTE = "_eagor_capture"
 
 
 @dataclass
@@ -36,12 +38,11 @@ class Decoded:
 
 
 @dataclass
-class Prefix:
-    """Keys and values of a batch of images with everything before them.
+class Run:
+    """Keys and values of a batch of prompts so far.
 
     `columns`: positions ``(n,)`` of the image tokens, empty without images. `position`: of the next token; with
     two-dimensional rotary positions that is not the number of tokens so far. None if the model counts by itself.
-    `cache`: only the last run may write to it.
     """
 
     model: Any
@@ -50,46 +51,35 @@ class Prefix:
     position: int | None
     cache: Any
 
-    def continued(self, last: bool = False) -> Running:
-        """A run after the image, on a copy of the cache; `last`: on the cache itself, if no other run needs it."""
-        return Running(self, self.cache if last else _copied(self.cache), self.position)
-
-
-@dataclass
-class Running:
-    """A run that continues a shared prefix."""
-
-    prefix: Prefix
-    cache: Any
-    position: int | None
+    def branch(self) -> Run:
+        """A run that goes on from here and leaves this one as it is."""
+        return replace(self, cache=copy.deepcopy(self.cache))
 
     def feed(self, ids: torch.Tensor) -> torch.Tensor:
         """Run tokens ``(B, T)`` (or ``(1, T)``, the same for all images); logits ``(B, V)`` float32 of the next."""
-        prefix = self.prefix
-        ids = ids.expand(prefix.batch, -1).to(prefix.columns.device)
+        ids = ids.expand(self.batch, -1).to(self.columns.device)
         positions = {}
         if self.position is not None:
             steps = torch.arange(ids.shape[1], device=ids.device) + self.position
-            positions["position_ids"] = steps.expand(3, prefix.batch, -1)
+            positions["position_ids"] = steps.expand(3, self.batch, -1)
             self.position += ids.shape[1]
-        out = prefix.model(input_ids=ids, cache=self.cache, use_cache=True, logits_to_keep=1, **positions)
+        out = self.model(input_ids=ids, cache=self.cache, use_cache=True, logits_to_keep=1, **positions)
         return out.logits[:, -1].float()
 
-    def ask(self, ids: torch.Tensor, layers: Sequence[int]) -> tuple[torch.Tensor, Capture | None]:
+    def ask(self, ids: torch.Tensor, layers: Sequence[int]) -> tuple[torch.Tensor, dict[int, torch.Tensor]]:
         """Feed a question ``(1, T)``: logits of the answer's first token, the last token's attention in `layers`."""
         if not layers:
-            return self.feed(ids), None
-        with capturing(self.prefix.model, layers, self.prefix.columns) as capture:
-            return self.feed(ids), capture
+            return self.feed(ids), {}
+        with capturing(self.model, layers, self.columns) as capture:
+            return self.feed(ids), capture.rows
 
     def decode(self, logits: torch.Tensor, most: int, stops: Sequence[int]) -> Decoded:
         """Greedy decoding of at most `most` tokens, until all images have met one of `stops`.
 
         `logits` are those of the first token, ``(B, V)``. The stop token is not part of the answer.
         """
-        batch = self.prefix.batch
-        answer = Decoded([[] for _ in range(batch)], [[] for _ in range(batch)])
-        going = [True] * batch
+        answer = Decoded([[] for _ in range(self.batch)], [[] for _ in range(self.batch)])
+        going = [True] * self.batch
         for step in range(most):
             best = logits.argmax(dim=-1)
             chosen = logits.log_softmax(dim=-1).gather(-1, best[:, None])[:, 0].tolist()
@@ -106,48 +96,26 @@ class Running:
 
 def share(
     model: Any, family: Family, prompt: Prompt, tensors: Mapping[str, torch.Tensor], batch: int, image_token: int
-) -> Prefix:
+) -> Run:
     """Run a prompt up to its last image, for `batch` prompts with images of the same sizes.
 
     `tensors` are those of all images, prompt by prompt; empty without images.
     """
-    device = model.device
-    ids = prompt.prefix.expand(batch, -1).to(device)
-    feed: dict[str, Any] = {name: tensor.to(device) for name, tensor in tensors.items()}
+    ids = prompt.prefix.expand(batch, -1).to(model.device)
+    feed: dict[str, Any] = {name: tensor.to(model.device) for name, tensor in tensors.items()}
     if "pixel_values" in feed:
         feed["pixel_values"] = feed["pixel_values"].to(model.dtype)
-    types = typed(family, ids, image_token)
-    feed.update(input_ids=ids, **types)
+    feed |= {"input_ids": ids, **typed(family, ids, image_token)}
     position = None
     if family.type_ids == "mm_token_type_ids":
-        places, _ = model.model.get_rope_index(
-            ids, types["mm_token_type_ids"], image_grid_thw=feed.get("image_grid_thw")
-        )
-        feed["position_ids"] = places
-        position = int(places.max()) + 1
+        grid = feed.get("image_grid_thw")
+        feed["position_ids"], _ = model.model.get_rope_index(ids, feed["mm_token_type_ids"], image_grid_thw=grid)
+        position = int(feed["position_ids"].max()) + 1
     cache = model.model(**feed, use_cache=True).cache
-    return Prefix(model, batch, prompt.columns.to(device), position, cache)
-
-
-def _copied(cache: Any) -> Any:
-    """A copy of `cache` that can grow without changing it; layers that grow by concatenation share their tensors."""
-    new = copy.copy(cache)
-    new.layers = [
-        copy.copy(layer) if isinstance(layer, DynamicLayer) else copy.deepcopy(layer) for layer in cache.layers
-    ]
-    return new
-
-
-def chunks(count: int, most: int, queries: Sequence[str]) -> Iterator[slice]:
-    """Slices of at most `most` that cover `count`; none without queries."""
-    for start in range(0, count if queries else 0, most):
-        yield slice(start, min(start + most, count))
+    return Run(model, batch, prompt.columns.to(model.device), position, cache)
 
 
 # --- attention of the last token --------------------------------------------------------------------------------------
-
-NAME = "eagor_rows"
-_ATTRIBUTE = "_eagor_capture"
 
 
 @dataclass
@@ -183,13 +151,9 @@ class Capture:
 
 
 def _attend(
-    module: torch.nn.Module,
-    query: torch.Tensor,
-    key: torch.Tensor,
-    value: torch.Tensor,
-    attention_mask: torch.Tensor | None,
-    **kwargs: Any,
-) -> tuple[torch.Tensor, None]:
+    module: torch.nn.Module, query: torch.Tensor, key: torch.Tensor, value: torch.Tensor,
+    attention_mask: torch.Tensor | None, **kwargs: Any,
+) -> tuple[torch.Tensor, None]:  # fmt: skip
     """Scaled dot-product attention that also keeps the row which `capturing` asks for."""
     capture: Capture | None = getattr(module, _ATTRIBUTE, None)
     if capture is not None:
@@ -214,14 +178,7 @@ def full_layers(model: Any) -> list[int]:
 
 @contextmanager
 def capturing(model: Any, layers: Sequence[int], columns: torch.Tensor) -> Iterator[Capture]:
-    """Within this context, the first pass through each of `layers` records the last token's attention to `columns`.
-
-    Raises `EagorError` for a layer that does not exist or has a sliding window.
-    """
-    possible = full_layers(model)
-    wrong = sorted(set(layers) - set(possible))
-    if wrong or not layers:
-        raise EagorError(f"layers {list(layers)} were asked for; layers of full attention here are {possible}")
+    """Within this context, the first pass through each of `layers` records the last token's attention to `columns`."""
     attentions = [model.model.language_model.layers[layer].self_attn for layer in layers]
     capture = Capture(columns)
     for attention in attentions:

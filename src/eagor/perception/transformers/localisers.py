@@ -1,7 +1,8 @@
-"""Open-vocabulary localisers: OWLv2 and Grounding DINO answer with boxes, CLIPSeg with a mask.
+"""Detectors of the hub as functions for `eagor.Detector`: with classes of their own, or for any words.
 
-OWLv2: Minderer et al., arXiv 2306.09683. Grounding DINO: Liu et al., arXiv 2303.05499. CLIPSeg: Lüddecke and Ecker,
-arXiv 2112.10003.
+Whatever transformers loads as ``AutoModelForObjectDetection`` (DETR, RT-DETR, D-FINE, YOLOS, ...) knows its classes;
+OWL-ViT, OWLv2 (Minderer et al., arXiv 2306.09683), Grounding DINO (Liu et al., arXiv 2303.05499) and CLIPSeg (Lüddecke
+and Ecker, arXiv 2112.10003) take any words.
 """
 
 from __future__ import annotations
@@ -14,34 +15,23 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.ndimage import find_objects, label, maximum
 
-from eagor.errors import ImageError
-from eagor.grids import Grid
-from eagor.perception.transformers.inference import chunks
-from eagor.perception.vlm import Account, Extractor, Family, phrase
-from eagor.perception.vlm.answers import Box
-from eagor.perception.vlm.projection import drawn
+_MOST = 50  # boxes per picture
 
-_FINEST = 180  # columns of the cells that boxes are drawn on, at most
-_MOST = 50  # boxes per picture and query
-_POOLED = 4  # pixels of a mask per cell
+Found = tuple[np.ndarray, np.ndarray] | tuple[np.ndarray, np.ndarray, list[str]]  # boxes, scores, labels
 
 
 @dataclass(frozen=True)
 class Kind:
-    """How a family of localisers is used.
+    """How detectors of a model type are used: their class in transformers, and the usual least score.
 
-    `loaded_by`: its class in transformers. `sentence`: turns a query into its text. `threshold`: the score below which
-    the model's own examples drop boxes. `together`: whether one run answers all queries (otherwise text and image are
-    fused early, and each query is a run of its own). `padding`, `longest`: of its tokens, from its configuration.
+    `sentence`: how a query is written; None for a detector with classes.
     """
 
     loaded_by: str
-    sentence: Callable[[str], str]
     threshold: float
-    together: bool
-    padding: str | bool
-    longest: Callable[[Any], int]
+    sentence: Callable[[str], str] | None = None
 
 
 def _photo(word: str) -> str:
@@ -49,174 +39,68 @@ def _photo(word: str) -> str:
     return f"a photo of a {re.sub(r'^(the|an|a) ', '', word.lower())}"
 
 
-def _of_text(config: Any) -> int:
-    return config.text_config.max_position_embeddings
-
-
-_DETECTION = "AutoModelForZeroShotObjectDetection"
+_OWL = Kind("AutoModelForZeroShotObjectDetection", 0.1, _photo)
+_DINO = Kind("AutoModelForZeroShotObjectDetection", 0.25, lambda word: f"{word.lower().rstrip('.')}.")
+CLASSES = Kind("AutoModelForObjectDetection", 0.3)
 KINDS = {
-    "owlv2": Kind(_DETECTION, _photo, 0.1, True, "max_length", _of_text),
-    "grounding_dino": Kind(
-        _DETECTION, lambda word: f"{word.lower().rstrip('.')}.", 0.25, False, True, lambda config: config.max_text_len
-    ),
-    "clipseg": Kind("CLIPSegForImageSegmentation", _photo, 0.0, True, True, _of_text),
+    "owlvit": _OWL,
+    "owlv2": _OWL,
+    "grounding-dino": _DINO,
+    "mm-grounding-dino": _DINO,
+    "clipseg": Kind("CLIPSegForImageSegmentation", 0.5, _photo),
 }
 
 
 @dataclass
-class Localiser:
-    """A loaded localiser, asked as a `LanguageModel` is; drops boxes below `threshold` (None: the family's)."""
+class HubDetector:
+    """A loaded detector: pictures ``(h, w, 3)`` uint8 of one size and a query in; boxes, scores, labels out.
 
-    name: str
-    revision: str
-    family: Family
+    `classes`: its labels by number; None: it takes any words, and its boxes have no labels.
+    """
+
     model: Any
-    tokenizer: Any
     processor: Any
-    batch: int = 8
-    threshold: float | None = None
-    pixels: int | None = None
+    kind: Kind
+    threshold: float
+    classes: dict[int, str] | None
     lock: Any = field(default_factory=RLock, repr=False)
 
-    def size(self, aspect: float) -> tuple[int, int]:
-        """(height, width) that images are resized to before `look`. Raises `ImageError` for too few pixels."""
-        if self.family.fit == "squash":
-            return self._side, self._side
-        if self.family.fit == "pad":
-            side = self._side
-            return (max(1, round(side / aspect)), side) if aspect >= 1 else (side, max(1, round(side * aspect)))
-        edges, longer = self.processor.size, max(aspect, 1 / aspect)
-        longest = min(float(edges["longest_edge"]), float(edges["shortest_edge"]) * longer)
-        if self.pixels is not None:
-            longest = min(longest, (self.pixels * longer) ** 0.5)
-        # Whole cells to draw boxes on: a width with many divisors.
-        width = longest if aspect >= 1 else longest * aspect
-        width = width // _FINEST * _FINEST if width >= _FINEST else width // 12 * 12
-        if width < 1:
-            raise ImageError(
-                f"no picture of {aspect:g}:1 for {self.name} has at most {self.pixels} pixels; allow more pixels"
-            )
-        return max(1, round(width / aspect)), int(width)
-
-    def cells(self, aspect: float, extractor: Extractor) -> tuple[int, int]:
-        """Rows and columns of the response."""
-        height, width = self.size(aspect)
-        if extractor == "mask":
-            return height // _POOLED, width // _POOLED
-        cols = max(k for k in range(1, _FINEST + 1) if width % k == 0 and (k % 2 == 0 or width % 2))
-        if aspect < 1.5:  # a view: cells of about 2 degrees
-            cols = min(cols, 48)
-        return max(1, round(cols / aspect)), cols
+    def __call__(self, picture: np.ndarray, query: str) -> Found:
+        """What it finds in one picture."""
+        return self.many([picture], query)[0]
 
     @torch.inference_mode()
-    def look(
-        self, images: Sequence[np.ndarray], grids: Sequence[Grid], queries: Sequence[str], extractor: Extractor
-    ) -> tuple[np.ndarray, Account]:
-        """Responses ``(B, Q, h, w)`` float32 in [0, 1] of images of the size from `size`."""
-        found = np.zeros((len(images), len(queries), *grids[0].shape), dtype=np.float32)
-        if extractor != "mask":
-            boxes, account = self.boxes(images, queries)
-            for row, grid in enumerate(grids):
-                for column, ones in enumerate(boxes[row]):
-                    found[row, column] = drawn(ones, grid, grid)
-            return found, account
-        account = Account(images=len(images))
+    def many(self, pictures: Sequence[np.ndarray], query: str) -> list[Found]:
+        """What it finds in each of several pictures."""
+        text = {"text": [self.kind.sentence(query)] * len(pictures)} if self.kind.sentence else {}
+        inputs = self.processor(images=list(pictures), return_tensors="pt", **text).to(self.model.device)
+        inputs["pixel_values"] = inputs["pixel_values"].to(self.model.dtype)
         with self.lock:
-            for part in chunks(len(images), self.batch, queries):
-                found[part] = self._masks(images[part], queries, account)
-        return found, account
+            out = self.model(**inputs)
+        if self.kind.loaded_by.startswith("CLIPSeg"):
+            masks = out.logits.float().sigmoid().reshape(len(pictures), *out.logits.shape[-2:]).cpu().numpy()
+            return [self._regions(mask, picture.shape[:2]) for mask, picture in zip(masks, pictures, strict=True)]
+        read, more = self.processor, {}
+        read = read.post_process_grounded_object_detection if text else read.post_process_object_detection
+        if self.kind is _DINO:
+            more = {"input_ids": inputs["input_ids"]}
+        sizes = [picture.shape[:2] for picture in pictures]
+        return [self._best(found) for found in read(out, threshold=self.threshold, target_sizes=sizes, **more)]
 
-    @torch.inference_mode()
-    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Account]:
-        """Boxes per image and query, of images of the size from `size`."""
-        account = Account(images=len(images))
-        found: list[list[list[Box]]] = [[] for _ in images]
-        words = [phrase(query) for query in queries]
-        height, width = images[0].shape[:2]
-        side = self._side if self.family.fit == "pad" else 0
-        share = (height / side, width / side) if side else (1.0, 1.0)  # of the square that the picture fills
-        with self.lock:
-            for part in chunks(len(images), self.batch, queries):
-                for asked in [words] if KINDS[self.family.name].together else [[word] for word in words]:
-                    corners, scores = self._boxes(images[part], asked, share, account)
-                    for row, ones in enumerate(found[part]):
-                        ones += [
-                            _kept(corners[row], scores[row, :, column], word, self.least)
-                            for column, word in enumerate(asked)
-                        ]
-        return found, account
+    def _best(self, found: dict[str, Any]) -> Found:
+        best = found["scores"].argsort(descending=True)[:_MOST]
+        boxes, scores = (found[key][best].float().cpu().numpy() for key in ("boxes", "scores"))
+        if self.classes is None:
+            return boxes, scores
+        return boxes, scores, [self.classes[number] for number in found["labels"][best].tolist()]
 
-    @property
-    def least(self) -> float:
-        """The least score of a box."""
-        return KINDS[self.family.name].threshold if self.threshold is None else self.threshold
-
-    @property
-    def _side(self) -> int:
-        """Side of the square that the model sees."""
-        return int(self.model.config.vision_config.image_size)
-
-    def _boxes(
-        self, images: Sequence[np.ndarray], words: Sequence[str], share: tuple[float, float], account: Account
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Corners ``(B, n, 4)`` and scores ``(B, n, Q)`` from one run."""
-        pixels = self._pixels(images)
-        out = self.model(pixel_values=pixels, **self._tokens(words, len(pixels), account))
-        scores = out.logits.float().sigmoid()
-        if KINDS[self.family.name].together:
-            account.image_tokens += out.pred_boxes.shape[:2].numel()
-        else:  # one score per token of the single query
-            account.image_tokens += out.encoder_last_hidden_state_vision.shape[:2].numel()
-            scores = scores.amax(dim=-1, keepdim=True)
-        return _corners(out.pred_boxes, share), scores.cpu().numpy()
-
-    def _masks(self, images: Sequence[np.ndarray], words: Sequence[str], account: Account) -> np.ndarray:
-        """CLIPSeg's probabilities ``(B, Q, h, w)``, averaged over cells."""
-        pixels = self._pixels(images)
-        count, (height, width) = len(pixels), pixels.shape[-2:]
-        account.image_tokens += count * (width // self.model.config.vision_config.patch_size) ** 2
-        tokens = self._tokens([phrase(word) for word in words], count, account)
-        out = self.model(pixel_values=pixels.repeat_interleave(len(words), dim=0), **tokens)
-        chances = out.logits.float().sigmoid().reshape(count, len(words), height, width)
-        rows, cols = height // _POOLED, width // _POOLED
-        cut = chances[..., : rows * _POOLED, : cols * _POOLED]
-        return cut.reshape(count, len(words), rows, _POOLED, cols, _POOLED).mean(dim=(3, 5)).cpu().numpy()
-
-    def _pixels(self, images: Sequence[np.ndarray]) -> torch.Tensor:
-        """Normalised pixels ``(B, 3, h, w)``; OWLv2 gets the picture in the upper left corner of a black square."""
-        if self.family.fit == "pad":
-            canvas = np.zeros((len(images), self._side, self._side, 3), dtype=np.uint8)
-            for square, image in zip(canvas, images, strict=True):
-                square[: image.shape[0], : image.shape[1]] = image
-            images = list(canvas)
-        made = self.processor(images=list(images), do_resize=False, do_pad=False, return_tensors="pt")
-        return made["pixel_values"].to(self.model.device, self.model.dtype)
-
-    def _tokens(self, words: Sequence[str], count: int, account: Account) -> dict[str, torch.Tensor]:
-        """Token ids and masks of all words for each of `count` images, on the model's device."""
-        kind = KINDS[self.family.name]
-        texts, most = [kind.sentence(word) for word in words], kind.longest(self.model.config)
-        made = self.tokenizer(texts, padding=kind.padding, truncation=True, max_length=most, return_tensors="pt")
-        taken = ("input_ids", "attention_mask") if kind.together else tuple(made)
-        repeated = {key: made[key].to(self.model.device).repeat(count, 1) for key in taken}
-        account.prompt_tokens += made["input_ids"].numel() * (1 if kind.together else count)
-        return repeated
-
-
-def _corners(boxes: torch.Tensor, share: tuple[float, float]) -> np.ndarray:
-    """Corners, as fractions of the picture, of boxes ``(..., 4)``: centre x, y, width, height as fractions of a square.
-
-    `share`: of the square's height and width that the picture fills, from its upper left corner.
-    """
-    x, y, width, height = np.moveaxis(boxes.float().cpu().numpy().astype(np.float64), -1, 0)
-    left, right = (np.clip(edge / share[1], 0.0, 1.0) for edge in (x - width / 2, x + width / 2))
-    top, bottom = (np.clip(edge / share[0], 0.0, 1.0) for edge in (y - height / 2, y + height / 2))
-    return np.stack([left, top, right, bottom], axis=-1)
-
-
-def _kept(corners: np.ndarray, scores: np.ndarray, word: str, least: float) -> list[Box]:
-    """Boxes with area and a score of at least `least`, best first, at most `_MOST`."""
-    good = np.flatnonzero((scores >= least) & (corners[:, 2] > corners[:, 0]) & (corners[:, 3] > corners[:, 1]))
-    best = good[np.argsort(-scores[good], kind="stable")][:_MOST]
-    found = [(*corners[i].tolist(), float(scores[i])) for i in best]
-    return [Box(x0, y0, x1, y1, word, score) for x0, y0, x1, y1, score in found]
+    def _regions(self, mask: np.ndarray, size: tuple[int, int]) -> Found:
+        """The connected regions of a mask of probabilities in which one reaches the threshold."""
+        labelled: Any = label(mask >= self.threshold / 2)
+        regions, count = labelled
+        scores = np.atleast_1d(maximum(mask, regions, np.arange(1, count + 1)))
+        down, across = size[0] / mask.shape[0], size[1] / mask.shape[1]
+        boxes = [[cols.start * across, rows.start * down, cols.stop * across, rows.stop * down]
+                 for rows, cols in find_objects(regions)]  # fmt: skip
+        best = [each for each in np.argsort(-scores)[:_MOST] if scores[each] >= self.threshold]
+        return np.reshape(boxes, (-1, 4))[best], scores[best]

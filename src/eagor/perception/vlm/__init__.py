@@ -1,52 +1,32 @@
 """How vision-language models are asked, local or served: their families, questions, conversations.
 
-The differences between families are data (families.toml, with the order and the unit of each one's boxes): no family
-has code of its own.
-
-`Family` says how a model on this machine is used, `style_of` how a served one is asked, `exact_size` which sizes of
-pictures both take unchanged. This module imports neither torch nor transformers, so that ``eagor doctor`` can print
-which models could run.
+The differences between families are data (families.json, with the order and the unit of each one's boxes): no family
+has code of its own. This module imports neither torch nor transformers, so that ``eagor doctor`` can list families.
 """
 
 from __future__ import annotations
 
 import math
 import re
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Literal, Protocol
 
 import msgspec
 import numpy as np
 
-from eagor.errors import EagorError, ImageError, QueryError
+from eagor.errors import ImageError, QueryError
 from eagor.perception.vlm.answers import Frame, Order
 
 __all__ = [
-    "FAMILIES", "GENERAL", "IMAGE", "MAX_TOKENS", "PIXELS", "SERVED", "Account", "Chat", "ChatReply", "Checkpoint",
-    "Extractor", "Family", "Fit", "Labelled", "Message", "Served", "ask_boxes", "ask_presence", "boxes_schema",
-    "chosen", "exact_size", "family_of", "nearest_size", "phrase", "style_of",
+    "FAMILIES", "GENERAL", "IMAGE", "MAX_TOKENS", "PIXELS", "SERVED", "Chat", "ChatReply", "Extractor", "Family",
+    "Labelled", "Message", "Served", "ask_boxes", "ask_presence", "boxes_schema", "exact_size", "phrase", "style_of",
 ]  # fmt: skip
 
-Fit = Literal["exact", "squash", "pad", "tiles"]
-Extractor = Literal["attention", "boxes", "both", "mask", "views"]
+Extractor = Literal["attention", "boxes", "views"]
 PIXELS = 700 * 1400  # of a panorama, by default
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """A published checkpoint: its name on the hub, and its size in billions of parameters."""
-
-    name: str
-    billions: float
-
-    @property
-    def gigabytes(self) -> float:
-        """Estimated memory (1e9 bytes) in 16 bits, plus a fifth (measure: `benchmarks/vlm_latency.py`)."""
-        return 2.4 * self.billions
 
 
 @dataclass(frozen=True)
@@ -75,25 +55,6 @@ class Served:
 
 
 @dataclass(frozen=True)
-class Dialogue:
-    """The format of a conversation, for checkpoints without a template of their own.
-
-    - `user`, `assistant`, `system`: the form of such a message; ``{text}`` stands for its text (and pictures). With an
-      empty `system`, its text goes before that of the first user message.
-    - `begin`: before everything; `reply`: before the next reply; `picture`: around the family's placeholder.
-    - `helper`: default text of the system message; empty for no such message.
-    """
-
-    user: str
-    assistant: str
-    reply: str
-    picture: str
-    system: str = ""
-    begin: str = ""
-    helper: str = ""
-
-
-@dataclass(frozen=True)
 class Family:
     """A family of models; `title` is its common name, `checkpoints` are some published ones.
 
@@ -101,109 +62,59 @@ class Family:
     - `fit`: how an image becomes the model's input. ``exact``: resized to whole cells, any aspect; ``squash``: to the
       model's square; ``pad``: into the square with background around it; ``tiles``: cut into squares, followed by the
       whole image at a smaller scale. `pixels`: the most per image, if the family leaves a choice.
-    - `extractor`: how directions are read by default: ``attention``, ``boxes`` that it writes, ``both`` from one call,
-      its segmentation ``mask``, or ``views``: `per_view` in tangent views that cover the sphere.
+    - `extractor`: how directions are read by default: ``attention``, ``boxes`` that it writes, or ``views``: one of
+      these, `per_view`, in tangent views that cover the sphere.
     - `frame`: coordinates of the boxes that it was trained to write; None if it was not.
     - `type_ids`: the input that tells image tokens from text; without it the model runs and answers wrongly.
-    - `placeholder`: what the chat template writes for an image. It is replaced by the `expansion`, in which the
-      `image_token` is then repeated. `dialogue`: for checkpoints without a template.
+    - `prompt`: of its training, about a picture, with ``{text}`` for the question; for checkpoints without a chat
+      template. `placeholder`: what it has for an image. It is replaced by the `expansion`, in which the `image_token`
+      is then repeated.
     - `depth`: the layer whose attention is read by default, as a fraction of all layers. 22 of 28 for Qwen2.5-VL-7B
       and 14 of 32 for LLaVA-1.5-7B are published (Zhang et al., arXiv 2502.17422); the others are not measured.
-    - `localiser`: whether it has detection or segmentation heads and cannot talk.
-    - `served`: how it is asked on a server; None if chat servers do not run it.
+    - `served`: how it is asked on a server.
     """
 
     name: str
     model_types: tuple[str, ...]
     title: str
-    fit: Fit
+    fit: Literal["exact", "squash", "pad", "tiles"]
     extractor: Extractor
-    checkpoints: tuple[Checkpoint, ...]
+    checkpoints: tuple[str, ...]
+    placeholder: str
+    expansion: str
+    image_token: str
+    prompt: str
+    served: Served
     per_view: Extractor = "attention"
     frame: Frame | None = None
     type_ids: str | None = None
-    placeholder: str = ""
-    expansion: str = ""
-    image_token: str = ""
-    dialogue: Dialogue | None = None
     depth: float = 0.6
     pixels: int = PIXELS
-    localiser: bool = False
-    served: Served | None = None
-
-    @property
-    def template(self) -> str:
-        """The prompt about one picture, with ``{text}`` for the question; empty for a family without dialogue."""
-        if self.dialogue is None:
-            return ""
-        said = self.dialogue
-        helper = said.system.replace("{text}", said.helper) if said.helper else ""
-        return said.begin + helper + said.user.replace("{text}", said.picture + "{text}") + said.reply
-
-    @property
-    def view_pixels(self) -> int | None:
-        """The most pixels of a view by default; None if the family leaves no choice."""
-        return self.served.view**2 if self.served else None
-
-    def default(self, heads: str | None = None) -> Extractor:
-        """The default extractor; with a file of localisation heads one that uses them."""
-        return "attention" if heads and self.extractor == "boxes" and not self.localiser else self.extractor
 
     @property
     def extractors(self) -> tuple[Extractor, ...]:
         """The extractors that the family supports."""
-        if self.localiser:
-            return (self.per_view, "views")
-        return ("attention", "boxes", "both", "views") if self.frame else ("attention", "views")
+        return ("attention", "boxes", "views") if self.frame else ("attention", "views")
+
+    def choices(self, heads: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The extractors, and those for each view, the usual first; with localisation `heads` that is attention."""
+        usual = "attention" if heads and self.extractor == "boxes" else self.extractor
+        return (usual, *self.extractors), (self.per_view, *(each for each in self.extractors if each != "views"))
 
 
-def _family(entry: dict[str, Any]) -> Family:
-    """A family from its entry in families.toml."""
-    if "served" in entry:
-        own = {key: entry[key] for key in ("frame", "pixels") if key in entry}
-        entry["served"] |= own | {"family": entry["name"], "grounded": "frame" in entry}
-    entry["checkpoints"] = [{"name": name, "billions": size} for name, size in entry["checkpoints"].items()]
-    return msgspec.convert(entry, Family)
+class _Tables(msgspec.Struct):
+    family: tuple[Family, ...]
+    served: tuple[Served, ...]  # on servers only
 
 
-_FILE = Path(__file__).with_name("families.toml")
-_TABLES = tomllib.loads(_FILE.read_text(encoding="utf-8"))
-FAMILIES: tuple[Family, ...] = tuple(map(_family, _TABLES["family"]))
-
-
-def chosen(name: str, family: Family, option: str) -> Extractor:
-    """`name` as an extractor of the family; errors name `option`. Raises `EagorError`, which lists the extractors."""
-    if name not in family.extractors:
-        raise EagorError(f"{option} = {name!r}; for {family.title} it can be {', '.join(family.extractors)}")
-    return cast(Extractor, name)
-
-
-def family_of(config: Mapping[str, Any] | Any, source: str) -> Family:
-    """The family of a configuration (object or parsed ``config.json``). Raises `EagorError`, which names `source`."""
-    kind = config.get("model_type") if isinstance(config, Mapping) else getattr(config, "model_type", None)
-    for family in FAMILIES:
-        if kind in family.model_types:
-            return family
-    known = ", ".join(f"{family.title} ({', '.join(family.model_types)})" for family in FAMILIES)
-    raise EagorError(
-        f"{source} holds a model of type {kind!r}, which cannot be read here; known are {known}. Other models can be "
-        "served and reached as endpoint:MODEL@URL"
-    )
-
-
-# --- served models, by their names ------------------------------------------------------------------------------------
-
-
-OTHER = Served("", 28, 560)  # of a name of no known family
-SERVED = (*(each.served for each in FAMILIES if each.served), *msgspec.convert(_TABLES["served"], tuple[Served, ...]))
+_TABLES = msgspec.json.decode(Path(__file__).with_name("families.json").read_bytes(), type=_Tables)
+FAMILIES = _TABLES.family
+SERVED = (*(each.served for each in FAMILIES), *_TABLES.served)
 
 
 def style_of(model: str) -> Served:
-    """How the model of this name is asked: ``Qwen/Qwen2.5-VL-7B-Instruct``, ``qwen2.5vl:7b``; else `OTHER`."""
-    return next((served for served in SERVED if re.search(served.pattern, model.lower())), OTHER)
-
-
-# --- exact sizes ------------------------------------------------------------------------------------------------------
+    """How the model of this name is asked: ``Qwen/Qwen2.5-VL-7B-Instruct``, ``qwen2.5vl:7b``; x first for others."""
+    return next((each for each in SERVED if re.search(each.pattern, model.lower())), Served("", 28, 560))
 
 
 def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
@@ -226,39 +137,6 @@ def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
     shapes = [(row, max(1, min(round(row * aspect), cells // row))) for row in rows]
     row, column = min(shapes, key=lambda shape: (abs(math.log(shape[1] / shape[0] / aspect)), -shape[0] * shape[1]))
     return cell * row, cell * column
-
-
-def nearest_size(cell: int, shape: tuple[int, int], least: int, most: int) -> tuple[int, int]:
-    """(height, width) nearest to `shape` in whole cells, with `least` to `most` pixels, as a processor would choose it.
-
-    The rounding is that of the Qwen families' image processors, so that a local conversation sees what a server would
-    show. Sides are rounded separately, which distorts the picture by up to half a cell each way: use `exact_size` where
-    directions are read. Raises `ImageError` if not even one cell fits.
-    """
-    height, width = shape
-    if most < cell * cell or min(shape) < 1:
-        raise ImageError(f"a picture of {width} x {height} cannot have cells of {cell} pixels and at most {most}")
-    sides = [round(side / cell) * cell for side in shape]
-    scale = math.sqrt(height * width / most)
-    if sides[0] * sides[1] > most:
-        sides = [max(cell, math.floor(side / scale / cell) * cell) for side in shape]
-    elif sides[0] * sides[1] < least:
-        scale = math.sqrt(least / (height * width))
-        sides = [math.ceil(side * scale / cell) * cell for side in shape]
-    return sides[0], sides[1]
-
-
-# --- models in memory -------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class Account:
-    """Running totals of images, image tokens, and tokens of questions and answers."""
-
-    images: int = 0
-    image_tokens: int = 0
-    prompt_tokens: int = 0
-    answer_tokens: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,11 +220,9 @@ class Message:
 
     def parts(self) -> list[str | np.ndarray]:
         """Text and pictures in order; empty text is left out."""
-        texts = self.text.split(IMAGE, len(self.images))
         found: list[str | np.ndarray] = []
-        for index, text in enumerate(texts):
-            found += [text] if text else []
-            found += [self.images[index]] if index < len(self.images) else []
+        for index, text in enumerate(self.text.split(IMAGE, len(self.images))):
+            found += [text] * bool(text) + [*self.images[index : index + 1]]
         return found
 
 

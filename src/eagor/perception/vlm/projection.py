@@ -1,4 +1,4 @@
-"""From answers about pictures back to the sphere: boxes as detections or as bumps, several responses as one.
+"""From a moment's pictures and the answers about them back to the sphere: what a model is shown, and its evidence.
 
 Several pictures of one moment overlap: a panorama and the same rolled by half a turn (the seam of one is the middle of
 the other), or tangent views. Things are cut at borders, and models waste attention there; so everywhere the picture
@@ -8,25 +8,114 @@ counts most in which a direction lies farthest inside.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eagor.errors import ResponseError
+from eagor.errors import EagorError, ResponseError
 from eagor.evidence import Evidence
+from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
-from eagor.evidence.shapes import ANYWHERE, MIN_SPREAD, bump, moments
-from eagor.grids import OVERLAP, Grid, PatchGrid, PerspectiveGrid, depth_inside
-from eagor.media.panorama import checked_picture, resized
+from eagor.evidence.shapes import ANYWHERE, WHOLE_SPHERE, moments
+from eagor.grids import OVERLAP, Grid, PatchGrid, PerspectiveGrid, depth_inside, tangent_views
+from eagor.media.panorama import checked_picture, cut, resized
 from eagor.perception.things import spread_evidence
 from eagor.perception.vlm.answers import Box
 from eagor.sphere import angular_distance
 
 SAME = math.radians(5)  # largest distance between two boxes of one small thing; the extent of large things is added
 REACH = math.sqrt(3)  # half the width of a box over its standard deviation
-WHOLE = 0.95  # coverage from which on a direction counts as fully seen
+_SAMPLES = 3  # along each side of a cell that the responses of views are projected to
+
+
+@dataclass(frozen=True, eq=False)
+class Crop:
+    """A picture for the model, with the geometry of `grid`, rolled to the right by the fraction `roll` of its width."""
+
+    image: np.ndarray
+    grid: Grid
+    roll: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class InferencePlan:
+    """What a model is shown of one moment, and how its answers become evidence.
+
+    `combine` makes one response on the cells `cells` from those of the crops ``(h, w)``; `coverage` ``(H, W)``: the
+    share of each cell that was shown, None: all. `view`: the ordinary picture that is looked at, None: a panorama.
+    """
+
+    crops: tuple[Crop, ...]
+    cells: Grid
+    combine: Callable[[Sequence[np.ndarray]], np.ndarray]
+    coverage: np.ndarray | None = None
+    view: PerspectiveGrid | None = None
+
+    @property
+    def wrap(self) -> bool:
+        """Whether the left and the right edge of the pictures meet."""
+        return isinstance(self.crops[0].grid, PatchGrid)
+
+    def evidence(
+        self,
+        answers: Sequence[list[Box]] | Sequence[np.ndarray],
+        detector: DetectorModel | None,
+        calibration: Calibration | None,
+        stamp: float | None,
+        source: Mapping[str, object],
+    ) -> Evidence:
+        """The evidence of the crops' answers: boxes, which err as `detector` says, or responses ``(h, w)``.
+
+        Raises `EagorError` for a calibration of boxes: they are detections.
+        """
+        if isinstance(answers[0], np.ndarray):
+            response = self.combine([np.asarray(each) for each in answers])
+            return Evidence.from_response(response, self.cells, calibration, stamp, self.coverage, source)
+        if calibration is not None:
+            raise EagorError("a calibration came for boxes, which are detections; wanted detector=DetectorModel(...)")
+        pictures = zip(answers, self.crops, strict=True)
+        found = fuse_detections(box_detections(boxes, crop.grid, crop.roll) for boxes, crop in pictures)
+        if self.view is not None:
+            found = [each for each in found if self.view.project(each.direction)[2]]
+        parts = [(each.direction, each.covariance, each.score) for each in found]
+        scored = any(each.score != 1 for each in found)  # a model that tells none has 1 everywhere
+        view = View(self.view or WHOLE_SPHERE)
+        return replace(spread_evidence(parts, detector, view, stamp, scored), source=source)
+
+
+def plan_panorama(panorama: np.ndarray, size: tuple[int, int], cells: tuple[int, int], seam: bool) -> InferencePlan:
+    """The whole panorama at `size` (height, width), seen in `cells` (rows, cols); with `seam` also rolled by half."""
+    picture, grid = resized(panorama, size, wrap=True), PatchGrid(*cells)
+    shift = grid.cols // 2 if seam else 0
+    roll = shift / grid.cols
+    crops = [Crop(picture, grid)]
+    if shift:
+        crops.append(Crop(np.roll(picture, shift * (size[1] // grid.cols), axis=1), grid, roll))
+
+    def combine(maps: Sequence[np.ndarray]) -> np.ndarray:
+        return merge_seam(maps[0], np.roll(maps[1], -shift, axis=-1), roll) if shift else maps[0]
+
+    return InferencePlan(tuple(crops), grid, combine)
+
+
+def plan_views(panorama: np.ndarray, side: int, rows: int) -> InferencePlan:
+    """Tangent views of `side` pixels that cover the sphere; responses come on a panorama of so many `rows`."""
+    views, grid = tangent_views(side), PatchGrid(rows, 2 * rows)
+    crops = tuple(Crop(image, view) for image, view in zip(cut(panorama, *views), views, strict=True))
+    return InferencePlan(crops, grid, lambda maps: project_to_sphere(maps, views, grid))
+
+
+def plan_view(image: np.ndarray, grid: PerspectiveGrid, size: tuple[int, int], cells: tuple[int, int]) -> InferencePlan:
+    """One ordinary picture with the pixels of `grid`, shown at `size` (height, width), seen in `cells` (rows, cols)."""
+    picture, posed, inner = letterbox(image, grid, size)
+    coverage = None if inner == size else letterbox_coverage(cells, size, inner)
+    crop = Crop(picture, posed)
+    return InferencePlan((crop,), posed.resized(*cells), lambda maps: np.broadcast_to(maps[0], cells), coverage, grid)
+
+
+# --- boxes ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +135,7 @@ class Detection:
         """Standard deviation, radians."""
         return math.sqrt(float(np.trace(self.covariance)) / 2)
 
-    def is_same(self, other: Detection) -> bool:
+    def same_object(self, other: Detection) -> bool:
         """Whether boxes of two pictures probably show one thing, which one of the pictures may cut off."""
         small, large = sorted((self.size, other.size))
         if large > 3 * small + SAME:
@@ -54,81 +143,40 @@ class Detection:
         return float(angular_distance(self.direction, other.direction)) < math.hypot(SAME, REACH * large)
 
 
-def moments_of(box: Box, image: Grid, roll: float = 0.0) -> tuple[np.ndarray, np.ndarray] | None:
-    """Mean direction ``(3,)`` and covariance ``(2, 2)`` of a box in a picture with the geometry of `image`.
+def box_detections(boxes: Iterable[Box], image: Grid, roll: float = 0.0) -> list[Detection]:
+    """The boxes in a picture with the geometry of `image` as directions in the body frame.
 
-    For a whole panorama, `image` is any grid of the whole sphere. `roll`: the fraction of its width by which it was
-    rolled to the right. None for a box all around, which has no direction.
+    For a whole panorama, `image` is any grid of the whole sphere; `roll`: the fraction of its width by which it was
+    rolled to the right. A box all around has no direction and counts everywhere.
     """
     height, width = image.shape
-    corners = [(box.x0 - roll) * width, box.y0 * height, (box.x1 - roll) * width, box.y1 * height]
-    try:
-        return moments(np.array(corners), image)  # columns continue across the seam
-    except ResponseError:  # all around: every `Box` has some area
-        return None
-
-
-def things(boxes: Sequence[Box], image: Grid, roll: float = 0.0) -> list[Detection]:
-    """The boxes in a picture as directions in the body frame; `image` and `roll` as in `moments_of`."""
     found = []
     for box in boxes:
-        centre, spread = moments_of(box, image, roll) or (np.array([1.0, 0.0, 0.0]), ANYWHERE**2 * np.eye(2))
-        if isinstance(image, PerspectiveGrid):
-            depth = float(centre @ image.body_R_view[:, 0])
-        else:
-            depth = 1 - abs(box.x0 + box.x1 - 1)
+        corners = [(box.x0 - roll) * width, box.y0 * height, (box.x1 - roll) * width, box.y1 * height]
+        try:
+            centre, spread = moments(np.array(corners), image)  # columns continue across the seam
+        except ResponseError:  # all around: every `Box` has some area
+            centre, spread = np.array([1.0, 0.0, 0.0]), ANYWHERE**2 * np.eye(2)
+        view = isinstance(image, PerspectiveGrid)
+        depth = float(centre @ image.body_R_view[:, 0]) if view else 1 - abs(box.x0 + box.x1 - 1)
         found.append(Detection(centre, spread, box.score, depth))
     return found
 
 
-def united(pictures: Iterable[Sequence[Detection]]) -> list[Detection]:
+def fuse_detections(pictures: Iterable[Sequence[Detection]]) -> list[Detection]:
     """The things in several pictures, each once: from the picture in which it lies farthest inside."""
-    marked = [(thing, index) for index, found in enumerate(pictures) for thing in found]
+    marked = [(each, index) for index, found in enumerate(pictures) for each in found]
     kept: list[tuple[Detection, int]] = []
-    for thing, index in sorted(marked, key=lambda pair: -pair[0].depth):
-        if not any(index != other and thing.is_same(earlier) for earlier, other in kept):
-            kept.append((thing, index))
-    return [thing for thing, _ in kept]
+    for each, index in sorted(marked, key=lambda pair: -pair[0].depth):
+        if not any(index != other and each.same_object(earlier) for earlier, other in kept):
+            kept.append((each, index))
+    return [each for each, _ in kept]
 
 
-def detected(
-    found: Sequence[Detection],
-    model: DetectorModel | None,
-    grid: Grid,
-    stamp: float | None,
-    coverage: np.ndarray | None = None,
-    source: Mapping[str, object] | None = None,
-) -> Evidence:
-    """The evidence of `found` within `grid`, as far as `coverage` ``(H, W)`` says (None: all of it)."""
-    seen = None if coverage is None or bool((coverage >= WHOLE).all()) else coverage
-    parts = [(thing.direction, thing.covariance, thing.score) for thing in found]
-    scored = any(thing.score != 1 for thing in found)  # a model that tells none has 1 everywhere
-    return replace(spread_evidence(parts, model, View(grid, seen), stamp, scored), source=source)
+# --- responses --------------------------------------------------------------------------------------------------------
 
 
-# --- boxes as responses -----------------------------------------------------------------------------------------------
-
-
-def drawn(boxes: Sequence[Box], image: Grid, canvas: Grid, roll: float = 0.0) -> np.ndarray:
-    """The response ``canvas.shape`` float32 in [0, 1] of boxes in a picture with the geometry of `image`.
-
-    `image` and `roll` as in `moments_of`. As in `Evidence.from_boxes`, each box becomes a Gaussian, widened by
-    `MIN_SPREAD`, times its score; the highest counts. A box all around is uniform. No box: zeros.
-    """
-    response = np.zeros(canvas.shape)
-    for box in boxes:
-        meant = moments_of(box, image, roll)
-        there = np.ones(canvas.shape)
-        if meant is not None:
-            there = bump(canvas.directions, meant[0], meant[1] + MIN_SPREAD**2 * np.eye(2))
-        response = np.maximum(response, box.score * there)
-    return response.astype(np.float32)
-
-
-# --- the seam ---------------------------------------------------------------------------------------------------------
-
-
-def merged(first: np.ndarray, second: np.ndarray, roll: float = 0.5) -> np.ndarray:
+def merge_seam(first: np.ndarray, second: np.ndarray, roll: float = 0.5) -> np.ndarray:
     """One response, float32, from two ``(..., h, w)`` to one panorama, both in the panorama's own frame.
 
     `second` was seen in the panorama rolled to the right by the fraction `roll` of its width (near 1/2); its columns
@@ -141,12 +189,39 @@ def merged(first: np.ndarray, second: np.ndarray, roll: float = 0.5) -> np.ndarr
     return (first * share + second * (1 - share)).astype(np.float32)
 
 
-# --- tangent views ----------------------------------------------------------------------------------------------------
+def project_to_sphere(responses: Sequence[np.ndarray], views: Sequence[PerspectiveGrid], grid: PatchGrid) -> np.ndarray:
+    """One response ``(h, w)`` float32 on `grid` from those of views that cover the sphere.
 
-_SAMPLES = 3  # along each side of a cell that responses are lifted to
+    `responses`: per view the values in [0, 1] of its cells ``(rows, cols)``, which divide the view evenly; a single
+    cell covers the whole view. Where views overlap it is the mean, weighted by sin^2 over a margin at each side.
+    """
+    # Several points per cell: borders of views run through cells, and cells of views may be finer than ours.
+    fine = PatchGrid(grid.rows * _SAMPLES, grid.cols * _SAMPLES)
+    total, weights = np.zeros(fine.shape), np.zeros(fine.shape)
+    for response, view in zip(responses, views, strict=True):
+        depth = depth_inside(fine.directions @ view.body_R_view, view.hfov / 2, view.hfov / 2)
+        inside = depth > 0
+        weight = np.sin(np.clip(depth[inside] / (OVERLAP / 2), 0, 1) * (math.pi / 2)) ** 2
+        x, y, _ = view.project(fine.directions[inside])
+        total[inside] += weight * bilinear(response[None], x / view.width, y / view.height)[0]
+        weights[inside] += weight
+    total, share = ((each * fine.weights).reshape(grid.rows, _SAMPLES, grid.cols, _SAMPLES).sum(axis=(1, 3))
+                    for each in (total, weights))  # fmt: skip
+    return np.clip(total / share, 0, 1).astype(np.float32)
 
 
-def framed(
+def bilinear(layers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """`layers` ``(Q, rows, cols)`` of a view at fractions (x, y) of it; constant beyond the outer centres."""
+    from scipy.ndimage import map_coordinates
+
+    places = np.stack([y * layers.shape[1] - 0.5, x * layers.shape[2] - 0.5])
+    return np.stack([map_coordinates(layer, places, np.float64, order=1, mode="nearest") for layer in layers])
+
+
+# --- ordinary pictures ------------------------------------------------------------------------------------------------
+
+
+def letterbox(
     image: np.ndarray, grid: PerspectiveGrid, size: tuple[int, int]
 ) -> tuple[np.ndarray, PerspectiveGrid, tuple[int, int]]:
     """A picture of `size` (height, width) with `image` in its middle, its grid, and the rows and columns of `image`.
@@ -174,67 +249,10 @@ def framed(
     return picture, PerspectiveGrid.of_lens(replace(inner, size=(width, height), centre=centre)), (rows, cols)
 
 
-def filled(shape: tuple[int, int], size: tuple[int, int], inner: tuple[int, int]) -> np.ndarray:
+def letterbox_coverage(shape: tuple[int, int], size: tuple[int, int], inner: tuple[int, int]) -> np.ndarray:
     """The fraction of each cell ``(h, w)`` of a picture of `size` that lies in the middle part of `inner` pixels."""
     shares = []
     for count, whole, part in zip(shape, size, inner, strict=True):
         edges = np.clip(np.arange(count + 1) * (whole / count), (whole - part) / 2, (whole + part) / 2)
         shares.append(np.diff(edges) * (count / whole))
     return np.minimum(shares[0][:, None] * shares[1], 1.0)
-
-
-def lift(
-    responses: Sequence[np.ndarray], views: Sequence[PerspectiveGrid], grid: PatchGrid, margin: float = OVERLAP / 2
-) -> tuple[np.ndarray, np.ndarray]:
-    """One response on the sphere from one ``(Q, rows, cols)`` per view, and its coverage.
-
-    Args:
-        responses: per view the values in [0, 1] of its cells, which divide the view evenly; a single cell covers the
-            whole view.
-        views: their poses.
-        grid: the cells of the result.
-        margin: radians at each side of a view over which its weight rises from 0 to 1 (as sin^2).
-
-    Returns the response ``(Q, h, w)`` float32, the weighted mean where views overlap, and the coverage ``(h, w)`` in
-    [0, 1], the weight of the view that sees the cell best. Where coverage is 0 nothing was seen (response 0): pass it
-    to `Evidence.from_response`. Raises `ResponseError` if the responses do not fit the views.
-    """
-    arrays = [np.asarray(response) for response in responses]
-    if len(arrays) != len(views) or not arrays:
-        raise ResponseError(f"there are {len(arrays)} responses for {len(views)} views; wanted one each, one at least")
-    if any(array.ndim != 3 or array.shape[0] != arrays[0].shape[0] or array.size == 0 for array in arrays):
-        shapes = sorted({array.shape for array in arrays})
-        raise ResponseError(f"responses of views have shapes {shapes}; wanted (queries, rows, cols), queries alike")
-    # Several points per cell: borders of views run through cells, and cells of views may be finer than ours.
-    fine = PatchGrid(grid.rows * _SAMPLES, grid.cols * _SAMPLES)
-    total = np.zeros((arrays[0].shape[0], *fine.shape))
-    weights, coverage = np.zeros(fine.shape), np.zeros(fine.shape)
-    for array, view in zip(arrays, views, strict=True):
-        half_height = math.atan(math.tan(view.hfov / 2) * view.height / view.width)
-        depth = depth_inside(fine.directions @ view.body_R_view, view.hfov / 2, half_height)
-        inside = depth > 0
-        rise = np.clip(depth[inside] / margin, 0, 1) if margin > 0 else 1.0
-        weight = np.sin(rise * (math.pi / 2)) ** 2
-        x, y, _ = view.project(fine.directions[inside])
-        total[:, inside] += weight * bilinear(array, x / view.width, y / view.height)
-        weights[inside] += weight
-        coverage[inside] = np.maximum(coverage[inside], weight)
-    solid = fine.weights * weights
-    shape = (grid.rows, _SAMPLES, grid.cols, _SAMPLES)
-    share = solid.reshape(shape).sum(axis=(1, 3))
-    summed = (total * fine.weights).reshape(-1, *shape).sum(axis=(2, 4))
-    response = np.divide(summed, share, out=np.zeros_like(summed), where=share > 0)
-    seen = (coverage * fine.weights).reshape(shape).sum(axis=(1, 3)) / grid.weights
-    return np.clip(response, 0, 1).astype(np.float32), np.clip(seen, 0, 1)
-
-
-def bilinear(layers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """`layers` ``(Q, rows, cols)`` of a view at fractions (x, y) of it; constant beyond the outer centres."""
-    rows, cols = layers.shape[1:]
-    u, v = np.clip(x * cols - 0.5, 0, cols - 1), np.clip(y * rows - 0.5, 0, rows - 1)
-    left, top = np.floor(u).astype(np.intp), np.floor(v).astype(np.intp)
-    right, below = np.minimum(left + 1, cols - 1), np.minimum(top + 1, rows - 1)
-    across, down = u - left, v - top
-    upper = layers[:, top, left] * (1 - across) + layers[:, top, right] * across
-    lower = layers[:, below, left] * (1 - across) + layers[:, below, right] * across
-    return upper * (1 - down) + lower * down

@@ -8,6 +8,9 @@ import type { Player } from "./player";
 import type { Problems } from "./problems";
 import type { Shell } from "./shell";
 
+export const TABS = ["walk", "run", "picture", "live"] as const;
+export type Tab = (typeof TABS)[number];
+
 export interface Page {
   store: Store;
   shell: Shell;
@@ -15,15 +18,15 @@ export interface Page {
   session: Session;
   player: Player;
   problems: Problems;
-  state(): ServerState | null;
+  state(): ServerState;
   /** A few words in the corner of the panorama. */
   badge(text: string): void;
   /** Words over the panorama while there is nothing to see; none take them away. */
   empty(...content: (Node | string)[]): void;
 }
 
-export interface ViewHandler {
-  enter(): void;
+export interface View {
+  enter(tab: Tab): void;
   leave(): void;
   /** A person asks for something. */
   ask?(query: string): void;
@@ -32,6 +35,4 @@ export interface ViewHandler {
   /** The server wants to know how wide the camera sees, and says why. */
   question?(why: string): void;
   steer?(key: string, down: boolean, at: number): boolean;
-  turnsCamera?(): boolean;
-  turnCamera?(yaw: number, pitch: number): void;
 }
