@@ -383,7 +383,7 @@ def poses_seen(odometer: VisualOdometer, picture: Picture, now: Callable[[], flo
         return
     if turned.lost:
         yield PosesLost(now(), "a picture does not fit to those before it: the belief starts anew")
-    pose = Pose(picture.stamp, np.asarray(turned.world_R_body), spread=turned.spread)
+    pose = Pose(picture.stamp, np.asarray(turned.world_R_body), spread=turned.std)
     yield PoseCame(now(), pose, of_picture=True)
 
 
