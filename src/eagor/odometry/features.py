@@ -107,8 +107,8 @@ class Views:
         import cv2
 
         places = picture.grids[0].project(self._nodes @ old_R_new)[:2]
-        tables = [cv2.resize((each - 0.5).astype(np.float32), grids[0].shape[::-1]) for each in places]
-        shown = cv2.remap(picture.pictures[0], *tables, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        column, row = (cv2.resize((each - 0.5).astype(np.float32), grids[0].shape[::-1]) for each in places)
+        shown = cv2.remap(picture.pictures[0], column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return Views(grids, (shown,), picture.grids[0])
 
     @lazy
