@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from eagor.live.in_turn import Followed
-    from eagor.perception.recordings import HiddenParts, RecordedLooks
-    from eagor.tracking import ThingSeen
+    from eagor.perception.recordings import HiddenParts, RecordedLooks, ThingSeen
     from eagor.tracking.config import TrackerConfig
     from eagor.tracking.estimate import Estimate
 
@@ -267,7 +266,7 @@ def _line(thing: ThingSeen, begins: float) -> str:
 
 
 def _entry(thing: ThingSeen, modes: int) -> dict[str, Any]:
-    from eagor.tracking.surroundings import NEAR
+    from eagor.perception.recordings import NEAR
 
     near = round(math.degrees(NEAR))
     about = {"query": thing.query, **thing.estimate.as_dict(modes, near)}

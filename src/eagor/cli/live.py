@@ -194,8 +194,8 @@ def asked(options: Live) -> tuple[str, list[str]]:
     return source, queries
 
 
-def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> Loop:
-    """The loop that the options ask for, with its camera open; `around` as of `Loop`.
+def loop_of(options: Live, sinks: Sequence[Sink] = ()) -> Loop:
+    """The loop that the options ask for, with its camera open.
 
     Raises `UsageError`, and as `Loop`.
     """
@@ -228,7 +228,7 @@ def loop_of(options: Live, sinks: Sequence[Sink] = (), around: bool = False) -> 
         loop = Loop(
             already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast, sinks,
             config=config, rate=options.rate, patience=options.patience, record=options.record,
-            pictures=options.pictures, around=around, mask=mask,
+            pictures=options.pictures, mask=mask,
         )  # fmt: skip
     except BaseException:
         camera.close()

@@ -9,7 +9,6 @@ import bisect
 import math
 import warnings
 from collections import deque
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from statistics import median
 
@@ -20,7 +19,6 @@ from eagor._checks import checked_stamp
 from eagor.errors import EagorError, TimeError
 from eagor.evidence import Evidence
 from eagor.live.events import (
-    AllCame,
     Answer,
     Asked,
     Event,
@@ -35,7 +33,7 @@ from eagor.live.events import (
 )
 from eagor.media import Pose
 from eagor.odometry.clocks import ClockSync
-from eagor.tracking import DirectionTracker, Estimate, Surroundings, TrackerConfig
+from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["LiveCore", "LoopSettings", "RecentPoses", "deviation", "warm"]
 
@@ -63,7 +61,6 @@ FUTURE = 0.1  # seconds by which evidence may be ahead of time
 PICTURES = 512  # stamps of pictures that are remembered, for evidence that comes late
 SLOWEST = 1.0  # seconds: a camera's quickest picture takes no longer; a larger difference is one of clocks
 ONE_CLOCK = 0.5  # seconds: two clocks that differ by less from ours, in the same sense, are one
-ASIDE = 0.1  # seconds between two computations for what nobody has asked for
 TOLD = 5.0  # seconds for which an event of a moment (a clock that jumped) stays among the faults
 
 
@@ -151,10 +148,9 @@ class LoopSettings:
 
     Without poses the camera is taken to stand still. `latency`: seconds by which the camera's stamps are set back.
     `acceleration`: radians per second squared (root mean square) by which the camera may turn faster or slower. The
-    poses tell more: this counts as one observation beside many, and alone where there are too few. `around`: also
-    follow all else that a perception sees that knows its classes, with one computation, for one thing, every so many
-    seconds at most; 0: all at once, however long it takes; None: do not. `extrapolate`: answers are those of the time
-    that is asked for; otherwise those of the newest pose. `exact`: compute every answer anew, however long it takes.
+    poses tell more: this counts as one observation beside many, and alone where there are too few. `extrapolate`:
+    answers are those of the time that is asked for; otherwise those of the newest pose. `exact`: compute every answer
+    anew, however long it takes.
     """
 
     queries: tuple[str, ...]
@@ -162,7 +158,6 @@ class LoopSettings:
     poses: bool = True
     latency: float = 0.0
     acceleration: float = 0.5
-    around: float | None = None
     extrapolate: bool = True
     exact: bool = False
 
@@ -173,9 +168,6 @@ class LiveCore:
     A belief is computed anew with a new look, but at most every `TOGETHER` seconds, and without one when the camera has
     moved by `MOVED` or after `REFRESHED` seconds. In between it is turned with the camera, which is exact for turns and
     cheap. After the newest pose the camera's turn is extrapolated, and regions are wider by what that may miss.
-
-    `around`: all that was seen, asked for or not, if that is wanted; a query that is one of its `names` begins with
-    what is known of it.
     """
 
     def __init__(self, settings: LoopSettings) -> None:
@@ -183,9 +175,6 @@ class LiveCore:
         self._camera = ClockSync("camera", settings.latency, SLOWEST)
         self._odometry = ClockSync("odometry")
         self._tracker = DirectionTracker(settings.config)
-        self.around = None if settings.around is None else Surroundings(settings.config)
-        self._apart = settings.around or 0.0  # seconds between two works on it, at least
-        self._aside = -math.inf  # when the last was
         self._recent = RecentPoses(settings.acceleration)
         self._extrapolates, self._exact = settings.poses and settings.extrapolate, settings.exact
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
@@ -218,8 +207,6 @@ class LiveCore:
                 self._take_pose(event)
             case EvidenceCame():
                 self._evidence(event)
-            case AllCame():
-                self._all(event)
             case Trouble():
                 self._trouble(event)
             case PosesLost():
@@ -251,11 +238,6 @@ class LiveCore:
             self._fresh.discard(gone)
             if gone in self._tracker.targets:
                 self._tracker.forget(gone)
-        for new in {*queries} - {*self.queries}:
-            if self.around is not None and new in self.around.names:
-                self._tracker.begin(new, new, self.around.tracker)
-                self._looks[new] = self.around.newest
-                self._fresh.add(new)
         self.queries = queries
 
     def _frame(self, event: FrameCame) -> None:
@@ -290,8 +272,6 @@ class LiveCore:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of far stamps: the age of the pose tells
                 self._tracker.add_pose(stamp, pose.world_R_body, pose.position)
-                if self.around is not None:
-                    self.around.move(stamp, pose.world_R_body, pose.position)
         except EagorError as error:
             self._say("poses", f"a pose is left out: {error}", event.arrival)
             return
@@ -319,19 +299,6 @@ class LiveCore:
                 own = look.stamp
             self._early.append((event.query, replace(look, stamp=checked_stamp(own)), event.arrival))
         self._settle(event.arrival)
-
-    def _all(self, event: AllCame) -> None:
-        """A look at everything. One that cannot be placed was said of its `EvidenceCame`."""
-        stamp, told = self._of_picture(event.stamp), event.around.nothing.stamp
-        if self.around is None or stamp is None:
-            return
-        own = stamp if told is None else stamp + (told - event.told)
-        if own > event.arrival + FUTURE or own < self._first - HELD:
-            return
-        with suppress(EagorError):
-            self.around.look(event.around.at(checked_stamp(max(own, self._first) if self._first < math.inf else own)))
-        while self.around.behind and not self._apart:
-            self.around.take_in()
 
     def _settle(self, now: float) -> None:
         """Give the tracker the evidence that is not of the future, and whose pose is there or does not come."""
@@ -391,8 +358,6 @@ class LiveCore:
 
     def _lost(self, event: PosesLost) -> None:
         self._tracker.reset()
-        if self.around is not None:
-            self.around.reset()
         self._recent.clear()
         self._pose, self._first = -math.inf, math.inf
         self._spreads.clear()
@@ -418,9 +383,6 @@ class LiveCore:
         most = len(due) if self._exact else math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
         for query in due[: max(1, most)]:
             self._compute(query, now)
-        if self.around is not None and now - self._aside >= self._apart:
-            self._aside = now
-            self.around.take_in()
         for query in self.queries:
             estimate = self._turned(query, now)
             answers.append(

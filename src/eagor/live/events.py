@@ -19,11 +19,11 @@ from eagor.errors import GridError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.media import Pose
-from eagor.tracking import Around, TurningCamera, TurningRig
+from eagor.tracking import TurningCamera, TurningRig
 from eagor.tracking.estimate import Estimate, plain_number
 
 __all__ = [
-    "AGAIN", "CALM", "AllCame", "Answer", "Asked", "Event", "EvidenceCame", "Fault", "FaultLog", "Following",
+    "AGAIN", "CALM", "Answer", "Asked", "Event", "EvidenceCame", "Fault", "FaultLog", "Following",
     "FrameCame", "NextLooks", "Part", "PoseCame", "PosesLost", "Trouble",
 ]  # fmt: skip
 
@@ -134,16 +134,6 @@ class EvidenceCame:
     seconds: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class AllCame:
-    """What the same pass says about everything in the picture of `stamp`; the rest as in `EvidenceCame`."""
-
-    arrival: float
-    stamp: float
-    told: float
-    around: Around
-
-
 @dataclass(frozen=True)
 class Trouble:
     """Something is wrong with a part, in words; an empty `text`: it works again.
@@ -174,7 +164,7 @@ class Asked:
     arrival: float
 
 
-Event = FrameCame | PoseCame | PosesLost | EvidenceCame | AllCame | Trouble | Following | Asked
+Event = FrameCame | PoseCame | PosesLost | EvidenceCame | Trouble | Following | Asked
 
 
 @dataclass

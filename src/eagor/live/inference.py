@@ -33,7 +33,6 @@ from eagor.media.panorama import Picture
 from eagor.perception import NoEvidenceError, Perception, knows_classes, load
 from eagor.perception.recordings import HiddenParts
 from eagor.perception.replay import look_if_recorded
-from eagor.tracking import Around
 from eagor.tracking.checkpoint import packed, unpacked
 
 __all__ = ["Failed", "Inference", "InferenceWorker", "Looked", "UnusableError", "why_here"]
@@ -74,9 +73,8 @@ class Failed:
 class Inference:
     """A perception that looks at pictures in this process, given as text for `eagor.perception.load` or as an object.
 
-    What fails is said, and nothing is raised for it. `everything`: tell all else that a perception sees that knows its
-    classes, too. `masks`: where looks say nothing; where all pictures are black about a pole, they do not either, which
-    `say` is told once.
+    What fails is said, and nothing is raised for it. `masks`: where looks say nothing; where all pictures are black
+    about a pole, they do not either, which `say` is told once.
     """
 
     def __init__(
@@ -84,10 +82,9 @@ class Inference:
         perception: str | Perception,
         *,
         masks: Sequence[BodyMask] = (),
-        everything: bool = False,
         say: Callable[[str], object] = lambda text: None,
     ) -> None:
-        self.perception, self.everything = perception, everything
+        self.perception = perception
         self.knows_classes: bool | None = None  # not known before it is loaded
         self._loaded: Perception | None = None
         self._hidden = HiddenParts(masks, say)
@@ -110,11 +107,11 @@ class Inference:
         world_R_body: np.ndarray | None = None,
         grid: PerspectiveGrid | None = None,
         unseen: np.ndarray | None = None,
-    ) -> Iterator[Looked | Failed | Around]:
+    ) -> Iterator[Looked | Failed]:
         """Look at a picture ``(H, W, 3)`` uint8 for each query in turn; what is found comes as it is found.
 
         It is a panorama, or an ordinary one with its `grid`, without what is `unseen`; None for a perception that plays
-        recorded looks. With `everything`, all else comes last.
+        recorded looks.
 
         Raises `UnusableError` if the perception cannot be loaded, `ImageError` for another array.
         """
@@ -151,24 +148,21 @@ class Inference:
         pose: np.ndarray | None,
         grid: PerspectiveGrid | None,
         covers: Sequence[BodyMask],
-    ) -> Iterator[Looked | Failed | Around]:
-        """All queries from one pass of a perception that knows its classes; then everything, if wanted."""
+    ) -> Iterator[Looked | Failed]:
+        """All queries from one pass of a perception that knows its classes."""
         perception: Any = self._loaded
         began = time.perf_counter()
         try:
-            looks, around = perception.around(seen, queries, stamp, pose, grid)
+            looks = perception.answers(seen, queries, stamp, pose, grid)
             looks = [look if isinstance(look, QueryError) else _covered(look, covers) for look in looks]
-            around = _covered(around, covers)
         except Exception as error:
-            looks, around = [error] * len(queries), None
+            looks = [error] * len(queries)
         seconds = (time.perf_counter() - began) / max(len(queries), 1)
         for query, look in zip(queries, looks, strict=True):
             if isinstance(look, Exception):
                 yield Failed(query, _said(look), isinstance(look, QueryError))
             else:
                 yield Looked(query, (look,), seconds)
-        if self.everything and around is not None:
-            yield around
 
     def kill(self) -> None:
         """Nothing can end a look in this process."""
@@ -205,9 +199,8 @@ class InferenceWorker:
         *,
         patience: float = PATIENCE,
         masks: Sequence[BodyMask] = (),
-        everything: bool = False,
     ) -> None:
-        self.perception, self.patience, self.masks, self.everything = perception, patience, tuple(masks), everything
+        self.perception, self.patience, self.masks = perception, patience, tuple(masks)
         self.starts = 0
         self.knows_classes: bool | None = None  # not known before it is loaded
         self._worker: Worker | None = None
@@ -228,7 +221,7 @@ class InferenceWorker:
             if self._killed.is_set():
                 return
             try:
-                self._worker = worker = Worker(serve, self.perception, self.masks, self.everything, os.getpid())
+                self._worker = worker = Worker(serve, self.perception, self.masks, os.getpid())
             except Exception as error:  # the system has no more processes
                 raise UnusableError(f"the perception's process cannot be started: {error}") from error
         self.starts += 1
@@ -254,7 +247,7 @@ class InferenceWorker:
         world_R_body: np.ndarray | None = None,
         grid: PerspectiveGrid | None = None,
         unseen: np.ndarray | None = None,
-    ) -> Iterator[Looked | Failed | Around]:
+    ) -> Iterator[Looked | Failed]:
         """As `Inference.look`."""
         check_picture(picture)
         yield from self.start()
@@ -267,8 +260,6 @@ class InferenceWorker:
                 self._pause = PAUSES[0]
                 if said[0] == "looked":
                     yield Looked(said[1], unpacked(said[2]), said[3])
-                elif said[0] == "around":
-                    yield unpacked(said[1])
                 else:
                     yield Failed(said[1], said[2], said[3])
         except WorkerSilent:
@@ -333,14 +324,12 @@ class InferenceWorker:
 # --- the process that looks ---
 
 
-def serve(
-    line: Connection, perception: str | Perception, masks: Sequence[BodyMask], everything: bool, parent: int
-) -> None:
-    """The life of the process; it ends when the line or its parent does. `masks`, `everything`: see `Inference`."""
+def serve(line: Connection, perception: str | Perception, masks: Sequence[BodyMask], parent: int) -> None:
+    """The life of the process; it ends when the line or its parent does. `masks`: see `Inference`."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     _die_with(parent)
     memory: SharedMemory | None = None
-    inference = Inference(perception, masks=masks, everything=everything)
+    inference = Inference(perception, masks=masks)
     with suppress(EOFError, OSError):
         try:
             inference.start()
@@ -364,15 +353,13 @@ def serve(
             memory.close()
 
 
-def _in_bytes(said: Looked | Failed | Around) -> tuple[Any, ...]:
+def _in_bytes(said: Looked | Failed) -> tuple[Any, ...]:
     """What is said, as it is sent."""
     match said:
         case Looked(query, looks, seconds):
             return "looked", query, looks_in_bytes(looks), seconds
         case Failed(query, text, refused):
             return "failed", query, text, refused
-        case _:
-            return "around", packed(said)
 
 
 def looks_in_bytes(looks: tuple[Evidence, ...]) -> bytes:
@@ -390,7 +377,7 @@ def check_picture(picture: np.ndarray) -> None:
 
 
 def _covered(look: Any, masks: Sequence[BodyMask]) -> Any:
-    """A look, or a look at everything, that says nothing where the masks are."""
+    """A look that says nothing where the masks are."""
     for mask in masks:
         look = look.covered(mask)
     return look

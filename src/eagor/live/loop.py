@@ -17,8 +17,8 @@ import numpy as np
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask
-from eagor.live.core import ASIDE, LiveCore, LoopSettings, warm
-from eagor.live.events import AllCame, Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
+from eagor.live.core import LiveCore, LoopSettings, warm
+from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
 from eagor.live.in_turn import answers_in_turn
 from eagor.live.inference import PATIENCE, Failed, Inference, InferenceWorker, Looked, why_here
 from eagor.live.recording import Pictures, Recorder
@@ -41,7 +41,7 @@ from eagor.media.posed_frames import PosedFrame, PosedFrames, prefetched
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception import Perception, as_perception
 from eagor.perception.recordings import RecordedLooks
-from eagor.tracking import Around, TrackerConfig
+from eagor.tracking import TrackerConfig
 
 __all__ = ["LOADING", "Counts", "Loop", "Sink"]
 
@@ -104,9 +104,8 @@ class Loop:
       works in this process, with a warning.
     - `sinks` see all that comes in and out. `record`: a new folder for a bag of all that happens
       (`eagor.live.recording`), with the `pictures` as "jpeg", "png" or "none".
-    - `acceleration`, `extrapolate`: see `LoopSettings`. `around`: follow all else that the perception sees, too
-      (`LiveCore.around`), if it knows its classes. `mask`: what the camera never sees. `clock`: what tells the time;
-      one that stands still, as a simulation's does, gives no answers meanwhile.
+    - `acceleration`, `extrapolate`: see `LoopSettings`. `mask`: what the camera never sees. `clock`: what tells the
+      time; one that stands still, as a simulation's does, gives no answers meanwhile.
 
     Iterate over it for answers, or call `run`. Once only. In real time, neither the camera, the poses nor the
     perception can hold up an answer; what is wrong with them is said in each answer's `faults`. Raises `QueryError` if
@@ -136,7 +135,6 @@ class Loop:
         pictures: Pictures = "jpeg",
         acceleration: float = LoopSettings.acceleration,
         extrapolate: bool = True,
-        around: bool = False,
         mask: BodyMask | None = None,
         clock: LoopClock | None = None,
     ) -> None:
@@ -164,10 +162,9 @@ class Loop:
         self._frames, self._odometry = self._readers(reopen, poses)
         config = config or TrackerConfig()
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
-        aside = None if not around else ASIDE if self.realtime else 0.0
         recorded = isinstance(self._camera, RecordedLooks)
         self._settings = LoopSettings(
-            queries, config, poses is not None or recorded, self._camera.latency, acceleration, aside,
+            queries, config, poses is not None or recorded, self._camera.latency, acceleration,
             extrapolate, exact=not self.realtime,
         )  # fmt: skip
         self.core = LiveCore(self._settings)
@@ -186,11 +183,9 @@ class Loop:
                 stacklevel=2,
             )
         self._inference: Inference | InferenceWorker = (
-            InferenceWorker(perception, patience=patience, masks=masks, everything=around)
+            InferenceWorker(perception, patience=patience, masks=masks)
             if own_process
-            else Inference(
-                perception, masks=masks, everything=around, say=partial(self._trouble, "camera", passing=True)
-            )
+            else Inference(perception, masks=masks, say=partial(self._trouble, "camera", passing=True))
         )
         self._recorder: Recorder | None = None
         if record is not None:
@@ -460,12 +455,10 @@ class Loop:
         if froze != said:
             self._post(Trouble(self._last_frame, "camera", froze, f"frozen {lens}"))
 
-    def _found(self, picture: Picture | None, said: Looked | Failed | Around) -> None:
+    def _found(self, picture: Picture | None, said: Looked | Failed) -> None:
         """What the perception says."""
         now = self.clock.now()
-        if isinstance(said, Around) and picture is not None:
-            self._post(AllCame(now, picture.stamp, picture.told, said))
-        elif isinstance(said, Looked) and picture is not None:
+        if isinstance(said, Looked) and picture is not None:
             self._post(EvidenceCame(now, picture.stamp, picture.told, said.query, said.looks, said.seconds))
             self._post(Trouble(now, "perception"))
             self._post(Trouble(now, "perception", about=said.query))

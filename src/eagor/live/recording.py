@@ -25,7 +25,6 @@ from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import (
-    AllCame,
     Answer,
     Asked,
     Event,
@@ -52,7 +51,7 @@ from eagor.media.ros_messages import (
     vector_message,
 )
 from eagor.perception import Perception
-from eagor.tracking import Around, TrackerConfig
+from eagor.tracking import TrackerConfig
 from eagor.tracking.checkpoint import packed, unpacked
 
 __all__ = [
@@ -72,7 +71,7 @@ VERSION = 5  # of the events
 Pictures = Literal["jpeg", "png", "none"]
 
 _FRAME, _POSE = struct.Struct("<ddII"), struct.Struct("<dd??9d3d")
-_LOOK, _ALL = struct.Struct("<ddddI"), struct.Struct("<ddd")
+_LOOK = struct.Struct("<ddddI")
 
 
 def event_in_bytes(event: Event) -> bytes:
@@ -96,8 +95,6 @@ def event_in_bytes(event: Event) -> bytes:
             query = event.query.encode()
             head = _LOOK.pack(event.arrival, event.stamp, event.told, event.seconds, len(query))
             return b"E" + head + query + looks_in_bytes(event.looks)
-        case AllCame():
-            return b"N" + _ALL.pack(event.arrival, event.stamp, event.told) + packed(event.around)
         case Asked():
             return b"A" + struct.pack("<d", event.arrival)
         case Trouble():
@@ -128,12 +125,6 @@ def event_from(content: bytes) -> Event:
             if not isinstance(looks, tuple) or not all(isinstance(look, Evidence) for look in looks):
                 raise FormatError("it holds no evidence")
             return EvidenceCame(arrival, stamp, told, query, looks, seconds)
-        if kind == b"N":
-            around = unpacked(rest[_ALL.size :])
-            if not isinstance(around, Around):
-                raise FormatError("it holds no evidence")
-            arrival, stamp, told = _ALL.unpack_from(rest)
-            return AllCame(arrival, stamp, told, around)
         if kind == b"A":
             return Asked(*struct.unpack("<d", rest))
         arrival, *words = json.loads(rest)
@@ -162,9 +153,9 @@ def settings_from(content: bytes) -> LoopSettings:
         raise FormatError(
             f"the recording is of version {found[0]}; wanted {VERSION}: play it with the eagor that made it"
         )
-    _, queries, config, poses, latency, acceleration, around, extrapolate, exact = found
+    _, queries, config, poses, latency, acceleration, extrapolate, exact = found
     numbers = float(latency), float(acceleration)
-    return LoopSettings(tuple(queries), config, bool(poses), *numbers, around, extrapolate, exact)
+    return LoopSettings(tuple(queries), config, bool(poses), *numbers, extrapolate, exact)
 
 
 def _text(kind: bytes, arrival: float, *words: Any) -> bytes:
@@ -394,7 +385,7 @@ class _Anew:
         if isinstance(event, FrameCame) and event.picture is not None and self._left[event.stamp]:
             self._frames[event.stamp] = event
         if not isinstance(event, EvidenceCame):
-            yield from () if isinstance(event, AllCame) else (event,)  # other eyes see other things
+            yield event
             return
         frame = self._frames.get(event.stamp)
         self._left[event.stamp] -= 1

@@ -24,7 +24,6 @@ from eagor.live.inference import Failed, Inference, InferenceWorker, Looked, Unu
 from eagor.media import Frame, Pose
 from eagor.odometry.visual import VisualOdometer
 from eagor.sphere import heading
-from eagor.tracking import Around
 
 __all__ = [
     "FrozenCamera", "LoopClock", "NewestPicture", "Pace", "PerceptionThread", "Picture", "Reader", "VisualPosesThread",
@@ -323,7 +322,7 @@ class PerceptionThread:
         inference: Inference | InferenceWorker,
         queries: Sequence[str],
         *,
-        found: Callable[[Picture | None, Looked | Failed | Around], Any],
+        found: Callable[[Picture | None, Looked | Failed], Any],
         ready: Callable[[], Any],
         ended: Callable[[EagorError | None], Any],
         pose: Callable[[float], np.ndarray | None],

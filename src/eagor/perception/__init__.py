@@ -212,8 +212,8 @@ def as_perception(perception: str | Perception | Callable[..., Any]) -> str | Pe
 
 
 def knows_classes(perception: Any) -> bool:
-    """Whether one pass of `perception` answers for every class that it knows: with its method ``around``."""
-    return getattr(perception, "classes", None) is not None and hasattr(perception, "around")
+    """Whether one pass of `perception` answers for every class that it knows: with its method ``answers``."""
+    return getattr(perception, "classes", None) is not None and hasattr(perception, "answers")
 
 
 def rows_of(perception: Any) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,12 @@ from eagor.perception.records import Footage
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.things import Seen
 from eagor.perception.views import Detector
-from eagor.tracking import DirectionTracker, ThingSeen, TrackerConfig
+from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
-__all__ = ["HiddenParts", "RecordedLooks", "first_line", "looked_at", "things_seen"]
+__all__ = ["NEAR", "HiddenParts", "RecordedLooks", "ThingSeen", "first_line", "looked_at", "things_seen"]
 
 UNSURE = math.radians(10)  # of a pose: a look from there says nothing of directions
+NEAR = math.radians(15)  # the error that still leads a person to the thing
 WORTH_SAYING = 0.002  # share of the sphere from which on a black region is worth a sentence
 PIXELS, SCORES, TURNS, METRES = 3, 6, 12, 6  # decimals that are written
 Looks = tuple[Evidence, ...]
@@ -237,6 +239,25 @@ def about(replay: ReplayPerception) -> Footage:
 
 
 # --- what there is ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ThingSeen:
+    """What is known of one thing: `looks`, in how many looks it was seen, of `among`; `last`, the stamp of the last.
+
+    `query`: its class, or the words that were looked for.
+    """
+
+    query: str
+    estimate: Estimate
+    looks: int
+    among: int
+    last: float
+
+    @property
+    def sure(self) -> float:
+        """The probability that it is here, and within 15 degrees of the answer."""
+        return self.estimate.within(NEAR) if self.estimate.direction is not None else 0.0
 
 
 def things_seen(

@@ -33,7 +33,6 @@ from eagor.perception.colour import share_of
 from eagor.perception.things import Boxes, Seen, Thing, ViewBox, labels_of, pieces_of, spread_evidence, things
 from eagor.perception.words import colour_of, fitting, meant, named, same_name
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
-from eagor.tracking import Around
 
 __all__ = ["Detector", "boxes_of", "is_ultralytics"]
 
@@ -169,29 +168,26 @@ class Detector:
             found.append(self._meant(shown, seen, query, self._wanted(query)))  # now its results may name its classes
         return found
 
-    def around(
+    def answers(
         self,
         picture: np.ndarray,
         queries: Sequence[str],
         stamp: float | None = None,
         world_R_body: np.ndarray | None = None,
         grid: PerspectiveGrid | None = None,
-    ) -> tuple[list[Evidence | QueryError], Around]:
-        """From one pass of a detector with `classes`: a look for each query (or its `QueryError`) and each class."""
+    ) -> list[Evidence | QueryError]:
+        """From one pass of a detector with `classes`: a look for each query, or its `QueryError`."""
         shown, view = self._shown(picture, world_R_body, grid), View(WHOLE_SPHERE if grid is None else grid)
         seen = self._detected(shown, queries[0] if queries else "")
 
-        def look(query: str, wanted: Sequence[str] | None) -> Evidence:
-            return self._evidence(self._meant(shown, seen, query, wanted), query, view, stamp)
-
         def answer(query: str) -> Evidence | QueryError:
             try:
-                return look(query, self._wanted(query))
+                things = self._meant(shown, seen, query, self._wanted(query))
             except QueryError as error:
                 return error
+            return self._evidence(things, query, view, stamp)
 
-        found = {label: look(label, (label,)) for boxes in seen for label in dict.fromkeys(boxes.labels or ())}
-        return [*map(answer, queries)], Around(found, look("", ()))
+        return [*map(answer, queries)]
 
     def _shown(self, picture: np.ndarray, pose: np.ndarray | None, grid: PerspectiveGrid | None) -> Shown:
         """What the detector is shown: the views of a panorama, or the ordinary picture of a `grid`."""

@@ -11,8 +11,6 @@ One look of one target takes this way:
 5. `estimate`: the answer in the body frame of now, with its candidates, cone, presence and status.
 6. `looking`: where a camera that sees only a part of the sphere should look next.
 
-`surroundings` follows all that a detector with known classes sees, asked for or not.
-
 `config` has the settings, among them the rates at which targets begin and cease to move.
 """
 
@@ -20,12 +18,10 @@ from eagor.tracking.config import AnswerSettings, MotionModel, TrackerConfig
 from eagor.tracking.estimate import Estimate, Mode, Status
 from eagor.tracking.looking import Heights, NextLook, TurningCamera, TurningRig
 from eagor.tracking.poses import PoseHistory
-from eagor.tracking.surroundings import Around, Surroundings, ThingSeen
 from eagor.tracking.tracker import DirectionTracker
 
 __all__ = [
     "AnswerSettings",
-    "Around",
     "DirectionTracker",
     "Estimate",
     "Heights",
@@ -34,8 +30,6 @@ __all__ = [
     "NextLook",
     "PoseHistory",
     "Status",
-    "Surroundings",
-    "ThingSeen",
     "TrackerConfig",
     "TurningCamera",
     "TurningRig",

@@ -210,29 +210,6 @@ class DirectionTracker:
         """
         return self.estimate(now, target).next_look(camera, usual)
 
-    def begin(self, target: str, like: str, of: DirectionTracker | None = None) -> None:
-        """Follow `target` from now on, with all evidence about `like` so far, here or in another tracker.
-
-        Raises `EagorError` if there is no evidence about `like`, or the other tracker has other settings.
-        """
-        of = of or self
-        if of.config != self.config:
-            raise EagorError("the other tracker has another TrackerConfig: what it believes would be read wrongly here")
-        with of._turn:
-            track = of._track(like).copied()
-        with self._turn:
-            self._tracks[target] = track
-            self._use(track)
-
-    def settle(self, target: str) -> None:
-        """Take in all looks at `target` now, and keep only the newest: nothing can be inserted before it any more.
-
-        What is believed stays the same, and needs a tenth of the memory. Raises `EagorError` for a target without
-        evidence.
-        """
-        with self._turn:
-            self._track(target).settle(self.config)
-
     def save(self, path: str | Path) -> Path:
         """Write the whole state to a file, atomically, and return its path; `load` continues from it.
 

@@ -182,12 +182,6 @@ class Track:
         self._fold(config.history)
         return state
 
-    def settle(self, config: TrackerConfig) -> None:
-        """Take in all looks, and keep only the newest."""
-        self.state(config)
-        self._fold(0.0)
-        self.base = None if self.base is None else bare(self.base)
-
     def _thin(self, place: int) -> None:
         """Keep the state only if none of the `APART` before it is kept, and then without cached values."""
         moment = self.moments[place]
