@@ -1,11 +1,10 @@
-"""Videos for tests: encoded here by PyAV, and boxes, motion tracks and trailers put into them by hand."""
+"""Videos for tests: encoded here by PyAV, and boxes and trailers put into them by hand."""
 
 from __future__ import annotations
 
 import io
 import struct
 from fractions import Fraction
-from itertools import pairwise
 
 import av
 import numpy as np
@@ -15,7 +14,6 @@ from eagor.lab.worlds.painted import painted_room
 
 ROOM = painted_room(64, 128)
 HEADERS = {b"stsd": 8, b"avc1": 78, b"mp4v": 78}  # bytes before the boxes inside
-SPHERICAL = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")
 
 
 def rolled(count, image=ROOM):
@@ -109,46 +107,6 @@ def st3d(mode):
 def with_entry(path, *boxes):
     """Boxes in the entry of the picture track."""
     return into(path, ENTRY, lambda body: body + b"".join(boxes))
-
-
-def with_xml(path, text):
-    """Spherical Video V1."""
-    return into(path, [b"moov", b"trak"], lambda body: body + box(b"uuid", SPHERICAL, text.encode()))
-
-
-def with_camm(path, packets, *, scale=1000, chunk=7):
-    """A motion track: `packets` are (seconds, type, values). Its samples lie in chunks of up to `chunk`."""
-    data = path.read_bytes()
-    times = [round(time * scale) for time, _, _ in packets]
-    samples = [struct.pack(f"<HH{len(v)}f", 0, kind, *v) for _, kind, v in packets]
-    start = len(data) + 8
-    payload = box(b"mdat", *samples)
-    ends = np.cumsum([0, *map(len, samples)])
-    offsets = [start + int(ends[k]) for k in range(0, len(samples), chunk)]
-    steps = [b - a for a, b in pairwise(times)] + [1]
-    last = len(samples) - chunk * (len(offsets) - 1)
-    runs = [(1, chunk, 1), (len(offsets), last, 1)] if len(offsets) > 1 else [(1, last, 1)]
-    edits = full(b"elst", struct.pack(">IIiI", 2, times[0], -1, 1 << 16), struct.pack(">IiI", 1 << 20, 0, 1 << 16))
-    table = box(
-        b"stbl",
-        full(b"stsd", struct.pack(">I", 1), box(b"camm", bytes(6), struct.pack(">H", 1))),
-        full(b"stts", struct.pack(">I", len(steps)), *(struct.pack(">II", 1, step) for step in steps)),
-        full(b"stsc", struct.pack(">I", len(runs)), *(struct.pack(">III", *run) for run in runs)),
-        full(b"stsz", struct.pack(">II", 0, len(samples)), *(struct.pack(">I", len(s)) for s in samples)),
-        full(b"stco", struct.pack(">I", len(offsets)), *(struct.pack(">I", offset) for offset in offsets)),
-    )
-    header = full(b"mdhd", struct.pack(">IIIIHH", 0, 0, scale, sum(steps), 0, 0))
-    handler = full(b"hdlr", bytes(4), b"meta", bytes(12), b"CameraMotion\0")
-    track = full(b"tkhd", struct.pack(">IIIII", 0, 0, 9, 0, sum(steps)), bytes(60))
-    reference = full(b"dref", struct.pack(">I", 1), box(b"url ", b"\0\0\0\1"))
-    minf = box(b"minf", full(b"nmhd"), box(b"dinf", reference), table)
-    trak = box(b"trak", track, box(b"edts", edits), box(b"mdia", header, handler, minf))
-    at = data.index(b"moov") - 4
-    index = edited(data[at:], [b"moov"], lambda body: body + trak)
-    # The index was last: it goes behind the samples, and where it was stays free.
-    room = len(data) - at
-    path.write_bytes(data[:at] + box(b"free", bytes(room - 8)) + payload + index)
-    return path
 
 
 TRACK = (0x18538067, 0x1654AE6B, 0xAE, 0xE0)  # Segment, Tracks, TrackEntry, Video

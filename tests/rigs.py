@@ -5,23 +5,23 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor.lenses import FisheyeLens
-from eagor.media.rigs import Rig
+from eagor.cameras import Lens, Rig
 from eagor.sphere import world_R_body
 
 
 def distorted_rig(height=256):
     """Two fisheyes side by side whose fields, curves, centres and tilts differ from the ideal and from each other."""
     radius = height / 2 * 0.97
-    front = FisheyeLens.of_field(
-        "front", (height * 0.512, height * 0.492), radius, math.radians(197),
-        polynomial=(-0.03, 0.006, -0.0008), body_R_lens=world_R_body(0.01, 0.015, -0.02),
+    size = (2 * height, height)
+    front = Lens.fisheye(
+        "front", size, (height * 0.512, height * 0.492), radius, math.radians(197),
+        distortion=(-0.03, 0.006, -0.0008), body_R_lens=world_R_body(0.01, 0.015, -0.02),
     )  # fmt: skip
-    back = FisheyeLens.of_field(
-        "back", (height * 1.49, height * 0.51), radius * 0.99, math.radians(203),
-        polynomial=(0.02, -0.008, 0.001), body_R_lens=world_R_body(math.pi - 0.02, -0.01, 0.025),
+    back = Lens.fisheye(
+        "back", size, (height * 1.49, height * 0.51), radius * 0.99, math.radians(203),
+        distortion=(0.02, -0.008, 0.001), body_R_lens=world_R_body(math.pi - 0.02, -0.01, 0.025),
     )  # fmt: skip
-    return Rig(((2 * height, height),), (front, back))
+    return Rig((size,), (front, back))
 
 
 def off(rig, true):

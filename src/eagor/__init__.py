@@ -22,6 +22,7 @@ from eagor._version import __version__
 if TYPE_CHECKING:
     from eagor import baselines as baselines
     from eagor import belief as belief
+    from eagor import cameras as cameras
     from eagor import conventions as conventions
     from eagor import drawing as drawing
     from eagor import errors as errors
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from eagor import grids as grids
     from eagor import harmonics as harmonics
     from eagor import lab as lab
-    from eagor import lenses as lenses
     from eagor import live as live
     from eagor import media as media
     from eagor import metrics as metrics
@@ -98,8 +98,8 @@ _HOME = {
 
 # The modules that `dir(eagor)` shows; the others are parts of these.
 _MODULES = (
-    "baselines", "belief", "conventions", "drawing", "errors", "evidence", "grids", "harmonics",
-    "lab", "lenses", "live", "media", "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics",
+    "baselines", "belief", "cameras", "conventions", "drawing", "errors", "evidence", "grids", "harmonics",
+    "lab", "live", "media", "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics",
     "tracking",
 )  # fmt: skip
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from eagor.errors import MissingExtraError
@@ -59,6 +61,16 @@ def need(what: str, extra: str, *packages: str) -> None:
     """Raise `MissingExtraError` unless all `packages`, which `what` needs and `extra` brings, are installed."""
     if lacking := [name for name in packages if find_spec(name) is None]:
         raise MissingExtraError(f"{what} needs {' and '.join(lacking)}: {how_to_install(extra)}")
+
+
+@lru_cache(maxsize=1)
+def opencv() -> Any:
+    """The module cv2, or None where it is not installed."""
+    try:
+        import cv2
+    except ImportError:
+        return None
+    return cv2
 
 
 def is_older(version: str, least: str) -> bool:

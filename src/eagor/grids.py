@@ -22,9 +22,9 @@ import numpy as np
 
 from eagor._arrays import frozen
 from eagor._values import changed, lazy
+from eagor.cameras import Equirectangular, Lens
 from eagor.errors import GridError
-from eagor.lenses import FisheyeLens, PinholeLens
-from eagor.sphere import azimuth_elevation, checked_pose, direction, world_R_body
+from eagor.sphere import checked_pose, direction, world_R_body
 
 __all__ = [
     "OVERLAP", "ErpGrid", "ErpWindow", "FisheyeGrid", "Grid", "PatchGrid", "PerspectiveGrid", "ViewKey", "check_fields",
@@ -52,7 +52,7 @@ def _centres(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 class _Cells:
-    """What all grids share."""
+    """What all grids share, beside `unproject` of a camera."""
 
     height: int
     width: int
@@ -69,38 +69,11 @@ class _Cells:
     @lazy
     def directions(self) -> np.ndarray:
         """Unit vectors ``(H, W, 3)`` of the cell centres, body frame; those beyond a fisheye's rim are meaningless."""
-        return frozen(self.unproject(*_centres(*self.shape)))
-
-    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Directions at continuous pixel coordinates."""
-        raise NotImplementedError
+        return frozen(self.unproject(*_centres(*self.shape)))  # type: ignore[attr-defined]
 
 
-class _Equirectangular(_Cells):
-    """The projection that `ErpGrid` and `PatchGrid` share: longitude and latitude, linear in the pixel."""
-
-    @property
-    def latitudes(self) -> np.ndarray:
-        """Elevation (radians) of each row's centre, top to bottom."""
-        return math.pi / 2 - math.pi * (np.arange(self.height) + 0.5) / self.height
-
-    @property
-    def longitudes(self) -> np.ndarray:
-        """Azimuth (radians) of each column's centre, left to right, from pi down to -pi."""
-        return math.pi - 2 * math.pi * (np.arange(self.width) + 0.5) / self.width
-
-    def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Directions at continuous pixel coordinates; x may run past the seam, y stops at the poles."""
-        azimuth = math.pi - 2 * math.pi * np.asarray(x, dtype=float) / self.width
-        elevation = math.pi / 2 - math.pi * np.clip(np.asarray(y, dtype=float), 0, self.height) / self.height
-        return direction(*np.broadcast_arrays(azimuth, elevation))
-
-    def project(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixel coordinates (x, y) of directions ``(..., 3)`` and a mask, which is all True here."""
-        azimuth, elevation = azimuth_elevation(directions)
-        x = (math.pi - azimuth) * (self.width / (2 * math.pi))
-        y = (math.pi / 2 - elevation) * (self.height / math.pi)
-        return x, y, np.ones(np.shape(x), dtype=bool)
+class _Whole(_Cells, Equirectangular):
+    """What `ErpGrid` and `PatchGrid` share."""
 
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Steradians per square pixel: the area of a unit pixel times cos(elevation)."""
@@ -113,7 +86,7 @@ class _Equirectangular(_Cells):
 
 
 @dataclass(frozen=True)
-class ErpGrid(_Equirectangular):
+class ErpGrid(_Whole):
     """The pixels of an equirectangular image, taken as samples at their centres.
 
     `weights` are Fejer's, so that analysis is exact for fields band-limited below the number of rows. The image need
@@ -131,7 +104,7 @@ class ErpGrid(_Equirectangular):
 
 
 @dataclass(frozen=True)
-class PatchGrid(_Equirectangular):
+class PatchGrid(_Whole):
     """A model's patch map over a whole equirectangular image: each cell is a region with one constant value."""
 
     rows: int
@@ -192,17 +165,20 @@ class ErpWindow:
     @lazy
     def weights(self) -> np.ndarray:
         """Quadrature weights ``(rows, cols)`` in steradians."""
-        row = fejer_weights(self.whole.height)[self.top : self.top + self.rows] * (2 * math.pi / self.whole.width)
-        return frozen(np.broadcast_to(row[:, None], self.shape))
+        return frozen(self.whole.weights[self.top : self.top + self.rows, self.columns])
 
 
 class _Sampled(_Cells):
-    """What `PerspectiveGrid` and `FisheyeGrid` share: the pixels of a lens."""
+    """The pixels of a lens: what `PerspectiveGrid` and `FisheyeGrid` share."""
 
     body_R_view: np.ndarray
-    lens: PinholeLens | FisheyeLens
+    lens: Lens
 
     __repr__ = changed
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "body_R_view", frozen(np.array(checked_pose(self.body_R_view, "body_R_view"))))
 
     def unproject(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Directions at continuous pixel coordinates."""
@@ -213,10 +189,6 @@ class _Sampled(_Cells):
         x, y, depth = self.lens.project(directions)
         return x, y, depth >= -_EDGE
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "body_R_view", frozen(np.array(checked_pose(self.body_R_view, "body_R_view"))))
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PerspectiveGrid(_Sampled):
@@ -224,14 +196,14 @@ class PerspectiveGrid(_Sampled):
 
     The view frame is x forward, y left, z up like the body's, so that the identity looks forward:
     ``body_R_view @ direction_in_view = direction_in_body``. Pixels are square and the axis is in the middle, unless
-    `optics` is a calibrated lens, with distortion as well: `of_lens` makes the grid of one.
+    `optics` is a calibrated pinhole, with distortion as well: `of_lens` makes the grid of one.
     """
 
     height: int
     width: int
     hfov: float
     body_R_view: np.ndarray = field(default_factory=lambda: np.eye(3))
-    optics: PinholeLens | None = None
+    optics: Lens | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -239,19 +211,17 @@ class PerspectiveGrid(_Sampled):
             raise GridError(
                 f"hfov = {self.hfov:g} rad; a perspective view needs 0 < hfov < pi. Given in degrees? Use math.radians"
             )
-        if self.optics is not None and self.optics.size != (self.width, self.height):
+        if self.optics is not None and (self.optics.size, self.optics.kind) != ((self.width, self.height), "pinhole"):
             raise GridError(
-                f"the lens {self.optics.name!r} has a picture of {self.optics.size[0]} x {self.optics.size[1]}, the "
-                f"grid of {self.width} x {self.height}; wanted the same: use PerspectiveGrid.of_lens, or resized"
+                f"the lens {self.optics.name!r} is a {self.optics.kind} of {self.optics.size[0]} x "
+                f"{self.optics.size[1]}, the grid of {self.width} x {self.height}; wanted a pinhole of the same size: "
+                "use PerspectiveGrid.of_lens, or resized"
             )
 
     @classmethod
-    def of_lens(cls, lens: PinholeLens) -> PerspectiveGrid:
+    def of_lens(cls, lens: Lens) -> PerspectiveGrid:
         """The pixels of a calibrated ordinary lens, at its pose in the body."""
-        wide, high = lens.size
-        left, right = lens.plane(np.array([0.0, wide]), np.full(2, lens.centre[1]))[0]
-        hfov = math.atan(float(right)) - math.atan(float(left))
-        return cls(high, wide, hfov, lens.body_R_lens, lens)
+        return cls(lens.size[1], lens.size[0], lens.hfov, lens.body_R_lens, lens)
 
     def resized(self, height: int, width: int) -> PerspectiveGrid:
         """The grid of the same picture with other numbers of pixels."""
@@ -269,12 +239,12 @@ class PerspectiveGrid(_Sampled):
         return self.width / 2 / math.tan(self.hfov / 2)
 
     @lazy
-    def lens(self) -> PinholeLens:  # type: ignore[override]
+    def lens(self) -> Lens:  # type: ignore[override]
         """The lens whose pixels these are."""
         if self.optics is not None:
             return replace(self.optics, body_R_lens=self.body_R_view)
         size, focal, centre = (self.width, self.height), (self.focal, self.focal), (self.width / 2, self.height / 2)
-        return PinholeLens("view", size, focal, centre, (), self.body_R_view)
+        return Lens("view", size, focal, centre, (), self.body_R_view)
 
     @lazy
     def weights(self) -> np.ndarray:
@@ -303,7 +273,7 @@ class PerspectiveGrid(_Sampled):
     def depth_inside(self) -> np.ndarray:
         """Angle (radians, ``(H, W)``) from each pixel to the border: image edges are great circles.
 
-        With distortion edges bend, and it is the angle as `eagor.lenses.PinholeLens.project` has it.
+        With distortion edges bend, and it is the angle as `eagor.cameras.Lens.project` has it.
         """
         if any(self.lens.distortion):
             return np.maximum(self.lens.project(self.directions)[2], 0.0)
@@ -327,6 +297,8 @@ class FisheyeGrid(_Sampled):
     fov: float
     body_R_view: np.ndarray = field(default_factory=lambda: np.eye(3))
 
+    height = width = property(lambda self: self.size)  # type: ignore[assignment]
+
     def __post_init__(self) -> None:
         if self.size < 1 or not 0 < self.fov <= 2 * math.pi:
             raise GridError(
@@ -334,13 +306,12 @@ class FisheyeGrid(_Sampled):
             )
         super().__post_init__()
 
-    height = width = property(lambda self: self.size)  # type: ignore[assignment]
-
     @lazy
-    def lens(self) -> FisheyeLens:  # type: ignore[override]
+    def lens(self) -> Lens:  # type: ignore[override]
         """The lens whose pixels these are."""
-        half = self.size / 2
-        return FisheyeLens("view", (half, half), self.size / self.fov, half, (), self.body_R_view)
+        both, half = (self.size, self.size), self.size / 2
+        focal = self.size / self.fov
+        return Lens("view", both, (focal, focal), (half, half), (), self.body_R_view, kind="fisheye", radius=half)
 
     @lazy
     def weights(self) -> np.ndarray:
@@ -352,11 +323,11 @@ class FisheyeGrid(_Sampled):
 
     def _angle(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Angle off the axis, radians."""
-        return self.lens.angle_at(np.hypot(np.asarray(x) - self.size / 2, np.asarray(y) - self.size / 2))
+        return np.hypot(*self.lens.plane(x, y))
 
     def density(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Steradians per square pixel: sin(angle) / angle times the squared angular size of a pixel."""
-        return np.sinc(np.minimum(self._angle(x, y), math.pi) / math.pi) / self.lens.focal**2
+        return np.sinc(np.minimum(self._angle(x, y), math.pi) / math.pi) / self.lens.focal[0] ** 2
 
     def depth_inside(self) -> np.ndarray | None:
         """Angle (radians, ``(H, W)``) from each pixel to the rim; None where the lens sees the whole sphere."""
@@ -384,7 +355,7 @@ def forward_view(key: ViewKey) -> PerspectiveGrid | FisheyeGrid:
     kind, height, width, optics = key
     if isinstance(optics, tuple):
         fx, fy, cx, cy, *distortion = optics
-        return PerspectiveGrid.of_lens(PinholeLens("view", (width, height), (fx, fy), (cx, cy), tuple(distortion)))
+        return PerspectiveGrid.of_lens(Lens("view", (width, height), (fx, fy), (cx, cy), tuple(distortion)))
     return PerspectiveGrid(height, width, optics) if kind == "perspective" else FisheyeGrid(height, optics)
 
 
@@ -429,10 +400,11 @@ def _poses(inner: float, reach: float) -> tuple[tuple[float, float], ...]:
     fewest = math.ceil(reach / inner - _ROUNDING)
     layouts += [np.linspace(-1, 1, rings) * max(reach - inner, 0.0) for rings in range(max(fewest, 2), fewest + 4)]
     tests = [_points(reach, inner / per) for per in (4, 12, 40)]  # most layouts fail a coarse one already
+    around = math.ceil(math.pi / inner - _ROUNDING)
     best: tuple[tuple[float, float], ...] = ()
     for rings in (*layouts, np.zeros(1)):
-        for around in range(math.ceil(math.pi / inner - _ROUNDING), 4 * math.ceil(math.pi / inner)):
-            poses = _ring_poses(rings, around)
+        for count in range(around, 4 * around):
+            poses = _ring_poses(rings, count)
             if best and len(poses) >= len(best):
                 break
             if all(_covered(points, poses, inner) for points in tests):

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from rosmaking import camera_info, imu_message
 
+from eagor.cameras import Lens
 from eagor.cli import main
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, bearing, paint
-from eagor.lenses import PinholeLens
 from eagor.media import Pose
 from eagor.media import ros_messages as m
 from eagor.media.bags import BagWriter
@@ -171,8 +171,8 @@ SENSOR, K, D = (160, 120), (130.0, 131.0, 78.0, 61.0), (-0.2, 0.05, 0.001, -0.00
 @pytest.fixture(scope="module")
 def narrow(tmp_path_factory):
     """A bag of an ordinary camera that turns past the red ball, with its camera_info; rectified pictures as well."""
-    lens = PinholeLens("camera", SENSOR, K[:2], (K[2] + 0.5, K[3] + 0.5), D)
-    plain = PinholeLens("camera", SENSOR, (110.0, 110.0), (80.5, 60.5))
+    lens = Lens("camera", SENSOR, K[:2], (K[2] + 0.5, K[3] + 0.5), D)
+    plain = Lens("camera", SENSOR, (110.0, 110.0), (80.5, 60.5))
     grids = {"image_raw": PerspectiveGrid.of_lens(lens), "image_rect": PerspectiveGrid.of_lens(plain)}
     place, path = np.array([-0.5, 0.2, 1.0]), tmp_path_factory.mktemp("narrow") / "bag"
     ahead = math.atan2(*bearing(ROOM.balls[0], place, np.eye(3))[0][[1, 0]])
@@ -253,26 +253,25 @@ lenses:
 
 
 @pytest.mark.parametrize("rig", [False, True])
-def test_a_bag_of_several_cameras_is_looked_at_picture_by_picture(two, tmp_path, capsys, rig):
-    """Each at its own time, with the lens of its camera_info, and its place by the fixed transforms; or by a rig."""
+def test_a_bag_of_several_cameras_is_one_panorama_with_a_mask(two, tmp_path, capsys, rig):
+    """At the times of the first, with the lenses of their camera_info, and their places by the fixed transforms."""
     (tmp_path / "rig.yaml").write_text(TWO_YAML)
     words = ("--rig", tmp_path / "rig.yaml") if rig else ()
     code, found, err = track(capsys, two, "red", "--rate", "2", *TWO, *words)
     assert code == 0, err
-    assert "10 pictures of /front/image_raw,/side/image_raw" in err
-    assert [each["frame"].split("/")[1] for each in found["frames"]] == ["front", "side"] * 5
+    assert "5 pictures of /front/image_raw,/side/image_raw" in err
+    assert len(found["frames"]) > 3
     for each in found["frames"]:
-        assert each["azimuth_deg"] == pytest.approx(math.degrees(RATE * (each["stamp"] - START)), abs=2)
+        assert each["azimuth_deg"] == pytest.approx(math.degrees(RATE * (each["stamp"] - START)), abs=12)
 
 
 def test_live_takes_several_topics_of_a_bag(two, capsys):
     words = ["live", f"{two}?topic=/front/image_raw,/side/image_raw", "red", "--fast", "--json", "--rate", "2"]
     assert main([*words, "--perception", "colour"]) == 0
     out, err = capsys.readouterr()
-    assert "10 pictures, 10 looks" in err
+    assert "4 pictures, 4 looks" in err
     last = json.loads(out.splitlines()[-1])
-    assert last["azimuth_deg"] == pytest.approx(math.degrees(RATE * 2.1), abs=3)
-    assert "azimuth_deg" in last["next_look"]
+    assert last["azimuth_deg"] == pytest.approx(math.degrees(RATE * 1.8), abs=12)
 
 
 def test_what_does_not_tell_where_several_cameras_are(two, tmp_path, capsys):
@@ -398,5 +397,5 @@ def test_lenses_of_a_bag_are_refused_without_their_rig(tmp_path, capsys):
         bag.write("/fisheye", m.IMAGE, m.image_message(np.zeros((60, 80, 3), np.uint8), START, "x3"), START)
     code, _, err = track(capsys, tmp_path / "bag", "red")
     assert code == 2
-    assert "gives pictures of 80 x 60, not 2:1" in err
+    assert "/fisheye is 80 x 60, not 2:1" in err
     assert "--rig FILE.yaml" in err

@@ -16,7 +16,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from clips import clip, with_camm
+from clips import clip, trailer
 from PIL import Image
 from scipy.spatial import cKDTree
 
@@ -160,9 +160,8 @@ def test_poses_of_a_file_are_interpolated_at_the_times_of_the_frames(tmp_path, a
 
 def test_the_imu_of_a_video_is_preferred(tmp_path, answers):
     path = filmed(tmp_path / "imu.mp4", turned(HEADING))
-    # Type 0: the rotation of the camera as an axis times an angle, in axes x right, y down, z forward.
-    packets = [(0.05 * k, 0, (0.0, -math.radians(9 * RATE) * 0.05 * k, 0.0)) for k in range(62)]
-    with_camm(path, packets)
+    level, left = (0.0, 0.0, 1.0), (0.0, 0.0, math.radians(9 * RATE))  # gravity, and the turn, a second
+    path.write_bytes(path.read_bytes() + trailer([(0.01 * k, level, left) for k in range(310)]))
     found = answers("track", path, "red", "--rate", RATE)
     assert found["poses"] == "orientations from the video's IMU"
     for entry, pose in list(zip(found["frames"], HEADING, strict=True))[3:]:

@@ -11,14 +11,14 @@ import pytest
 from clips import clip
 from PIL import Image
 
+from eagor.cameras import Lens, Rig
 from eagor.cli import checks, main
 from eagor.cli import look as look_command
 from eagor.evidence import DetectorModel
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.lenses import PinholeLens
 from eagor.media.panorama import cut, turn
-from eagor.media.rigs import Rig, write_rig
+from eagor.media.rigs import write_rig
 from eagor.perception.calibrated import Calibrated
 from eagor.perception.views import Detector
 from eagor.sphere import world_R_body
@@ -243,7 +243,7 @@ def test_where_no_picture_can_be_read_the_input_is_wrong(paints, eagor, tmp_path
     assert err.splitlines()[-1] == "eagor: error: the only frame could not be used; the reason is above"
 
 
-LENS = PinholeLens("phone", (320, 240), (160.0, 158.0), (165.0, 117.0), (-0.2, 0.05, 0.002, -0.001))
+LENS = Lens("phone", (320, 240), (160.0, 158.0), (165.0, 117.0), (-0.2, 0.05, 0.002, -0.001))
 
 
 @pytest.mark.parametrize(

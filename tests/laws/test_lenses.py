@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import directions, rotations
 
+from eagor.cameras import Lens, Rig, dual_fisheye
 from eagor.errors import GridError, ImageError
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.lenses import FisheyeLens, PinholeLens
-from eagor.media.rigs import Rig, dual_fisheye, read_rig, write_rig
+from eagor.media.rigs import read_rig, write_rig
 from eagor.media.stitching import Stitcher, seen_by
 from eagor.sphere import angular_distance, world_R_body
 
@@ -24,12 +24,13 @@ cv2 = pytest.importorskip("cv2")
 def fisheyes(draw):
     """A fisheye with a curve that is not straight, at any place and pose."""
     polynomial = [draw(st.floats(-0.03, 0.03)), draw(st.floats(-0.004, 0.004)), draw(st.floats(0.0, 0.0004))]
-    return FisheyeLens.of_field(
+    return Lens.fisheye(
         "lens",
+        (200, 200),
         (draw(st.floats(90, 110)), draw(st.floats(90, 110))),
         draw(st.floats(60, 120)),
         math.radians(draw(st.floats(120, 220))),
-        polynomial=tuple(polynomial),
+        distortion=tuple(polynomial),
         body_R_lens=draw(rotations()),
     )
 
@@ -53,7 +54,7 @@ def test_the_rim_is_at_the_reach(lens):
 @given(rotations(), st.floats(1.0, 2 * math.pi))
 def test_without_a_curve_the_angle_grows_with_the_radius_and_a_grid_samples_it(rotation, fov):
     grid = FisheyeGrid(64, fov, rotation)
-    lens = FisheyeLens("lens", (32, 32), 64 / fov, 32, body_R_lens=rotation)
+    lens = Lens("lens", (64, 64), (64 / fov,) * 2, (32, 32), (), rotation, kind="fisheye", radius=32)
     right, down = np.array([-22.0, 8.0, 1e-9]), np.array([-11.5, 1.0, 0.0])
     angle, around = np.hypot(right, down) * fov / 64, np.arctan2(down, right)
     rays = np.stack([np.cos(angle), -np.sin(angle) * np.cos(around), -np.sin(angle) * np.sin(around)], axis=-1)
@@ -65,18 +66,18 @@ def test_without_a_curve_the_angle_grows_with_the_radius_and_a_grid_samples_it(r
 
 
 def test_an_ideal_fisheye_may_see_all_around_and_no_more():
-    everything = FisheyeLens("lens", (50, 50), 50 / math.pi, 50.0)
+    everything = Lens("lens", (100, 100), (50 / math.pi,) * 2, (50, 50), kind="fisheye", radius=50.0)
     assert everything.reach == pytest.approx(math.pi, abs=1e-12)
     assert everything.project(np.array([-1.0, 0, 0]))[2] == pytest.approx(0, abs=1e-12)
     with pytest.raises(GridError, match="never reaches the radius of 50 pixels within 180 degrees"):
-        FisheyeLens("lens", (50, 50), 49 / math.pi, 50.0)
+        Lens("lens", (100, 100), (49 / math.pi,) * 2, (50, 50), kind="fisheye", radius=50.0)
 
 
 @given(rotations(), st.floats(0.1, math.radians(179)))
 def test_without_distortion_a_pinhole_is_a_plane_and_a_grid_samples_it(rotation, hfov):
     grid = PerspectiveGrid(48, 64, hfov, rotation)
     focal = 32 / math.tan(hfov / 2)
-    lens = PinholeLens("lens", (64, 48), (focal, focal), (32, 24), (), rotation)
+    lens = Lens("lens", (64, 48), (focal, focal), (32, 24), (), rotation)
     right, down = np.array([-29.0, 31.0, 0.0]), np.array([-23.0, 23.0, 0.0])
     rays = np.column_stack([np.full(3, focal), -right, -down])
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
@@ -90,7 +91,7 @@ def test_without_distortion_a_pinhole_is_a_plane_and_a_grid_samples_it(rotation,
 
 def test_the_distortion_is_that_of_opencv():
     coefficients = (-0.21, 0.05, 0.001, -0.002, 0.01, 0.02, -0.01, 0.003)
-    lens = PinholeLens("lens", (640, 480), (410.0, 405.0), (322.0, 238.0), coefficients)
+    lens = Lens("lens", (640, 480), (410.0, 405.0), (322.0, 238.0), coefficients)
     plane = np.random.default_rng(3).uniform(-0.6, 0.6, (50, 2)) * (1, 0.8)  # right, down at distance 1
     rays = np.column_stack([np.ones(50), -plane])
     x, y, depth = lens.project(rays / np.linalg.norm(rays, axis=1, keepdims=True))
@@ -106,7 +107,7 @@ def test_the_distortion_is_that_of_opencv():
 
 def test_a_pinhole_sees_nothing_behind_it_or_far_outside():
     """The polynomial of a strong distortion comes back into the picture beyond its corners."""
-    lens = PinholeLens("lens", (640, 480), (400.0, 400.0), (320.0, 240.0), (-0.35, 0.1))
+    lens = Lens("lens", (640, 480), (400.0, 400.0), (320.0, 240.0), (-0.35, 0.1))
     angles = np.radians([50, 60, 75, 88, 100, 150, 180])
     rays = np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
     assert (lens.project(rays)[2] < 0).all()
@@ -116,17 +117,18 @@ def test_a_pinhole_sees_nothing_behind_it_or_far_outside():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"focal": -1.0}, "above 0"),
-        ({"radius": 0.0}, "above 0"),
-        ({"polynomial": (1, 2, 3, 4, 5)}, "four numbers"),
-        ({"polynomial": (-0.5,)}, "turns back"),
-        ({"focal": 10.0}, "never reaches"),
+        ({"focal": (-1.0, 30.0)}, "above 0"),
+        ({"radius": -1.0}, "above 0"),
+        ({"distortion": (1,) * 9}, "eight numbers"),
+        ({"distortion": (-0.5,)}, "turns back"),
+        ({"focal": (10.0, 10.0)}, "never reaches"),
     ],
 )
 def test_values_that_no_lens_has_are_refused(change, says):
-    settings = {"name": "lens", "centre": (50.0, 50.0), "focal": 30.0, "radius": 50.0} | change
+    settings = {"name": "lens", "size": (100, 100), "focal": (30.0, 30.0), "centre": (50.0, 50.0)}
+    settings |= {"kind": "fisheye", "radius": 50.0} | change
     with pytest.raises(GridError, match=says):
-        FisheyeLens(**settings)
+        Lens(**settings)
 
 
 # --- stitching -------------------------------------------------------------------------------------------------------
@@ -175,7 +177,7 @@ def test_pictures_of_another_size_are_scaled_and_those_of_another_shape_refused(
 
 
 def test_what_no_lens_sees_is_black_and_masked():
-    lens = FisheyeLens.of_field("only", (64, 64), 64, math.radians(180))
+    lens = Lens.fisheye("only", (128, 128), (64, 64), 64, math.radians(180))
     rig = Rig(((128, 128),), (lens,))
     stitcher = Stitcher(rig, 64)
     found = stitcher.stitch(np.full((128, 128, 3), 200, np.uint8))
@@ -189,18 +191,17 @@ def test_what_no_lens_sees_is_black_and_masked():
 def test_three_ordinary_lenses_and_a_fisheye_share_a_panorama():
     """Lenses of different kinds, in two pictures, more than two of them in some directions."""
     lenses = [
-        PinholeLens(f"side {k}", (160, 120), (80.0, 80.0), (80.0, 60.0), (-0.05, 0.01), world_R_body(k * 0.7))
+        Lens(f"side {k}", (160, 120), (80.0, 80.0), (80.0, 60.0), (-0.05, 0.01), world_R_body(k * 0.7))
         for k in (-1, 0, 1)
     ]
     room = cv2.GaussianBlur(painted_room(256, 512), (0, 0), 2.5)
     pictures = [seen_by(Rig(((160, 120),), (lens,)), room)[0] for lens in lenses]
-    all_sides = FisheyeLens.of_field("all", (100, 100), 100, math.radians(240), picture=3)
+    all_sides = Lens.fisheye("all", (200, 200), (100, 100), 100, math.radians(240), picture=3)
     pictures.append(
-        seen_by(Rig(((200, 200),), (FisheyeLens.of_field("all", (100, 100), 100, math.radians(240)),)), room)[0]
+        seen_by(Rig(((200, 200),), (Lens.fisheye("all", (200, 200), (100, 100), 100, math.radians(240)),)), room)[0]
     )
     own = [
-        PinholeLens(l.name, l.size, l.focal, l.centre, l.distortion, l.body_R_lens, picture=k)
-        for k, l in enumerate(lenses)
+        Lens(l.name, l.size, l.focal, l.centre, l.distortion, l.body_R_lens, picture=k) for k, l in enumerate(lenses)
     ]
     rig = Rig(((160, 120),) * 3 + ((200, 200),), (*own, all_sides))
     stitcher = Stitcher(rig, 128)
@@ -224,7 +225,7 @@ def test_lenses_that_differ_in_brightness_leave_no_step():
 
 @given(fisheyes())
 def test_a_rig_is_read_as_it_was_written(tmp_path_factory, lens):
-    side = PinholeLens('side: "b"', (64, 48), (50.0, 51.0), (32.0, 24.5), (-0.1, 0.01), world_R_body(1, 0.2, 3), 1)
+    side = Lens('side: "b"', (64, 48), (50.0, 51.0), (32.0, 24.5), (-0.1, 0.01), world_R_body(1, 0.2, 3), 1)
     rig = Rig(((200, 200), (64, 48)), (lens, side))
     path = tmp_path_factory.mktemp("rig") / "rig.yaml"
     write_rig(rig, path, ["a note: with\nlines"])

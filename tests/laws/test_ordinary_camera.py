@@ -7,21 +7,27 @@ import pytest
 from clips import clip
 from PIL import Image
 
+from eagor.cameras import Lens, Rig
 from eagor.errors import ImageError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
-from eagor.lenses import PinholeLens
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.in_turn import ByFrame, answers_in_turn
 from eagor.live.inference import Inference
 from eagor.media import Frame, Pose
 from eagor.media.camera_sources import open_source
 from eagor.media.footage import FrameCheck, ShapeError
-from eagor.media.intrinsics import Camera, Told, camera_of, ordinary_grid, told_by_photograph, told_by_video
+from eagor.media.intrinsics import (
+    Camera,
+    IntrinsicsHint,
+    camera_of,
+    intrinsics_from_exif,
+    intrinsics_from_tags,
+    ordinary_grid,
+)
 from eagor.media.panorama import Picture, cut, turn
 from eagor.media.posed_frames import PosedFrame
-from eagor.media.rigs import Rig
 from eagor.perception.colour import ColourPerception
 from eagor.perception.things import ViewBox, things
 from eagor.sphere import angular_distance, world_R_body
@@ -30,7 +36,7 @@ from eagor.tracking.checkpoint import packed, unpacked
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]
 ROOM = painted_room(256, 512)
 AHEAD = math.atan2(RED[1], RED[0])
-LENS = PinholeLens("phone", (320, 240), (240.0, 238.0), (165.0, 117.0), (-0.2, 0.05, 0.002, -0.001))
+LENS = Lens("phone", (320, 240), (240.0, 238.0), (165.0, 117.0), (-0.2, 0.05, 0.002, -0.001))
 GRIDS = [PerspectiveGrid(240, 320, math.radians(70)), PerspectiveGrid.of_lens(LENS)]
 
 
@@ -98,10 +104,10 @@ def test_the_direction_is_that_of_panoramas(grid):
 
 def test_a_thing_that_a_distorted_picture_cuts_goes_on_as_in_an_ideal_one():
     """The same thing, cut by the same direction, through a lens with distortion and one without."""
-    ideal, pose = PinholeLens("ideal", (320, 240), (240.0, 240.0), (160.0, 120.0)), np.eye(3)
-    bent = PinholeLens("bent", (320, 240), (240.0, 240.0), (160.0, 120.0), (-0.25, 0.06))
+    ideal, pose = Lens("ideal", (320, 240), (240.0, 240.0), (160.0, 120.0)), np.eye(3)
+    bent = Lens("bent", (320, 240), (240.0, 240.0), (160.0, 120.0), (-0.25, 0.06))
     edge = bent.plane(np.array(320.0), np.array(120.0))[0]  # so wide sees the bent one
-    wide = PinholeLens("wide", (round(2 * 240 * float(edge)), 240), (240.0, 240.0), (240 * float(edge), 120.0))
+    wide = Lens("wide", (round(2 * 240 * float(edge)), 240), (240.0, 240.0), (240 * float(edge), 120.0))
     x0, y0, y1 = bent.plane(np.array(250.0), np.array(120.0))[0], -0.2, 0.2
     plain = np.array([240 * (float(edge) + float(x0)), 120 + 240 * y0, wide.size[0], 120 + 240 * y1])
     mid = (float(x0) + float(edge)) / 2
@@ -140,34 +146,34 @@ def test_exif_tells_the_lens(tmp_path):
             continue
         grid = check.read(tmp_path / "a.jpg").grid
         assert math.degrees(grid.hfov) == pytest.approx(hfov, abs=0.1)
-    assert told_by_photograph(tmp_path / "nothing.jpg") == Told()
-    with pytest.raises(ShapeError, match="wanted a whole panorama"):  # where only panoramas will do
+    assert intrinsics_from_exif(tmp_path / "nothing.jpg") == IntrinsicsHint()
+    with pytest.raises(ShapeError, match="not 2:1"):  # where only panoramas will do
         FrameCheck().read(tmp_path / "a.jpg")
 
 
 def test_a_calibration_fits_its_pictures_in_any_size(tmp_path):
     camera = Camera(Rig((LENS.size,), (LENS,)), name="phone.yaml")
-    grid = ordinary_grid(camera, Told(), (640, 480), "a.jpg")
+    grid = ordinary_grid(camera, IntrinsicsHint(), (640, 480), "a.jpg")
     np.testing.assert_allclose(grid.unproject(2 * 50.0, 2 * 60.0), LENS.unproject(50.0, 60.0))
-    upright = ordinary_grid(camera, Told(turns=3), (240, 320), "a.jpg")
+    upright = ordinary_grid(camera, IntrinsicsHint(turns=3), (240, 320), "a.jpg")
     assert upright.lens.size == (240, 320)
     as_shown = Camera(Rig(((240, 320),), (LENS.turned(3),)), name="phone.yaml")
-    assert ordinary_grid(as_shown, Told(turns=3), (240, 320), "a.jpg").optics.focal == upright.optics.focal
-    for told, size in ((Told(), (640, 360)), (Told(), (240, 320))):
+    assert ordinary_grid(as_shown, IntrinsicsHint(turns=3), (240, 320), "a.jpg").optics.focal == upright.optics.focal
+    for told, size in ((IntrinsicsHint(), (640, 360)), (IntrinsicsHint(), (240, 320))):
         with pytest.raises(ImageError, match=r"a.jpg is .*phone.yaml is for pictures of 320 x 240"):
             ordinary_grid(camera, told, size, "a.jpg")
 
 
 def test_what_phones_write_into_videos():
     key = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
-    told = told_by_video({key: "26"}, (1080, 1920), 1)
+    told = intrinsics_from_tags({key: "26"}, (1080, 1920), 1)
     assert told.focal == pytest.approx(26 * math.hypot(1080, 1920) / math.hypot(36, 24))
     assert told.turns == 1
     for tags in ({key: "0"}, {key: "wide"}, {key: "1e9"}, {"make": "Apple"}):
-        assert told_by_video(tags, (1920, 1080), 0).focal is None
-    (fact,) = told_by_video({"com.maker.video.stabilization": "on"}, (1920, 1080), 0).facts
+        assert intrinsics_from_tags(tags, (1920, 1080), 0).focal is None
+    (fact,) = intrinsics_from_tags({"com.maker.video.stabilization": "on"}, (1920, 1080), 0).facts
     assert fact.startswith("warning: its metadata says stabilization = on")
-    assert not told_by_video({"com.maker.video.stabilization": "off"}, (1920, 1080), 0).facts
+    assert not intrinsics_from_tags({"com.maker.video.stabilization": "off"}, (1920, 1080), 0).facts
 
 
 def test_a_video_that_changes_its_size(tmp_path):

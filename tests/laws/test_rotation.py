@@ -10,8 +10,8 @@ from moving_rooms import PatternRoom
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from eagor.cameras import Lens
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.lenses import PinholeLens
 from eagor.odometry.features import Views, match
 from eagor.odometry.two_views import estimate_relative_rotation
 from eagor.odometry.visual import VisualOdometer
@@ -307,7 +307,7 @@ def test_a_level_odometer_gives_headings():
 
 # --- ordinary cameras ---
 
-LENS = PinholeLens("phone", (256, 192), (200.0, 202.0), (130.0, 94.0), (-0.25, 0.08, 0.001, -0.002, 0.0))
+LENS = Lens("phone", (256, 192), (200.0, 202.0), (130.0, 94.0), (-0.25, 0.08, 0.001, -0.002, 0.0))
 
 
 class Ordinary:

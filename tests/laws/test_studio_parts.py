@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from PIL import Image
 from starlette.datastructures import Headers
 
+from eagor.cameras import Lens
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.lab.eval.results import Run
-from eagor.lenses import PinholeLens
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, EvidenceCame, FrameCame, PoseCame, Trouble
 from eagor.media import Frame, Pose
@@ -191,7 +191,7 @@ def test_the_heat_and_the_border_are_those_of_the_belief_in_the_axes_of_the_worl
 def test_an_ordinary_lens_is_told_in_tangents_and_its_picture_is_sent_as_the_ideal_lens_sees_it():
     picture = np.zeros((200, 300, 3), np.uint8)
     picture[90:110, 240:260] = 255
-    bent = PinholeLens("bent", (300, 200), (150.0, 150.0), (150.0, 100.0), (-0.05, 0.0, 0.0, 0.0), np.eye(3))
+    bent = Lens("bent", (300, 200), (150.0, 150.0), (150.0, 100.0), (-0.05, 0.0, 0.0, 0.0))
     grid = PerspectiveGrid.of_lens(bent)
     told = lens_of(grid)
     assert lens_of(None) is None

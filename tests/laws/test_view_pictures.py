@@ -10,20 +10,20 @@ from strategies import at_most
 
 import eagor
 from eagor import Evidence
+from eagor.cameras import Lens
 from eagor.drawing import BeliefPage, BeliefVideo, Mosaic, draw_belief, page
 from eagor.drawing.panorama import OURS, heat_of
 from eagor.drawing.step import StepPainter
 from eagor.drawing.view import edge, heat_in_view, lines_in_view, outline_of
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.lenses import PinholeLens
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 
 AHEAD = np.eye(3)
 CYAN = np.array([int(OURS[at : at + 2], 16) for at in (1, 3, 5)])
 WIDE = PerspectiveGrid(90, 160, math.radians(70))
 TALL = PerspectiveGrid(160, 90, math.radians(40), world_R_body(0.2, 0.1, 0.05))
-LENS = PinholeLens("lens", (160, 120), (110.0, 112.0), (84.0, 57.0), (-0.2, 0.05, 0.001, -0.001))
+LENS = Lens("lens", (160, 120), (110.0, 112.0), (84.0, 57.0), (-0.2, 0.05, 0.001, -0.001))
 BENT = PerspectiveGrid.of_lens(LENS)
 
 

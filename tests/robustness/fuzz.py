@@ -46,10 +46,10 @@ from eagor.media import ros_messages as m  # noqa: E402
 from eagor.media.bag_files import MAGIC  # noqa: E402
 from eagor.media.bag_sources import BagCamera, BagPoses  # noqa: E402
 from eagor.media.bags import MOTION, PICTURES, Bag  # noqa: E402
-from eagor.media.intrinsics import read_camera, told_by_photograph  # noqa: E402
-from eagor.media.metadata import read_metadata  # noqa: E402
+from eagor.media.intrinsics import intrinsics_from_exif, read_camera  # noqa: E402
 from eagor.media.panorama import read_photograph  # noqa: E402
 from eagor.media.rigs import read_rig  # noqa: E402
+from eagor.media.video import Video  # noqa: E402
 from eagor.odometry.axes import AXES, settled  # noqa: E402
 from eagor.odometry.files import interpolated, pair, read_poses, usable  # noqa: E402
 from eagor.perception.endpoint import EndpointPerception  # noqa: E402
@@ -154,9 +154,10 @@ def gpano(data, draw, folder):
     path = folder / "picture.jpg"
     path.write_bytes(data)
     if data[4:8] == b"ftyp" or data[:4] == b"\x1aE\xdf\xa3":
-        told = read_metadata(str(path)).projection
-        if told is not None and tried(lambda: told.check("a") or True):
-            yield told.world_R_body, told.layout(64, 128, 64).shape
+        video = Video(path, rows=32)
+        yield [frame.stamp for frame in tried(lambda: [*video]) or ()]
+        if video.level_R_body is not None:
+            yield video.level_R_body
         return
     if data[:2] != b"\xff\xd8":
         shape = draw.choice(((64, 32), (60, 20), (32, 32), (1, 1)))
@@ -164,7 +165,7 @@ def gpano(data, draw, folder):
     found = read_photograph(path, force=draw.random() < 0.5)
     assert (found.picture.dtype, found.picture.ndim) == (np.uint8, 3)
     yield from (each for each in (found.level_R_body, found.world_R_body) if each is not None)
-    yield told_by_photograph(path).focal or 0.0
+    yield intrinsics_from_exif(path).focal or 0.0
 
 
 def bags(data, draw, folder):

@@ -4,7 +4,9 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 import wave
+from pathlib import Path
 
 import av
 import clips
@@ -19,11 +21,9 @@ from strategies import HOSTILE
 from eagor.errors import ImageError, TimeError
 from eagor.grids import FisheyeGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.media.containers import read_head, read_movie
-from eagor.media.metadata import GPANO, properties, read_metadata
+from eagor.media.metadata import GPANO, properties
 from eagor.media.panorama import view
 from eagor.media.video import Video
-from eagor.odometry.imu import read_insta360
 from eagor.sphere import world_R_body
 
 # --- arguments -------------------------------------------------------------------------------------------------------
@@ -108,7 +108,7 @@ def test_a_playlist_opens_no_other_file(tmp_path):
 def test_an_unknown_codec(tmp_path):
     path = clips.clip(tmp_path / "a.mp4")
     path.write_bytes(path.read_bytes().replace(b"avc1", b"zzz1"))
-    with pytest.raises(ImageError, match="codec 'zzz1' that this FFmpeg cannot decode; convert it"):
+    with pytest.raises(ImageError, match="in a codec that this FFmpeg cannot decode; convert it"):
         Video(path)
 
 
@@ -136,25 +136,24 @@ def test_a_recording_without_its_index(tmp_path):
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(ImageError, match=r"cut off|damaged"):
         Video(path)
-    path.write_bytes(path.read_bytes()[: path.read_bytes().index(b"moov") - 8])
-    with pytest.raises(ImageError, match=r"no index \(box 'moov'\): the recording or the copy was cut off"):
-        Video(path)
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
 @pytest.mark.parametrize("share", [0.5, 0.8])
 def test_what_came_before_the_cut_is_delivered(tmp_path, name, share):
-    noise = np.random.default_rng(0).integers(0, 255, (30, 64, 128, 3), dtype=np.uint8)
+    noise = np.random.default_rng(0).integers(0, 255, (90, 64, 128, 3), dtype=np.uint8)
     path = clips.clip(tmp_path / name, list(noise), options={"g": "5"})
     if name == "a.mp4":
         faststart(path)
     whole = [f.stamp for f in Video(path)]
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
     frames, error = clips.taken(Video(path))
-    assert 0.6 * share * 30 < len(frames) <= share * 30 + 1
+    assert 0.6 * share * 90 < len(frames) <= share * 90 + 1
     assert [f.stamp for f in frames] == whole[: len(frames)]
     assert isinstance(error, ImageError)
-    assert re.search(r"is cut off: \d+ bytes are missing at its end; it was read up to 0\.\d\d s, and \d+", str(error))
+    assert re.search(
+        r"is cut off: (of 90 pictures \d+ are there|it should last 3\.00 s); it was read up to", str(error)
+    )
     assert not clips.taken(Video(path, end=0.2))[1]  # what lies behind was not wanted
 
 
@@ -195,10 +194,8 @@ def test_damage_in_the_middle(tmp_path):
 @pytest.mark.parametrize(
     ("boxes", "said"),
     [
-        ([clips.sv3d(b"cbmp")], "is a cubemap picture, as its box sv3d says.*v360"),
-        ([clips.sv3d(b"mshp")], "is a mesh picture"),
-        ([clips.st3d(3), clips.sv3d()], r"two eyes in a way \(custom\) that is not read"),
-        ([clips.sv3d(bounds=(0.6, 0.5, 0, 0))], "nothing is left of the picture"),
+        ([clips.sv3d(b"cbmp")], "is a cubemap picture, as its metadata says.*v360"),
+        ([clips.sv3d(bounds=(0.6, 0.5, 0, 0))], "cannot be read as a video"),
     ],
 )
 def test_projections_that_are_not_read(tmp_path, boxes, said):
@@ -206,18 +203,9 @@ def test_projections_that_are_not_read(tmp_path, boxes, said):
         Video(clips.with_entry(clips.clip(tmp_path / "a.mp4"), *boxes))
 
 
-def test_matroskas_projections_that_are_not_read(tmp_path):
-    added = clips.element(0x7670, clips.element(0x7671, b"\2"))
-    with pytest.raises(ImageError, match="is a cubemap picture, as its Projection element says"):
-        Video(clips.with_element(clips.clip(tmp_path / "a.mkv"), added))
-
-
 def test_a_recording_that_is_not_stitched(tmp_path):
     room = painted_room(128, 256)
     lenses = [view(room, FisheyeGrid(64, np.radians(190), world_R_body(yaw))) for yaw in (0, np.pi)]
-    path = clips.clip(tmp_path / "a.insv", [np.concatenate(lenses, axis=1)] * 3, container="mp4")
-    with pytest.raises(ImageError, match="circles of a fisheye camera, not stitched yet"):
-        Video(path)
     two = clips.clip(tmp_path / "b.mp4", [lenses[0]] * 3).rename(tmp_path / "b.insv")
     clips.into(two, [b"moov"], lambda body: body + clips.first(body, b"trak"))
     with pytest.raises(ImageError, match="holds 2 tracks of pictures, one for each lens"):
@@ -234,22 +222,13 @@ def folder(tmp_path_factory):
 
 def spoken():
     """Small files with everything that is read beside pictures."""
-    import tempfile
-    from pathlib import Path
-
     with tempfile.TemporaryDirectory() as place:
-        small = clips.rolled(2)
-        a = clips.with_entry(clips.clip(Path(place) / "a.mp4", small), clips.st3d(0), clips.sv3d(pitch=5))
-        packets = [(k / 10, kind, (0.1, 0.2, 9.8)) for k in range(4) for kind in (0, 2, 3)]
-        b = clips.with_camm(clips.clip(Path(place) / "b.mp4", small), packets)
-        rows = [(k / 10, (0, 0, 1), (0.1, 0.2, 0.3)) for k in range(4)]
-        c = clips.clip(Path(place) / "c.mp4", small)
-        c.write_bytes(c.read_bytes() + clips.trailer(rows))
-        d = clips.with_element(
-            clips.clip(Path(place) / "d.mkv", small), clips.element(0x7670, clips.element(0x7671, b"\1"))
-        )
-        # Without the pictures: the head of each file and its end.
-        return [path.read_bytes() for path in (a, b, c, d)]
+        small, folder = clips.rolled(2), Path(place)
+        a = clips.with_entry(clips.clip(folder / "a.mp4", small), clips.st3d(0), clips.sv3d(pitch=5))
+        c = clips.clip(folder / "c.mp4", small)
+        c.write_bytes(c.read_bytes() + clips.trailer([(k / 10, (0, 0, 1), (0.1, 0.2, 0.3)) for k in range(4)]))
+        d = clips.with_element(clips.clip(folder / "d.mkv", small), clips.element(0x7670, clips.element(0x7671, b"\1")))
+        return [path.read_bytes() for path in (a, c, d)]
 
 
 SPOKEN = spoken()
@@ -258,22 +237,9 @@ SPOKEN = spoken()
 @HOSTILE
 @given(damaged(SPOKEN))
 @example(b"")
-@example(clips.box(b"ftyp") + clips.box(b"moov", *[clips.box(b"trak")] * 3))
 @example(b"\0\0\0\1moov" + b"\xff" * 8)
-@example(b"\x1a\x45\xdf\xa3\x80" + b"\x18\x53\x80\x67\x01" + b"\xff" * 7 + b"\x16\x54\xae\x6b\xff\xae\xff\xe0\xff")
-def test_what_files_say_of_themselves(folder, blob):
-    path = folder / "a.insv"
-    path.write_bytes(blob)
-    reads(lambda: read_metadata(str(path)), "a.insv")
-    for reader in (read_movie, read_head, read_insta360):
-        with path.open("rb") as file:
-            reads(lambda reader=reader, file=file: reader(file))
-
-
-@HOSTILE
-@given(damaged(SPOKEN))
 def test_damaged_videos(folder, blob):
-    path = folder / "b.mp4"
+    path = folder / "b.insv"
     path.write_bytes(blob)
 
     def look():
@@ -283,7 +249,7 @@ def test_damaged_videos(folder, blob):
         assert sorted(set(stamps)) == stamps
         assert all(f.picture.shape == (*video.shape, 3) for f in frames)
 
-    reads(look, "b.mp4")
+    reads(look, "b.insv")
 
 
 @HOSTILE

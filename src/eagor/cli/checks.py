@@ -21,9 +21,9 @@ from eagor.errors import EagorError, ImageError, QueryError
 if TYPE_CHECKING:
     from PIL import Image
 
+    from eagor.cameras import Rig
     from eagor.evidence import BodyMask, Evidence
     from eagor.media.intrinsics import Camera
-    from eagor.media.rigs import Rig
     from eagor.perception import Perception
     from eagor.perception.calibrated import Calibrated
     from eagor.tracking.config import TrackerConfig
@@ -34,7 +34,8 @@ LIMITS = {  # least, most, and what is wanted
     "--degree": (1, 63, "1 to 63 (15 resolves about 12 degrees)"), "--rows": (8, math.inf, "8 or more"),
     "--modes": (1, math.inf, "1 or more"), "--drift": (0, 90, "degrees from 0 to 90"),
     "--latency": (0, math.inf, "seconds, 0 or more"), "--seconds": (math.ulp(0), math.inf, SECONDS),
-    "--patience": (math.ulp(0), math.inf, SECONDS), "--rate": (math.ulp(0), math.inf, RATE),
+    "--patience": (math.ulp(0), math.inf, SECONDS), "--every": (math.ulp(0), math.inf, SECONDS),
+    "--most": (math.ulp(0), math.inf, SECONDS), "--rate": (math.ulp(0), math.inf, RATE),
     "--fps": (math.ulp(0), math.inf, RATE),
 }  # fmt: skip
 
@@ -199,14 +200,6 @@ def rows_for(spec: str, rows: int | None = None, least: int | None = None) -> in
     from eagor.perception import is_model, rows_of
 
     return rows or max(least or LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
-
-
-def wants_panoramas(spec: str) -> bool:
-    """Whether the perception that ``--perception`` names cannot look at ordinary pictures as they are."""
-    from eagor.perception import is_model
-    from eagor.perception.replay import takes_pictures
-
-    return not (is_model(spec) or takes_pictures(make_perception(spec)))
 
 
 def check_looks(perception: str) -> None:

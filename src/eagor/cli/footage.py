@@ -49,7 +49,6 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     from eagor.media.footage import LEAST_ROWS, BagFrames, VideoFrames, is_video
     from eagor.media.odometry import open_poses, poses_in_words
     from eagor.perception import rows_of
-    from eagor.perception.replay import takes_pictures
 
     bag = len(places) == 1 and is_bag(places[0])
     moves = bag or is_video(places, options.rig is not None)
@@ -60,7 +59,6 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     how: dict[str, Any] = {
         "rig": checks.rig_of(options.rig),
         "camera": checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info, options.eyes),
-        "stitched": not takes_pictures(perception),
         "rows": max(rows_of(perception), LEAST_ROWS) if moves else None,
         "start": options.start, "end": options.end, "force": options.force, "info": options.camera_info,
         "say": terminal.log,

@@ -33,7 +33,6 @@ from eagor.cli.checks import (
     rig_of,
     rows_for,
     tracker_config,
-    wants_panoramas,
 )
 from eagor.cli.options import (
     Axes,
@@ -204,7 +203,6 @@ def loop_of(options: Live, sinks: Sequence[Sink] = ()) -> Loop:
     from eagor.live.threads import already_open
     from eagor.media.camera_sources import open_source
     from eagor.media.odometry import poses_for
-    from eagor.media.rig_videos import are_ordinary
 
     source, queries = asked(options)
     spec = perception_for(queries, options.perception)
@@ -213,10 +211,8 @@ def loop_of(options: Live, sinks: Sequence[Sink] = ()) -> Loop:
     mask, rows = mask_of(options.mask), rows_for(spec, options.rows)
     told = ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)
     lenses = rig_of(options.rig)
-    several = "," in source if lenses is None else are_ordinary(lenses)  # topics of ROS tell their lenses
-    stitched = several and wants_panoramas(spec)
     how: dict[str, Any] = {"latency": options.latency, "rows": rows, "rig": lenses, "camera": told}
-    opens = partial(open_source, source, stitched=stitched, **how)
+    opens = partial(open_source, source, **how)
     if source.startswith("ros:"):  # its publishers may not be there yet
         terminal.log(f"waiting for pictures on {source}")
     camera = opens()

@@ -122,19 +122,8 @@ def locate(options: Locate) -> int:
         if stamp is None:  # a replay answers at its own times
             records = perception.records if isinstance(perception, ReplayPerception) else ()
             stamp = next((record.stamp for record in records if record.answers(query)), 0.0)
-        frames, hidden = (
-            _frames(options, places, perception),
-            HiddenParts(masks, terminal.log),
-        )
-        # A recording has its own views of the moment, whatever the pictures.
-        seen = frames[:1] if isinstance(perception, ReplayPerception) else frames
-        looks = tuple(
-            evidence
-            for frame in seen
-            for evidence in hidden.covered(
-                look(perception, frame.picture, query, stamp, frame.level_R_body, frame.grid), frame
-            )
-        )
+        frame, hidden = _frame(options, places, perception), HiddenParts(masks, terminal.log)
+        looks = hidden.covered(look(perception, frame.picture, query, stamp, frame.level_R_body, frame.grid), frame)
         warn_of_detector(options.detector, looks)
         follower, stamps = Follower(config), sorted({float(evidence.stamp or 0.0) for evidence in looks})
         if options.floor is not None:  # the camera is where heights are counted from
@@ -144,7 +133,7 @@ def locate(options: Locate) -> int:
             follower.look(evidence)
         estimate = follower.estimate(stamps[-1])
         if options.picture is not None:
-            _draw(options, frames, estimate)
+            _draw(options, frame, estimate)
         found = {
             "query": options.query, "perception": spec, "frame": _name(places),
             **estimate.as_dict(options.modes, NEAR),
@@ -160,28 +149,24 @@ def locate(options: Locate) -> int:
     return terminal.OK
 
 
-def _frames(options: Locate, places: Sequence[Path], perception: Perception) -> tuple[Picture, ...]:
-    """The photograph, or the frame of a video at ``--stamp`` seconds; of a rig's ordinary cameras one of each."""
+def _frame(options: Locate, places: Sequence[Path], perception: Perception) -> Picture:
+    """The photograph, or the frame of a video at ``--stamp`` seconds."""
     from eagor.media.footage import LEAST_ROWS, FrameCheck, LensPictures, is_video
     from eagor.media.panorama import Picture
-    from eagor.media.rig_videos import LensVideos, open_video
+    from eagor.media.rig_videos import open_video
     from eagor.perception import rows_of
-    from eagor.perception.replay import takes_pictures
 
     check = FrameCheck(
         options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)
     )
-    rig, stitched = rig_of(options.rig), not takes_pictures(perception)
+    rig = rig_of(options.rig)
     if not is_video(places, rig is not None):
-        return (check.read(places[0]),) if rig is None else LensPictures(rig, stitched).moment(places)
+        return check.read(places[0]) if rig is None else LensPictures(rig).read(*places)
     rows = max(rows_of(perception), LEAST_ROWS)
-    video = open_video(places, rig, stitched=stitched, start=options.stamp or 0.0, rows=rows)
+    video = open_video(places, rig, start=options.stamp or 0.0, rows=rows)
     say_of_video(places[0].name, video.facts, video.duration)
-    first = video.moment() if isinstance(video, LensVideos) else [next(iter(video))]
-    return tuple(
-        check(Picture(each.picture, video.unseen, video.level_R_body, grid=each.grid), each.name, video.told)
-        for each in first
-    )
+    first = next(iter(video))
+    return check(Picture(first.picture, video.unseen, video.level_R_body), first.name, video.hint)
 
 
 def _name(places: Sequence[Path]) -> str:
@@ -234,22 +219,12 @@ def _print_modes(estimate: Estimate, count: int) -> None:
     print(f"                  {'':17} {100 * elsewhere:5.0f} %  elsewhere")
 
 
-def _draw(options: Locate, frames: Sequence[Picture], estimate: Estimate) -> None:
-    """Draw the picture that the answer is in, or is nearest to; what the others show is beside it."""
-    from eagor.drawing import Mosaic, draw_belief
+def _draw(options: Locate, frame: Picture, estimate: Estimate) -> None:
+    from eagor.drawing import draw_belief
     from eagor.drawing.style import answer_in_words
 
     assert options.picture is not None
-    frame, mosaic = frames[0], Mosaic()
-    for each in frames:
-        if each.grid is None or frame.grid is None:
-            continue
-        mosaic.add(each.picture, each.grid, estimate.world_R_body)
-        nearer = estimate.direction is not None and (
-            each.grid.body_R_view[:, 0] @ estimate.direction > frame.grid.body_R_view[:, 0] @ estimate.direction
-        )
-        frame = each if nearer else frame
     title = f"“{options.query}”: {answer_in_words(estimate)} ({estimate.status})"
     modes = [mode.direction for mode in estimate.modes[: options.modes]]
-    drawn = draw_belief(frame.picture, estimate, modes=modes, title=title, grid=frame.grid, mosaic=mosaic)
+    drawn = draw_belief(frame.picture, estimate, modes=modes, title=title, grid=frame.grid)
     keep_picture(drawn, options.picture)

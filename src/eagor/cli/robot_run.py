@@ -22,7 +22,6 @@ from eagor.cli.checks import (
     perception_for,
     rows_for,
     tracker_config,
-    wants_panoramas,
 )
 from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Static, Whole, bare
 from eagor.errors import DeviceError
@@ -275,14 +274,12 @@ def _check(options: RobotRun) -> None:
 @contextmanager
 def _real(options: RobotRun, spec: str) -> Iterator[Place]:
     from eagor.media.camera_sources import open_source
-    from eagor.media.rig_videos import are_ordinary
     from eagor.media.rigs import read_rig
 
     source = options.source
     assert source is not None
     rig = None if options.rig is None else read_rig(options.rig)
-    stitched = rig is not None and are_ordinary(rig) and wants_panoramas(spec)
-    lenses: dict[str, Any] = {"rows": rows_for(spec, options.rows), "rig": rig, "stitched": stitched}
+    lenses: dict[str, Any] = {"rows": rows_for(spec, options.rows), "rig": rig}
 
     def camera() -> CameraSource:
         if source.startswith(ROS):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from tyro.conf import Positional
 
 from eagor.cli import terminal
-from eagor.cli.checks import ordinary, perception_for, rig_of, rows_for, tracker_config, wants_panoramas
+from eagor.cli.checks import ordinary, perception_for, rig_of, rows_for, tracker_config
 from eagor.cli.options import Common
 
 if TYPE_CHECKING:
@@ -55,6 +55,5 @@ def setup(values: Mapping[str, Any], queries: Sequence[str]) -> Setup:
     perception = perception_for(queries, told("perception"))
     config = tracker_config(15, perception, path("calibration"), told("detector"), static=values["static"])
     lens, rig = ordinary(told("hfov_deg"), path("intrinsics"), path("rig")), rig_of(path("rig"))
-    stitched = (len(values["image_topics"]) > 1 or rig is not None) and wants_panoramas(perception)
-    camera = {"rows": rows_for(perception), "rig": rig, "camera": lens, "stitched": stitched}
+    camera = {"rows": rows_for(perception), "rig": rig, "camera": lens}
     return Setup(perception, replace(config, floor_height=told("floor")), camera)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eagor.cameras import Sampler
 from eagor.drawing.panorama import (
     ALONE,
     BEHIND,
@@ -134,14 +135,7 @@ def lines_in_view(lines: Sequence[np.ndarray], grid: PerspectiveGrid) -> list[np
 
 def heat_in_view(heat: Heat, grid: PerspectiveGrid, height: int, width: int) -> np.ndarray:
     """The part of a belief's heat ``(height, width, 4)`` uint8 that is in view, linear between its cells."""
-    rows, columns = heat.rgba.shape[:2]
-    x, y = _looked_at(view_key(grid), grid.body_R_view.tobytes(), height, width, rows, columns)
-    left, top = np.floor(x).astype(int), np.floor(y).astype(int).clip(0, rows - 2)
-    u, v = (x - left)[..., None], (y - top).clip(0, 1)[..., None]
-    left, right = left % columns, (left + 1) % columns
-    upper = (1 - u) * heat.rgba[top, left] + u * heat.rgba[top, right]
-    lower = (1 - u) * heat.rgba[top + 1, left] + u * heat.rgba[top + 1, right]
-    return np.rint((1 - v) * upper + v * lower).astype(np.uint8)
+    return _looked_at(view_key(grid), grid.body_R_view.tobytes(), height, width, *heat.rgba.shape[:2])(heat.rgba)
 
 
 def outline_of(grid: PerspectiveGrid) -> list[np.ndarray]:
@@ -181,15 +175,12 @@ def edge(where: np.ndarray, grid: PerspectiveGrid, width: float, height: float) 
 
 
 @lru_cache(maxsize=4)
-def _looked_at(
-    lens: ViewKey, pose: bytes, height: int, width: int, rows: int, columns: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of a view looks on a panorama: column and row ``(height, width)``, the first cell's being 0."""
+def _looked_at(lens: ViewKey, pose: bytes, height: int, width: int, rows: int, columns: int) -> Sampler:
+    """What reads a panorama of so many rows and columns where each pixel of a view looks."""
     grid = forward_view(lens)
     assert isinstance(grid, PerspectiveGrid)
     turned = grid.resized(height, width).directions @ np.frombuffer(pose).reshape(3, 3).T
-    x, y, _ = ErpGrid(rows, columns).project(turned)
-    return x - 0.5, y - 0.5
+    return Sampler(ErpGrid(rows, columns), turned)
 
 
 # --- the scene --------------------------------------------------------------------------------------------------------

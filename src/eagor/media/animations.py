@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,8 +10,9 @@ from PIL import Image
 
 from eagor.errors import ImageError, TimeError
 from eagor.media import Frame
-from eagor.media.intrinsics import Told
+from eagor.media.intrinsics import IntrinsicsHint
 from eagor.media.panorama import Picture, decoded_bytes, opened, photograph_of, resized, resized_mask
+from eagor.media.video import selected
 
 __all__ = ["Animation", "is_animation"]
 
@@ -36,6 +36,9 @@ class Animation:
     What is transparent in the first picture counts as not seen. Raises `ImageError`, `TimeError`.
     """
 
+    duration = count = motion = None
+    hint = IntrinsicsHint()
+
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -56,28 +59,20 @@ class Animation:
         first = next(self._all(), None)
         if first is None:
             raise ImageError(f"{self.path} holds no picture that can be read; fetch or export it again")
-        self.shape, self.unseen, self.level_R_body = first[2].picture.shape[:2], first[2].unseen, first[2].level_R_body
-        self.frame_rate: float | None = 1 / first[1]
-        self.duration: float | None = None
-        self.count: int | None = None
-        self.motion, self.told = None, Told()
-        self.facts = (f"{kind}, {width} x {height} pixels, {count} pictures, one after the other", *first[2].facts)
+        _, (found, lasts) = first
+        self.shape, self.unseen, self.level_R_body = found.picture.shape[:2], found.unseen, found.level_R_body
+        self.frame_rate: float | None = 1 / lasts
+        self.facts = (f"{kind}, {width} x {height} pixels, {count} pictures, one after the other", *found.facts)
 
     def __iter__(self) -> Iterator[Frame]:
-        tick, last = -1, -1.0
-        for last, _, found in self._all():
-            if self._end is not None and last >= self._end - 1e-6:
-                return
-            at = math.floor((last - self._start + 1e-6) * self._rate) if self._rate else tick + 1
-            if last < self._start - 1e-6 or at <= tick:
-                continue
-            tick = at
-            yield Frame(last, found.picture, f"{os.path.basename(self.path)} at {last:.2f} s")
-        if tick < 0:
-            raise TimeError(f"{self.path} has no picture from {self._start:g} s on; its last one is at {last:g} s")
+        stamp = None
+        for stamp, (found, _) in selected(self._all(), self._start, self._end, self._rate, 1e-6):
+            yield Frame(stamp, found.picture, f"{os.path.basename(self.path)} at {stamp:.2f} s")
+        if stamp is None:
+            raise TimeError(f"{self.path} has no picture from {self._start:g} s on; it ends before that")
 
-    def _all(self) -> Iterator[tuple[float, float, Picture]]:
-        """Time, seconds for which it is shown, and picture, of each; raises `ImageError` where it is damaged."""
+    def _all(self) -> Iterator[tuple[float, tuple[Picture, float]]]:
+        """Time and picture of each, and for how long it is shown; raises `ImageError` where it is damaged."""
         stamp = 0.0
         try:
             with opened(self.path) as image:
@@ -85,9 +80,9 @@ class Animation:
                 for number in range(int(bool(image.info.get("default_image"))), image.n_frames):  # type: ignore[attr-defined]
                     image.seek(number)
                     image.load()
-                    told = float(image.info.get("duration") or 0) / 1000
-                    lasts = told if told >= SHORTEST else USUAL
-                    yield stamp, lasts, self._made(image)
+                    lasts = float(image.info.get("duration") or 0) / 1000
+                    lasts = lasts if lasts >= SHORTEST else USUAL
+                    yield stamp, (self._made(image), lasts)
                     stamp += lasts
         except ImageError:
             raise
@@ -101,8 +96,6 @@ class Animation:
         found = photograph_of(image, self.path)
         height, width = found.picture.shape[:2]
         rows = min(height, self._rows or height)
-        if rows == height:
-            return found
         size = rows, max(1, round(width * rows / height))
         unseen = None if found.unseen is None else resized_mask(found.unseen, size)
         return replace(found, picture=resized(found.picture, size, wrap=width == 2 * height), unseen=unseen)

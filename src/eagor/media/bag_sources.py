@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from eagor.cameras import Rig
 from eagor.errors import DeviceError, FormatError, PoseError
 from eagor.media import Pose
 from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick
 from eagor.media.intrinsics import Camera
-from eagor.media.rigs import Rig
 from eagor.media.ros_frames import BODY, PoseReader
 from eagor.media.ros_messages import TRANSFORMS, stamp_of
 from eagor.media.topic_pictures import Lenses, TopicPictures, placed_in_bag, told_in_bag, topics_of
@@ -33,9 +33,8 @@ class BagCamera:
     `topic`: None is the only one with pictures, and several have commas between. Stamps are those of the headers; where
     a header has none, the time of recording. `dropped`: messages that were sent twice or out of order; `back`: how many
     of them had stamps that go back, which is said once. `count`: how many pictures there are; `begins`: the stamp of
-    the first; `frame`: as of `TopicPictures`; `lens`: the ordinary camera, if it is one; `views`: the grid of each
-    camera's pictures, None where they become panoramas. Raises `FormatError` for the bag or topic, and as
-    `TopicPictures`.
+    the first; `frame`: as of `TopicPictures`; `lens`: the ordinary camera, if it is one; `view`: the grid of its
+    pictures, None where they become panoramas. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
     """
 
     def __init__(
@@ -47,7 +46,6 @@ class BagCamera:
         rig: Rig | None = None,
         camera: Camera | None = None,
         info: str | None = None,
-        stitched: bool = False,
     ) -> None:
         self.bag = bag if isinstance(bag, Bag) else Bag(bag)
         self.dropped = self.back = 0
@@ -58,28 +56,24 @@ class BagCamera:
         firsts = [self._first(each) for each in self.topics]
         self.begins = min(_stamp(received, when) for when, received in firsts)
         self._pictures = TopicPictures(
-            [received for _, received in firsts], self.topics, Lenses(rig, camera, info, rows, stitched),
+            [received for _, received in firsts], self.topics, Lenses(rig, camera, info, rows),
             lambda image, told: told_in_bag(self.bag, image, told),
             lambda frames: placed_in_bag(self.bag, frames),
         )  # fmt: skip
-        self.frame, camera, makers = self._pictures.frame, self._pictures.camera, self._pictures.makers
+        self.frame, camera, builder = self._pictures.frame, self._pictures.camera, self._pictures.builder
         self.lens = camera if camera is not None and camera.known else None
-        self.unseen, self.views = makers[0].unseen, tuple(each.view for each in makers)
-        self.count = sum(self.bag.counts[each] for each in self.topics[: len(makers)])
+        self.unseen, self.view = builder.unseen, builder.view
+        self.count = self.bag.counts[self.topics[0]]
 
-    def pictures(self) -> Iterator[tuple[float, int, Callable[[], np.ndarray]]]:
-        """Stamp of each picture, in order of time, which camera's, and what gives the frame or raises `ImageError`."""
+    def pictures(self) -> Iterator[tuple[float, Callable[[], np.ndarray]]]:
+        """Stamp of each picture, in order of time, and what gives the frame or raises `ImageError`."""
         newest: list[Any] = [None] * len(self.topics)
         self.dropped = self.back = 0
         for stamp, lens, received in heapq.merge(*map(self._of, range(len(self.topics)))):
             newest[lens] = received
-            if self._pictures.together:
-                if lens or None in newest:  # those of the first topic are stitched with the others' newest
-                    continue
-                received = tuple(newest)
-            else:
-                received = (received,)
-            yield stamp, lens, partial(self._pictures.made, lens, received)
+            if lens or None in newest:  # those of the first topic go with the others' newest
+                continue
+            yield stamp, partial(self._pictures.made, tuple(newest))
 
     def _first(self, topic: str) -> tuple[float, Any]:
         """Time of recording and message."""

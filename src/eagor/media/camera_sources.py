@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from eagor import plugins
+from eagor.cameras import Rig
 from eagor.errors import DeviceError, TimeError
 from eagor.media import CameraSource
 from eagor.media.bag_sources import BagCamera
@@ -24,7 +25,7 @@ from eagor.media.footage import BagFrames, Footage, FrameCheck, VideoFrames, ima
 from eagor.media.intrinsics import Camera, in_words
 from eagor.media.live_camera import LiveCamera
 from eagor.media.rig_videos import open_video
-from eagor.media.rigs import Rig, read_rig
+from eagor.media.rigs import read_rig
 from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
 
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "open_footage", "open_source"]
@@ -49,7 +50,6 @@ def open_source(
     rig: Rig | str | os.PathLike[str] | None = None,
     rate: float | None = None,
     camera: Camera | None = None,
-    stitched: bool = False,
     **more: Any,
 ) -> CameraSource:
     """The source of pictures that `text` names (`SOURCES`), or that another package brings (``NAME:REST``).
@@ -59,7 +59,6 @@ def open_source(
     pictures, `text` is as many sources with commas between, unless one gives all; of topics of ROS or of a bag, as many
     topics (``ros:/front/image,/back/image``), which may also do without a rig. `rate`: the most pictures per second
     to take; for a folder, how many per second were taken. `camera`: an ordinary one, if it is known to be that.
-    `stitched`: make a panorama also of pictures of a rig's ordinary lenses, which are otherwise given as they are.
     `more`: for recordings, as `open_footage` takes it.
 
     Other packages add cameras under the entry points ``eagor.cameras``: a name, and a function ``(rest, *, latency,
@@ -75,16 +74,14 @@ def open_source(
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")
     settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
     if kinds[0] in ("file", "bag"):
-        return open_footage(parts, **settings, camera=camera, stitched=stitched, **more)
+        return open_footage(parts, **settings, camera=camera, **more)
     if camera is not None and (camera.known or camera.eyes):  # cameras of other packages need not know of it
         settings["camera"] = camera
     if kinds[0] == "plugin":
         name, _, rest = text.partition(":")
-        if stitched and name == "ros":
-            settings["stitched"] = True
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
     streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
-    return LiveCamera(streams, **settings, stitched=stitched)
+    return LiveCamera(streams, **settings)
 
 
 def open_footage(
@@ -95,7 +92,6 @@ def open_footage(
     rig: Rig | None = None,
     rate: float | None = None,
     camera: Camera | None = None,
-    stitched: bool = False,
     start: float = 0.0,
     end: float | None = None,
     force: bool = False,
@@ -113,18 +109,18 @@ def open_footage(
     say, camera = say or _warned, camera or Camera()
     path, topic = split_bag(str(places[0]))
     if is_bag(path):
-        bag = BagCamera(path, topic, rows=rows, rig=rig, camera=camera, info=info, stitched=stitched)
+        bag = BagCamera(path, topic, rows=rows, rig=rig, camera=camera, info=info)
         if bag.lens is not None:
-            say(f"{bag.topic}: {in_words(bag.lens.name, bag.views[0])}")
+            say(f"{bag.topic}: {in_words(bag.lens.name, bag.view)}")
         check = FrameCheck(
             force, say, None if camera.eyes is None else replace(camera, eyes="mono")
         )  # it takes one of them
         return Footage(BagFrames(bag, check, rate, start, end), latency)
     paths, check = [Path(place) for place in places], FrameCheck(force, say, camera)
     if is_video(paths, rig is not None):
-        video = open_video(paths, rig, stitched=stitched, rate=rate, start=start, end=end, rows=rows)
-        return Footage(VideoFrames(video, check, rig is not None), latency)
-    return Footage(images(paths, rate, check, rig, stitched), latency, rows)
+        video = open_video(paths, rig, rate=rate, start=start, end=end, rows=rows)
+        return Footage(VideoFrames(video, check), latency)
+    return Footage(images(paths, rate, check, rig), latency, rows)
 
 
 def _warned(text: str) -> None:

@@ -26,8 +26,7 @@ GRID = 0.005  # seconds between the shifts that are tried; the peak is found bet
 FEWEST = 20  # steps
 LEAST_CHANGE = math.radians(3.0)  # per second: by how much the turning rate has to vary to tell anything
 LEAST_MATCH = 0.5  # correlation below which the two do not show the same motion
-BLOCK = 1.0  # seconds of neighbouring steps that are drawn together
-DRAWS = 400
+BLOCK, DRAWS = 1.0, 400  # seconds of neighbouring steps that are drawn together, and how often
 LONGEST = 1.0  # seconds between two pictures that make a step
 
 
@@ -54,10 +53,9 @@ class Latency:
     mirrored: bool = False
 
 
-def steps_of(frames: Iterable[Frame], *, level: bool = False) -> Steps:
+def steps_of(frames: Iterable[Frame]) -> Steps:
     """How a camera turned from picture to picture, from its pictures; where it got lost, there is no step."""
-    odometer, before = VisualOdometer(level=level), None
-    rows = []
+    odometer, before, rows = VisualOdometer(), None, []
     for frame in frames:
         if frame.picture is None:
             continue
@@ -66,8 +64,7 @@ def steps_of(frames: Iterable[Frame], *, level: bool = False) -> Steps:
             turn = Rotation.from_matrix(before[1].T @ turned.world_R_body).as_rotvec()
             rows.append((before[0], frame.stamp, float(turn[2])))
         before = frame.stamp, turned.world_R_body
-    start, end, angle = np.array(rows).reshape(-1, 3).T
-    return Steps(start, end, angle)
+    return Steps(*np.array(rows).reshape(-1, 3).T)
 
 
 def latency_between(steps: Steps, poses: Sequence[Pose], *, most: float = 1.0, seed: int = 0) -> Latency:
@@ -76,24 +73,22 @@ def latency_between(steps: Steps, poses: Sequence[Pose], *, most: float = 1.0, s
     Negative: odometry is the later one. Raises `PoseError` where the motion does not tell it: too few steps that both
     cover, too little change of the turning rate, no correlation, or a peak at the end of what is searched.
     """
-    check_turning(poses)
-    stamps = np.array([pose.stamp for pose in poses])
-    covered = (steps.start - most >= stamps[0]) & (steps.end + most <= stamps[-1])
+    slerp = check_turning(poses)
+    first, last = poses[0].stamp, poses[-1].stamp
+    covered = (steps.start - most >= first) & (steps.end + most <= last)
     n = int(covered.sum())
     if n < FEWEST:
         span = f"{steps.start[0]:.2f} to {steps.end[-1]:.2f} s" if len(steps.start) else "none that could be compared"
         raise PoseError(
             f"{n} steps between pictures lie within the odometry, {most:g} s off its ends; wanted {FEWEST} or more. "
-            f"Pictures: {span}; odometry: {stamps[0]:.2f} to {stamps[-1]:.2f} s. Both need one clock: shift one of "
-            "them, or record longer"
+            f"Pictures: {span}; odometry: {first:.2f} to {last:.2f} s. Both need one clock: shift one of them, or "
+            "record longer"
         )
-    start, end, seen = steps.start[covered], steps.end[covered], steps.turned[covered]
-    lengths = end - start
+    start, end = steps.start[covered], steps.end[covered]
     shifts = np.arange(-most, most + GRID / 2, GRID)
-    slerp = _slerp(poses)
-    told = np.stack([_steps(slerp, start - shift, end - shift) for shift in shifts]) / lengths  # (shifts, n)
-    seen = seen / lengths
-    values = _correlation(told, seen)
+    rates = np.stack([_turned(slerp, start - shift, end - shift) for shift in shifts]) / (end - start)  # (shifts, n)
+    seen = steps.turned[covered] / (end - start)
+    values = _correlation(rates, seen)
     mirrored = bool(values.max() < -values.min() - 0.2)
     if mirrored:
         values, seen = -values, -seen
@@ -108,41 +103,42 @@ def latency_between(steps: Steps, poses: Sequence[Pose], *, most: float = 1.0, s
         raise PoseError(
             f"the best shift is {shifts[at]:+.2f} s, the end of what was searched; search farther: --most {2 * most:g}"
         )
-    ends = _interval(told, seen, lengths, shifts, seed)
-    return Latency(_peak(shifts, values), ends, float(values[at]), n, mirrored)
+    random, peaks = np.random.default_rng(seed), []
+    block = min(max(1, round(BLOCK / float(np.median(end - start)))), max(1, n // 4))
+    for _ in range(DRAWS):
+        begins = random.integers(0, n - block + 1, math.ceil(n / block))
+        drawn = (begins[:, None] + np.arange(block)).ravel()[:n]
+        peaks.append(_peak(shifts, _correlation(rates[:, drawn], seen[drawn])))
+    low, high = map(float, np.quantile(peaks, [0.025, 0.975]))
+    return Latency(_peak(shifts, values), (low, high), float(values[at]), n, mirrored)
 
 
-def check_turning(poses: Sequence[Pose]) -> None:
-    """Raise `PoseError` if these turn too evenly to tell a latency."""
+def check_turning(poses: Sequence[Pose]) -> Slerp:
+    """The orientations in between. Raises `PoseError` if these turn too evenly to tell a latency."""
     if len(poses) < 2:
         raise PoseError(f"odometry has {len(poses)} poses; wanted those of the time in which the pictures were taken")
-    first, last = poses[0].stamp, poses[-1].stamp
-    ticks = np.linspace(first, last, max(2, math.ceil((last - first) / 0.1)))
-    change = float(np.std(_steps(_slerp(poses), ticks[:-1], ticks[1:]) / np.diff(ticks)))
+    stamps = [pose.stamp for pose in poses]
+    slerp = Slerp(stamps, Rotation.from_matrix(np.stack([pose.world_R_body for pose in poses])))
+    ticks = np.linspace(stamps[0], stamps[-1], max(2, math.ceil((stamps[-1] - stamps[0]) / 0.1)))
+    change = float(np.std(_turned(slerp, ticks[:-1], ticks[1:]) / np.diff(ticks)))
     if change < LEAST_CHANGE:
         raise PoseError(
             f"the turning rate varies by {math.degrees(change):.1f} degrees per second (standard deviation); wanted "
             f"{math.degrees(LEAST_CHANGE):g} or more. Turn the camera left and right about its vertical axis, briskly, "
             "for half a minute"
         )
+    return slerp
 
 
-def _slerp(poses: Sequence[Pose]) -> Slerp:
-    stamps = [pose.stamp for pose in poses]
-    return Slerp(stamps, Rotation.from_matrix(np.stack([pose.world_R_body for pose in poses])))
-
-
-def _steps(slerp: Slerp, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _turned(slerp: Slerp, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """How far odometry turned about body z between these times, radians ``(n,)``."""
     return (slerp(start).inv() * slerp(end)).as_rotvec()[:, 2]
 
 
-def _correlation(told: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Pearson's, of each row of `told` ``(s, n)`` with `seen` ``(n,)``."""
-    told = told - told.mean(axis=1, keepdims=True)
-    seen = seen - seen.mean()
-    norm = np.linalg.norm(told, axis=1) * np.linalg.norm(seen)
-    return (told @ seen) / np.maximum(norm, 1e-12)
+def _correlation(rates: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Pearson's, of each row of `rates` ``(s, n)`` with `seen` ``(n,)``."""
+    rates, seen = rates - rates.mean(axis=1, keepdims=True), seen - seen.mean()
+    return (rates @ seen) / np.maximum(np.linalg.norm(rates, axis=1) * np.linalg.norm(seen), 1e-12)
 
 
 def _peak(shifts: np.ndarray, values: np.ndarray) -> float:
@@ -151,19 +147,3 @@ def _peak(shifts: np.ndarray, values: np.ndarray) -> float:
     a, b, c = values[at - 1 : at + 2]
     bend = a - 2 * b + c
     return float(shifts[at] + (GRID * 0.5 * (a - c) / bend if bend < -1e-12 else 0.0))
-
-
-def _interval(
-    told: np.ndarray, seen: np.ndarray, lengths: np.ndarray, shifts: np.ndarray, seed: int
-) -> tuple[float, float]:
-    """The middle 95 % of the peaks of resampled steps."""
-    random = np.random.default_rng(seed)
-    n = len(seen)
-    block = min(max(1, round(BLOCK / float(np.median(lengths)))), max(1, n // 4))
-    peaks = []
-    for _ in range(DRAWS):
-        begins = random.integers(0, n - block + 1, math.ceil(n / block))
-        chosen = (begins[:, None] + np.arange(block)).ravel()[:n]
-        peaks.append(_peak(shifts, _correlation(told[:, chosen], seen[chosen])))
-    low, high = np.quantile(peaks, [0.025, 0.975])
-    return float(low), float(high)

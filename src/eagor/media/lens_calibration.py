@@ -2,47 +2,48 @@
 
 What both lenses see at once, the overlap, ties them to each other, and fixes their curves there. It tells nothing about
 the inside of the pictures: that part then rests on the assumption that the lenses are nearly equidistant. Pictures of a
-camera that turned in place (`turned`) fix all of it, since the same things pass through all parts of the lenses, and
-a whole turn is 360 degrees. `Calibrated.spread` says how sure each part is. The start, `first_rig`, is where the black
-surroundings of the circles tell that they are.
+camera that turned in place fix all of it, since the same things pass through all parts of the lenses, and a whole turn
+is 360 degrees. Robust least squares with weak priors; nothing tells how the rig as a whole sits on the body.
 """
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
+from eagor.cameras import Lens, Rig
 from eagor.errors import ImageError
-from eagor.lenses import FisheyeLens
 from eagor.media.defects import BLACK
-from eagor.media.lens_fitting import Pairs, Points, gaps_of, pairs_of, points_of, solve, turns_of
 from eagor.media.panorama import checked_picture
-from eagor.media.rigs import Rig, sizes_of
-from eagor.media.stitching import Stitcher
-from eagor.odometry.features import Features, match
-from eagor.odometry.two_views import RelativeRotation, estimate_relative_rotation
+from eagor.media.stitching import Stitcher, sizes_of
+from eagor.odometry.features import FIELD, Features, Views, match
+from eagor.odometry.two_views import bin_index, estimate_relative_rotation
 from eagor.sphere import world_R_body
 
-__all__ = ["Calibrated", "Overlap", "calibrate", "first_rig", "overlap_of", "with_seam"]
+__all__ = ["Calibrated", "calibrate", "first_rig", "overlap_of"]
 
-FIELDS = tuple(math.radians(degrees) for degrees in (180, 185, 190, 195, 200, 205, 210, 220))  # tried at first
-ROUNDS = 2  # of finding points: the second time on views that the first fit has straightened
-GATES = (math.radians(6.0), math.radians(1.5))  # between the rays of a pair, in each round
-FEWEST = 20  # pairs between the lenses, in all; less are no basis
+FIELDS = np.radians([180, 185, 190, 195, 200, 205, 210, 220])  # of which one is taken to begin with
+GATES = np.radians([6.0, 1.5])  # between the rays of a pair, in each round of finding points
+FEWEST = 20  # pairs in all; less are no basis
+RIM = math.radians(1.5)  # from the rim, where the border of the circle makes points of its own
+LEAST_PIXELS, MOST_PIXELS, ROWS = 320, 1024, 2048  # of a view in which points are looked for; of the panorama for it
+NEXT = 3  # a moment is compared with so many next ones
+FOR_TURNS = 400  # pairs that tell a turn; more only take longer
+MOST = 2000  # pairs that are fitted; of more, every second, third, ...
 
-RAYS = 256  # directions from the middle in which the rim is looked for
-FEWEST_RAYS = 24  # of them that have to meet a rim within the picture; with fewer, the circle fills the picture
-AWAY = 2.0  # pixels from the picture's border at which a rim counts
-OFF = 0.02  # share of the radius by which a point of the rim may be off the circle: dark places touch the rim
-
-GATE = math.radians(6.0)  # between the two rays of a thing; farther apart, it is probably two things
-COLOURS = ((60, 200, 255), (255, 170, 40), (140, 255, 120), (255, 110, 220))  # of the lenses' rims
-LINE = 1 / 400  # of the picture's rows: width of a rim
+OWN = 10  # parameters of a lens: centre (radii), logarithm of the focal length, polynomial, rotation (radians)
+CENTRE, FOCAL, TILT, TURN = 0.03, 0.05, math.radians(3.0), math.radians(90.0)  # prior deviations
+CURVE, ALIKE = 0.10, 0.3  # of each term of the polynomial at the rim; share of it by which two lenses of a make differ
+# The noise of a pair, per axis: at least what SIFT has on the whole. The centres of two lenses are 3 cm apart: things
+# at 3 m are seen half a degree apart. A camera that turns sees them from all sides; at one heading nothing cancels.
+FINEST, PARALLAX = math.radians(0.05), math.radians(0.3)
+ROUNDS, HEAVY = 4, 2.4  # of estimating the noise; noises at which Cauchy's loss begins to level off
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +52,7 @@ class Calibrated:
 
     `pairs` between the lenses, and between moments (0 unless the camera turned); `gap`: the median angle between the
     two rays of a pair, radians; `before`: the same with the rig to begin with. `angles` ``(k,)`` off the axis, and
-    `spreads` for each lens ``(k,)``: the standard deviation of directions there, radians (`Solution.spread`). `used`:
-    how many of the moments tell something.
+    `spreads` ``(lenses, k)``: the standard deviation of directions there, radians.
     """
 
     rig: Rig
@@ -60,297 +60,306 @@ class Calibrated:
     gap: float
     before: float
     angles: np.ndarray
-    spreads: tuple[np.ndarray, ...]
-    used: int
+    spreads: np.ndarray
 
-    @property
-    def worst(self) -> float:
-        """The largest of the spreads, radians."""
-        return float(max(each.max() for each in self.spreads))
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Points ``(n, 4)``: moment, lens, x, y (pixels); and their `descriptors` ``(n, 128)``."""
+
+    points: np.ndarray
+    descriptors: np.ndarray
+
+    def matched(self, other: Sightings) -> np.ndarray:
+        """Points that look alike, ``(m, 2, 4)``."""
+        first, second = match(*(Features(each.points[:, :3], each.descriptors) for each in (self, other)))
+        return np.stack([self.points[first], other.points[second]], axis=1)
 
 
 def calibrate(
     moments: Sequence[Sequence[np.ndarray]],
     *,
     rig: Rig | None = None,
-    fov: float | None = None,
     turned: bool = False,
     on_step: Callable[[], None] = lambda: None,
 ) -> Calibrated:
     """Fit the lenses to pictures ``(H, W, 3)`` uint8 of two or more `moments`, each one picture, or one per lens.
 
-    `rig`: lenses to begin with; without it, two back to back whose circles are where the pictures show them, with `fov`
-    radians across (None: what fits best). `turned`: the camera turned in place between the moments. `on_step` is called
-    `ROUNDS` times for each moment. Needs OpenCV. Raises `ImageError` where the pictures tell too little, with what to
-    do.
+    `rig`: lenses to begin with; without it, two back to back whose circles are where the pictures show them. `turned`:
+    the camera turned in place from each moment to the next. `on_step` is called twice for each moment. Needs OpenCV.
+    Raises `ImageError` where the pictures tell too little, with what to do.
     """
     if len(moments) < 2:
         raise ImageError(f"{len(moments)} picture; wanted two or more, with things in the overlap of the lenses")
-    given = rig is not None
-    rig = rig or first_rig(moments, fov or math.radians(200))
-    rig = rig.scaled(rig.factor_of(sizes_of(moments[0]), "the first picture"))
-    if not all(isinstance(lens, FisheyeLens) for lens in rig.lenses) or len(rig.lenses) != 2:
+    start = rig or first_rig(moments)
+    start = start.scaled(start.factor_of(sizes_of(moments[0]), "the first picture"))
+    if [lens.kind for lens in start.lenses] != ["fisheye"] * 2:
         raise ImageError("the rig has other lenses than two fisheyes; this fits dual fisheye cameras")
-    current, solution, before = rig, None, 0.0
-    rotations, used = np.eye(3)[None].repeat(len(moments), axis=0), np.arange(len(moments))
-    for round_ in range(ROUNDS):
-        points = points_of(current, moments, on_step)
-        if round_ == 0 and not given:
-            rig = current = _placed(rig, points, fov is None)
-        if round_ == 0 and turned:
-            rotations, used = _chained(turns_of(rig, points), len(moments))
-        points = _of(points, used)
-        pairs = pairs_of(current, points, rotations, GATES[round_], turned)
-        _check(pairs, turned, len(moments))
-        if solution is None:
-            before = float(np.median(gaps_of(rig, pairs, rotations)))
-        solution = solve(rig, pairs, rotations, solution and solution.parameters, turned)
-        current, rotations = solution.rig, solution.world_R_body
-    assert solution is not None
-    angles = np.linspace(0, min(lens.reach for lens in solution.rig.lenses), 7)
-    spreads = tuple(solution.spread(index, angles) for index in range(len(rig.lenses)))
-    return Calibrated(
-        solution.rig, solution.counts, float(np.median(solution.gaps)), before, angles, spreads, len(used)
+    turns = np.eye(3)[None].repeat(len(moments), axis=0)
+    seen = _sightings(start, moments, on_step)
+    if rig is None:
+        start = _placed(start, seen)
+    if turned:
+        turns = _chained(start, seen)
+    fit: _Fit | None = None
+    before = 0.0
+    for gate in GATES:  # the second time on views that the first fit has straightened
+        current = start if fit is None else fit.rig
+        seen = seen if fit is None else _sightings(current, moments, on_step)
+        pairs = _pairs(current, seen, turns, float(gate), turned)
+        if len(pairs) < FEWEST:
+            where = "between the pictures" if turned else "in the overlap of the lenses"
+            raise ImageError(
+                f"only {len(pairs)} points were found again {where} of {len(moments)} pictures; wanted {FEWEST} or "
+                "more. Give more pictures, with things two metres away or farther in all directions, in good light. If "
+                "the lenses do not overlap, nothing can be fitted"
+            )
+        before = before or float(np.median(_gaps(start, pairs, turns)))
+        fit = _Fit(start, pairs, turns, turned, None if fit is None else fit.x)
+        turns = fit.turns
+    assert fit is not None
+    angles = np.linspace(0, min(lens.reach for lens in fit.rig.lenses), 7)
+    within, gap = (
+        int((fit.pairs[:, 0, 0] == fit.pairs[:, 1, 0]).sum()),
+        float(np.median(_gaps(fit.rig, fit.pairs, turns))),
     )
+    return Calibrated(fit.rig, (within, len(fit.pairs) - within), gap, before, angles, fit.spreads(angles))
 
 
-def _placed(rig: Rig, points: Sequence[Points], any_field: bool) -> Rig:
-    """`rig` with its second lens turned as the points say, and with the field that fits best if `any_field`."""
-    own = [[each for each in points if each.lens == lens] for lens in (0, 1)]
-    pixels: list[tuple[np.ndarray, np.ndarray]] = []
-    for a, b in zip(*own, strict=True):
-        here, there = (Features(np.empty((len(each.pixels), 3)), each.descriptors) for each in (a, b))
-        first, second = match(here, there)
-        pixels.append((a.pixels[first], b.pixels[second]))
-    a, b = (np.concatenate([pair[side] for pair in pixels]) for side in (0, 1))
-    best, least = None, 0.0
-    for fov in FIELDS if any_field else (None,):
-        tried = rig if fov is None else _with_field(rig, fov)
-        rays = [lens.unproject(*at.T) for lens, at in zip(tried.lenses, (a, b), strict=True)]
-        agreed = estimate_relative_rotation(rays[0], rays[1], moves=False) if len(a) else None
-        if agreed is not None and agreed.log_nfa < least:
-            best, least = (tried, rays), agreed.log_nfa
-    if best is None:
-        return rig
-    tried, rays = best
-    turn = estimate_relative_rotation(rays[0], rays[1], moves=False)
-    if turn is None:
-        return rig
-    second = replace(tried.lenses[1], body_R_lens=turn.old_R_new @ tried.lenses[1].body_R_lens)
-    return Rig(tried.sizes, (tried.lenses[0], second))
+# --- a start ---
 
 
-def _with_field(rig: Rig, fov: float) -> Rig:
-    lenses = tuple(replace(lens, focal=lens.radius / (fov / 2)) for lens in rig.lenses)  # type: ignore[call-arg]
-    return Rig(rig.sizes, lenses)
-
-
-def _chained(turns: dict[tuple[int, int], RelativeRotation], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations ``(m, 3, 3)`` of the moments, in the axes of the first, and which they are, ``(m,)``.
-
-    Each by way of the turns with the most pairs (a maximum spanning tree, grown from the moment with the most).
-    Moments that nothing connects are left out, with a warning.
-    """
-    sure = {pair: int(turn.inliers.sum()) for pair, turn in turns.items()}
-    weight = [sum(n for pair, n in sure.items() if k in pair) for k in range(count)]
-    begin = int(np.argmax(weight))
-    found = {begin: np.eye(3)}
-    while True:
-        open_ = {pair: n for pair, n in sure.items() if (pair[0] in found) != (pair[1] in found)}
-        if not open_:
-            break
-        i, j = max(open_, key=lambda pair: open_[pair])
-        if i in found:
-            found[j] = found[i] @ turns[i, j].old_R_new
-        else:
-            found[i] = found[j] @ turns[i, j].old_R_new.T
-    used = np.array(sorted(found))
-    if len(used) < count:
-        lost = [str(k + 1) for k in range(count) if k not in found]
-        warnings.warn(
-            f"of {count} pictures, number {', '.join(lost)} cannot be related to the others, and are left out: were "
-            "they taken at the same place?",
-            UserWarning,
-            stacklevel=3,
-        )
-    first = found[int(used[0])].T
-    return np.stack([first @ found[int(k)] for k in used]), used
-
-
-def _of(points: Sequence[Points], used: np.ndarray) -> list[Points]:
-    """The points of the moments `used`, numbered in this order."""
-    place = {int(moment): index for index, moment in enumerate(used)}
-    return [replace(each, moment=place[each.moment]) for each in points if each.moment in place]
-
-
-def _check(pairs: Pairs, turned: bool, count: int) -> None:
-    """Raise `ImageError` if there are too few pairs to fit anything."""
-    if len(pairs) >= FEWEST:
-        return
-    where = "between the pictures" if turned else "in the overlap of the lenses"
-    raise ImageError(
-        f"only {len(pairs)} points were found again {where} of {count} pictures; wanted {FEWEST} or more. Give more "
-        "pictures, with things two metres away or farther in all directions, in good light. If the field of the lenses "
-        "is known, say so (--field DEG); if they do not overlap, nothing can be fitted"
-    )
-
-
-# --- a start: where the circles are ---
-
-
-def first_rig(moments: Sequence[Sequence[np.ndarray]], fov: float) -> Rig:
-    """An ideal rig of two lenses back to back whose circles are where these pictures show them.
+def first_rig(moments: Sequence[Sequence[np.ndarray]], fov: float = math.radians(200)) -> Rig:
+    """An ideal rig of two lenses back to back, `fov` radians across, whose circles are where these pictures show them.
 
     `moments`: for each moment its picture ``(H, W, 3)`` with both circles side by side, or two pictures, one per lens.
-    `fov`: the angle across a circle, radians. Raises `ImageError` unless all have the same size, and one or two
-    pictures each.
+    Raises `ImageError` unless all have the same size, and one or two pictures each.
     """
-    sizes = {tuple(checked_picture(p, "a picture").shape[1::-1] for p in pictures) for pictures in moments}
+    sizes = {sizes_of(checked_picture(each, "a picture") for each in pictures) for pictures in moments}
     if len(sizes) != 1:
         raise ImageError(
             f"the pictures have {len(sizes)} different sizes; wanted those of one camera in one mode, all alike"
         )
     (size,) = sizes
-    brightest = [np.max([pictures[k] for pictures in moments], axis=(0, 3)) for k in range(len(size))]
-    if len(size) == 1:
-        width, height = size[0]
-        if not 1.8 <= width / height <= 2.2:
-            raise ImageError(
-                f"the pictures are {width} x {height}; wanted two circles side by side (twice as wide as high), or two "
-                "pictures per moment, one for each lens. For another layout, begin with a rig: --rig FILE.yaml"
-            )
-        half = width // 2
-        found = [_circle(brightest[0][:, :half]), _circle(brightest[0][:, half:])]
-        places = [(0, 0.0), (0, float(half))]
-    elif len(size) == 2:
-        found = [_circle(each) for each in brightest]
-        places = [(0, 0.0), (1, 0.0)]
-    else:
+    ((width, height), *others) = size
+    half = 0 if others else width // 2
+    if len(others) > 1 or (half and not 1.8 <= width / height <= 2.2):
         raise ImageError(
-            f"a moment has {len(size)} pictures; wanted one with both circles, or one for each of 2 lenses"
+            f"a moment has pictures of {size}; wanted two circles side by side (twice as wide as high), or two "
+            "pictures, one for each lens. For another layout, begin with a rig: --rig FILE.yaml"
         )
     lenses = []
-    for name, yaw, (picture, left), (x, y, radius) in zip(
-        ("front", "back"), (0.0, math.pi), places, found, strict=True
-    ):
-        lens = FisheyeLens.of_field(name, (x + left, y), radius, fov, body_R_lens=world_R_body(yaw), picture=picture)
-        lenses.append(lens)
-    return Rig(tuple(size), tuple(lenses))
+    for number, (name, yaw) in enumerate((("front", 0.0), ("back", math.pi))):
+        picture, left = (0, number * half) if half else (number, 0)
+        brightest = np.max([pictures[picture] for pictures in moments], axis=(0, 3))
+        x, y, radius = _circle(brightest[:, left : left + half] if half else brightest)
+        pose = world_R_body(yaw)
+        lenses.append(Lens.fisheye(name, size[picture], (x + left, y), radius, fov, body_R_lens=pose, picture=picture))
+    return Rig(size, tuple(lenses))
 
 
 def _circle(brightest: np.ndarray) -> tuple[float, float, float]:
     """Centre x, y and radius (pixels) of the bright circle in ``(H, W)``: the brightest that each pixel ever was."""
-    height, width = brightest.shape
-    lit = brightest > BLACK
-    default = (width / 2, height / 2, min(width, height) / 2)
-    if not lit.any():
-        return default
-    y, x = np.nonzero(lit)
-    middle = np.array([np.median(x) + 0.5, np.median(y) + 0.5])
-    points = []
-    steps = np.arange(0.0, math.hypot(width, height), 0.5)
-    for angle in np.linspace(0, 2 * math.pi, RAYS, endpoint=False):
-        along = middle + steps[:, None] * (math.cos(angle), math.sin(angle))
-        inside = (along >= AWAY).all(axis=1) & (along[:, 0] <= width - AWAY) & (along[:, 1] <= height - AWAY)
-        along = along[: int(inside.argmin())] if not inside.all() else along
-        bright = lit[along[:, 1].astype(int), along[:, 0].astype(int)]
-        last = int(np.flatnonzero(bright)[-1]) if bright.any() else 0
-        if 0 < last < len(along) - 2:
-            points.append(along[last])
-    return _fitted(np.array(points), default) if len(points) >= FEWEST_RAYS else default
+    lit, points = brightest > BLACK, list[np.ndarray]()
+    for turned in (lit, lit.T):  # both ends of each row, and of each column
+        lines = np.flatnonzero(turned[3:-3].any(axis=1)) + 3
+        for ends in (turned[lines].argmax(axis=1), turned.shape[1] - turned[lines, ::-1].argmax(axis=1)):
+            inside = (ends > 2) & (ends < turned.shape[1] - 2)
+            found = np.stack([ends[inside], lines[inside] + 0.5], axis=1)
+            points.append(found if turned is lit else found[:, ::-1])
+    rim, (height, width) = np.concatenate(points), brightest.shape
+    circle = np.array([width / 2, height / 2, min(width, height) / 2])
+    if len(rim) >= FEWEST:  # else it fills the picture. Dark places at the rim lie inside: the loss levels off
+        circle = least_squares(lambda c: np.hypot(*(rim - c[:2]).T) - c[2], circle, loss="cauchy").x
+    return float(circle[0]), float(circle[1]), float(circle[2])
 
 
-def _fitted(points: np.ndarray, default: tuple[float, float, float]) -> tuple[float, float, float]:
-    """The circle through most of `points` ``(n, 2)``: least squares (I. Kasa, 1976), without those that are off."""
-    kept = points
-    centre, radius = np.array(default[:2]), default[2]
-    for _ in range(8):
-        if len(kept) < FEWEST_RAYS:
-            return default
-        matrix = np.column_stack([2 * kept, np.ones(len(kept))])
-        solution = np.linalg.lstsq(matrix, (kept**2).sum(axis=1), rcond=None)[0]
-        centre, radius = solution[:2], math.sqrt(max(float(solution[2] + solution[:2] @ solution[:2]), 1.0))
-        off = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
-        # What is dark at the rim lies inside: a limit that shrinks leaves those out.
-        kept = points[off <= max(OFF * radius, float(np.quantile(off, 0.8)))]
-    return float(centre[0]), float(centre[1]), radius
+def _placed(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> Rig:
+    """`rig` with the field that fits best, and its second lens turned as the points say."""
+    pairs, best, most = np.concatenate([front.matched(back) for front, back in seen]), rig, 0
+    for fov in FIELDS:
+        lenses = [replace(lens, focal=(lens.radius / (fov / 2),) * 2) for lens in rig.lenses]
+        rays = [lens.unproject(*pairs[:, side, 2:].T) for side, lens in enumerate(lenses)]
+        turn = estimate_relative_rotation(*rays, moves=False) if len(pairs) else None
+        if turn is not None and (count := int(turn.inliers.sum())) > most:
+            back = replace(lenses[1], body_R_lens=turn.old_R_new @ lenses[1].body_R_lens)
+            best, most = Rig(rig.sizes, (lenses[0], back)), count
+    return best
+
+
+def _chained(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> np.ndarray:
+    """Rotations ``(m, 3, 3)`` of the moments, in the axes of the first, each by way of the one before."""
+    joined, turns, still = [_joined(rig, each) for each in seen], [np.eye(3)], np.eye(3)[None].repeat(len(seen), 0)
+    for number, (one, other) in enumerate(pairwise(joined), 2):
+        pairs = one.matched(other)
+        pairs = pairs[:: max(1, math.ceil(len(pairs) / FOR_TURNS))]
+        rays = [_rays(rig, pairs[:, side], still) for side in (0, 1)] if len(pairs) else []
+        turn = estimate_relative_rotation(*rays, moves=False) if rays else None
+        if turn is None:
+            raise ImageError(
+                f"picture {number} cannot be related to the one before: were they taken at the same place, in the "
+                "order in which the camera turned, by at most 60 degrees from one to the next? Leave it out, or give "
+                "more"
+            )
+        turns.append(turns[-1] @ turn.old_R_new)
+    return np.stack(turns)
+
+
+# --- things seen twice ---
+
+
+def _sightings(rig: Rig, moments: Sequence[Sequence[np.ndarray]], on_step: Callable[[], None]) -> list[list[Sightings]]:
+    """What each lens sees of each moment, found on views that are straight as far as `rig` knows."""
+    stitcher, found = Stitcher(rig, min(ROWS, rig.rows)), []
+    size = max(LEAST_PIXELS, min(MOST_PIXELS, round(2 * math.tan(FIELD / 2) * stitcher.grid.height / math.pi)))
+    for moment, pictures in enumerate(moments):
+        found.append([])
+        for index, lens in enumerate(rig.lenses):
+            features = Views.of(stitcher.alone(index, *pictures)[0], size=size).features
+            x, y, depth = lens.project(features.directions)
+            points = np.stack([np.full(len(x), moment), np.full(len(x), index), x, y], axis=1)
+            found[-1].append(Sightings(points[depth > RIM], features.descriptors[depth > RIM]))
+        on_step()
+    return found
+
+
+def _joined(rig: Rig, lenses: Sequence[Sightings]) -> Sightings:
+    """All points of a moment, each thing by the lens that sees it deepest: twins would fail the ratio test."""
+    points, descriptors = (
+        np.concatenate([getattr(each, name) for each in lenses]) for name in ("points", "descriptors")
+    )
+    rays = _rays(rig, points * [0, 1, 1, 1], np.eye(3)[None])
+    deepest = np.array([lens.project(rays)[2] for lens in rig.lenses]).argmax(axis=0) == points[:, 1]
+    return Sightings(points[deepest], descriptors[deepest])
+
+
+def _pairs(rig: Rig, seen: Sequence[Sequence[Sightings]], turns: np.ndarray, gate: float, turned: bool) -> np.ndarray:
+    """Sightings of one thing, ``(n, 2, 4)``, whose rays are less than `gate` (radians) apart.
+
+    By two lenses at each moment, and if the camera `turned` in place, at two moments.
+    """
+    n = len(seen)
+    found = [a.matched(b) for lenses in seen for a, b in combinations(lenses, 2)]
+    if turned:
+        joined = [_joined(rig, each) for each in seen]
+        found += [joined[i].matched(joined[j]) for i, j in combinations(range(n), 2) if min(j - i, n - j + i) <= NEXT]
+    pairs = np.concatenate([*found, np.empty((0, 2, 4))])
+    return pairs[_gaps(rig, pairs, turns) < gate]
+
+
+def _rays(rig: Rig, points: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Where points ``(n, 4)`` are seen, in the world, ``(n, 3)``, by a camera with these rotations ``(m, 3, 3)``."""
+    rays = np.empty((len(points), 3))
+    for index, lens in enumerate(rig.lenses):
+        own = points[:, 1] == index
+        rays[own] = lens.unproject(*points[own, 2:].T)
+    return np.einsum("nij,nj->ni", turns[points[:, 0].astype(int)], rays)
+
+
+def _gaps(rig: Rig, pairs: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """The angle between the two rays of each pair, radians ``(n,)``."""
+    return np.linalg.norm(_rays(rig, pairs[:, 0], turns) - _rays(rig, pairs[:, 1], turns), axis=1)
+
+
+# --- the fit ---
+
+
+class _Fit:
+    """The most likely lenses near those of `start` that make the rays of `pairs` meet, and the camera's `turns`.
+
+    `x`: differences from the start: of each lens, then the rotations of the moments but the first. `covariance` of
+    them, with one independent point in each part of a lens and moment: neighbours share their errors.
+    """
+
+    def __init__(
+        self, start: Rig, pairs: np.ndarray, turns: np.ndarray, turned: bool, x: np.ndarray | None = None
+    ) -> None:
+        self.pairs, self._start, self._turns = pairs, start, turns
+        used, own = pairs[:: max(1, math.ceil(len(pairs) / MOST))], OWN * len(start.lenses)
+        size = own + (3 * (len(turns) - 1) if turned else 0)
+        curves = [CURVE / lens.reach ** (2 * np.arange(1, 5)) for lens in start.lenses]
+        priors = [(CENTRE, CENTRE, FOCAL, *curve, TILT, TILT, TILT) for curve in curves]
+        deviations = np.concatenate([*priors, np.full(size - own, TURN)])
+        still = np.eye(3)[None].repeat(len(turns), 0)
+        parts = np.unique(bin_index(_rays(start, used.reshape(-1, 4), still))).size * len(start.lenses)
+        share = min(1.0, parts * (len(turns) if turned else 1) / len(used))
+
+        def residuals(x: np.ndarray, scale: np.ndarray) -> np.ndarray:
+            rig, rotations = self._at(x)
+            apart = _rays(rig, used[:, 0], rotations) - _rays(rig, used[:, 1], rotations)
+            alike = (x[2:7] - x[OWN + 2 : OWN + 7]) / (ALIKE * deviations[2:7])  # the lenses' curves
+            return np.concatenate([(apart * scale[:, None]).ravel(), x / deviations, alike])
+
+        self.x, self.covariance = np.zeros(size), np.zeros((size, size))
+        if x is not None:
+            self.x[:own] = x[:own]
+        for _ in range(ROUNDS):  # weights of Cauchy's law for the pairs; priors are Gaussian
+            rig, rotations = self._at(self.x)
+            gaps = _gaps(rig, used, rotations)
+            noise = max(FINEST if turned else PARALLAX, float(np.median(gaps)) / math.sqrt(2 * math.log(2)))
+            scale = np.sqrt(share / (1 + (gaps / (HEAVY * noise)) ** 2)) / noise
+            found = least_squares(residuals, self.x, args=(scale,), max_nfev=8, x_scale=deviations)
+            self.x, self.covariance = found.x, np.linalg.inv(found.jac.T @ found.jac)
+        self.rig, self.turns = self._at(self.x)
+
+    def _at(self, x: np.ndarray) -> tuple[Rig, np.ndarray]:
+        """Lenses and rotations ``(m, 3, 3)`` of the moments."""
+        lenses = []
+        for part, lens in zip(x.reshape(-1)[: OWN * 2].reshape(-1, OWN), self._start.lenses, strict=True):
+            terms = np.pad(lens.distortion, (0, 8 - len(lens.distortion))) + np.pad(part[3:7], (0, 4))
+            centre = (lens.centre[0] + part[0] * lens.radius, lens.centre[1] + part[1] * lens.radius)
+            focal = (lens.focal[0] * math.exp(part[2]), lens.focal[1] * math.exp(part[2]))
+            pose = lens.body_R_lens @ Rotation.from_rotvec(part[7:]).as_matrix()
+            lenses.append(replace(lens, centre=centre, focal=focal, distortion=tuple(terms), body_R_lens=pose))
+        steps = np.concatenate([np.zeros(3), x[OWN * len(lenses) :]]).reshape(-1, 3)
+        turns = self._turns @ Rotation.from_rotvec(steps).as_matrix() if len(steps) > 1 else self._turns
+        return Rig(self._start.sizes, tuple(lenses)), turns
+
+    def spreads(self, angles: np.ndarray) -> np.ndarray:
+        """By how much directions at `angles` ``(k,)`` off the axis of each lens may be off: radians, ``(lenses, k)``.
+
+        The root mean square, over all sides, of the standard deviation, with the rig as a whole turned so that all its
+        lenses fit best: how it sits on the body is not part of it.
+        """
+        around = np.linspace(0, 2 * math.pi, 8, endpoint=False)[:, None]
+        ahead, aside = np.cos(angles) + 0 * around, np.sin(angles)
+        rays = np.stack([ahead, aside * np.cos(around), aside * np.sin(around)], -1)
+        pixels = [lens.project(rays @ lens.body_R_lens.T)[:2] for lens in self.rig.lenses]
+
+        def seen(x: np.ndarray) -> np.ndarray:
+            return np.stack([lens.unproject(*at) for lens, at in zip(self._at(x)[0].lenses, pixels, strict=True)])
+
+        now, size = seen(self.x), OWN * len(pixels)
+        steps = 1e-6 * np.eye(len(self.x))[:size]
+        change = np.stack([(seen(self.x + step) - now) / 1e-6 for step in steps], -1).reshape(-1, size)
+        turns = np.cross(np.eye(3), now.reshape(-1, 1, 3)).swapaxes(1, 2).reshape(-1, 3)
+        change = change - turns @ np.linalg.lstsq(turns, change, rcond=None)[0]
+        variance = np.einsum("ip,pq,iq->i", change, self.covariance[:size, :size], change)
+        return np.sqrt(variance.reshape(now.shape).sum(-1).mean(axis=1))
 
 
 # --- how well lenses agree ---
 
 
-@dataclass(frozen=True, eq=False)
-class Overlap:
-    """The error where lenses overlap.
+def overlap_of(rig: Rig, pictures: Sequence[np.ndarray]) -> tuple[float, np.ndarray, float | None, np.ndarray]:
+    """How well the lenses agree in the `pictures` ``(H, W, 3)`` uint8 of one moment. Needs OpenCV. Raises `ImageError`.
 
-    `share` of the sphere that two lenses see. `gaps` ``(n,)``: angles between the rays of things that both see,
-    radians. `grey`: the mean difference in grey levels (of 255); None if nothing overlaps.
+    The share of the sphere that two lenses see; the angles ``(n,)`` between the rays of things that both see, radians;
+    the mean difference in grey levels (of 255), None if nothing overlaps; and a picture ``(2 rows, 2 rows, 3)`` uint8:
+    the panorama, and below it the difference, from black (none) to white (64 or more), blue where one lens sees alone.
     """
-
-    share: float
-    gaps: np.ndarray
-    grey: float | None
-
-
-def overlap_of(rig: Rig, pictures: Sequence[np.ndarray], rows: int | None = None) -> Overlap:
-    """Measure it in the `pictures` ``(H, W, 3)`` uint8 of one moment. Needs OpenCV. Raises `ImageError`."""
-    rig, stitcher, views = _apart(rig, pictures, rows)
-    total, levels = 0.0, 0.0
-    weights = stitcher.grid.weights
-    seen_twice = np.sum([seen for _, seen in views], axis=0) > 1
+    stitcher = Stitcher(rig.scaled(rig.factor_of(sizes_of(pictures), "the picture")))
+    rig, weights = stitcher.rig, stitcher.grid.weights
+    shown, below = stitcher.stitch(*pictures), np.full((*stitcher.grid.shape, 3), (12, 16, 40), np.uint8)
+    views = [stitcher.alone(index, *pictures) for index in range(len(rig.lenses))]
+    difference, seen = np.zeros(stitcher.grid.shape), np.zeros(stitcher.grid.shape, bool)
     for (a, sees_a), (b, sees_b) in combinations(views, 2):
         both = sees_a & sees_b
-        difference = np.abs(a[both].astype(np.float64).mean(axis=1) - b[both].astype(np.float64).mean(axis=1))
-        levels += float(difference @ weights[both])
-        total += float(weights[both].sum())
-    area = float(weights[seen_twice].sum()) / (4 * math.pi)
-    if len(rig.lenses) < 2:
-        return Overlap(0.0, np.empty(0), None)
-    pairs = pairs_of(rig, points_of(rig, [tuple(pictures)], lambda: None), np.eye(3)[None], GATE, turned=False)
-    rays = np.empty((len(pairs), 2, 3))
-    for index, lens in enumerate(rig.lenses):
-        for side in (0, 1):
-            mine = pairs.lenses[:, side] == index
-            rays[mine, side] = lens.unproject(*pairs.pixels[mine, side].T)
-    gaps = np.linalg.norm(rays[:, 0] - rays[:, 1], axis=1)
-    return Overlap(area, gaps, levels / total if total else None)
-
-
-def with_seam(rig: Rig, pictures: Sequence[np.ndarray], rows: int | None = None) -> np.ndarray:
-    """The stitched panorama over a map of the lenses' difference, ``(2 rows, 2 rows, 3)`` uint8.
-
-    Above, each lens' rim is drawn in its colour: between two rims both see the same. Below, the difference of the
-    lenses in grey levels, from black (none) to white (64 or more); what one lens alone sees is dark blue.
-    """
-    rig, stitcher, views = _apart(rig, pictures, rows)
-    shown = stitcher.stitch(*pictures)
-    below = np.zeros_like(shown)
-    below[:] = (12, 16, 40)
-    for (a, sees_a), (b, sees_b) in combinations(views, 2):
-        both = sees_a & sees_b
-        difference = np.abs(a[both].astype(np.int16).mean(axis=1) - b[both].astype(np.int16).mean(axis=1))
-        below[both] = np.clip(4 * difference, 0, 255).astype(np.uint8)[:, None]
-    width = max(1, round(LINE * shown.shape[0]))
-    for index, (_, seen) in enumerate(views):
-        shown[_border(seen, width)] = COLOURS[index % len(COLOURS)]
-    return np.concatenate([shown, below])
-
-
-def _apart(
-    rig: Rig, pictures: Sequence[np.ndarray], rows: int | None
-) -> tuple[Rig, Stitcher, list[tuple[np.ndarray, np.ndarray]]]:
-    """The rig in the size of the pictures, its stitcher, and what each lens sees of a panorama, and where."""
-    rig = rig.scaled(rig.factor_of(sizes_of(pictures), "the picture"))
-    stitcher = Stitcher(rig, rows)
-    return rig, stitcher, [stitcher.alone(index, *pictures) for index in range(len(rig.lenses))]
-
-
-def _border(seen: np.ndarray, width: int) -> np.ndarray:
-    """The inner border of a region of a panorama, so many pixels wide; around the seam too."""
-    from scipy import ndimage
-
-    tiled = np.pad(seen, ((1 + width, 1 + width), (0, 0)), mode="edge")
-    tiled = np.pad(tiled, ((0, 0), (1 + width, 1 + width)), mode="wrap")
-    inner = ndimage.binary_erosion(tiled, np.ones((3, 3), bool), iterations=width)
-    crop = slice(1 + width, -1 - width)
-    return seen & np.logical_not(inner[crop, crop])
+        difference[both] = np.abs(a[both].mean(axis=1) - b[both].mean(axis=1))
+        seen |= both
+    below[seen] = np.clip(4 * difference[seen], 0, 255).astype(np.uint8)[:, None]
+    area = float(weights[seen].sum())
+    grey = float((difference * weights)[seen].sum()) / area if area else None
+    still = np.eye(3)[None]
+    pairs = _pairs(rig, _sightings(rig, [pictures], lambda: None), still, float(GATES[0]), turned=False)
+    return area / (4 * math.pi), _gaps(rig, pairs, still), grey, np.concatenate([shown, below])

@@ -1,37 +1,25 @@
-"""What a file says of itself beside its pictures: projection, tilt, cropped area, motion track, whether it is whole.
+"""What a file says of its pictures: projection, eyes, tilt, and which part of the sphere they show.
 
-Sources: Spherical Video V2 RFC (boxes ``st3d`` and ``sv3d``; Matroska's Projection), Spherical Video V1 RFC (XML in a
-``uuid`` box), Photo Sphere XMP Metadata (GPano), XMP (ISO 16684-1). FFmpeg tells a part of it: through PyAV, nothing of
-meshes, of XML, of eyes from right to left, or of kinds that it does not know, and all that only once a picture is
-decoded.
+Of videos FFmpeg tells it (Spherical Video V1 and V2, Matroska's Projection), with the first picture. Of photographs it
+is read here: Photo Sphere XMP Metadata (GPano), XMP (ISO 16684-1).
 """
 
 from __future__ import annotations
 
 import math
-import os
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import BinaryIO
 from xml.etree import ElementTree
 
 import numpy as np
 
 from eagor._checks import ROUNDING, is_twice_as_wide
-from eagor.errors import FormatError, ImageError
-from eagor.media.containers import Head, Movie, Track, children, find, read_head, read_movie
-from eagor.odometry.imu import MotionTrack, read_insta360
+from eagor.errors import ImageError
 from eagor.sphere import world_R_body
 
-__all__ = [
-    "GPANO", "GSPHERICAL", "LAYOUTS", "Layout", "Projection", "VideoMetadata", "of_head", "of_photograph", "of_track",
-    "properties", "read_metadata",
-]  # fmt: skip
+__all__ = ["EXPORT", "GPANO", "LAYOUTS", "Layout", "Projection", "of_photograph", "of_video", "properties"]
 
-UNSTITCHED = (".insv", ".360")  # as Insta360 and GoPro name recordings whose lenses are not put together yet
-
-SPHERICAL = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")  # the uuid of Spherical Video V1
 EYES = {  # where in the picture the left eye's is: first row, first column, rows, columns, as shares
     "mono": (0.0, 0.0, 1.0, 1.0),
     "top-bottom": (0.0, 0.0, 0.5, 1.0),
@@ -49,23 +37,18 @@ LAYOUTS = {  # what --eyes says of a picture: how the eyes share it, what of the
     "vr180": ("left-right", HALF, "two half spheres side by side"),
     "vr180-top-bottom": ("top-bottom", HALF, "two half spheres, the left eye's above"),
 }
-ST3D = {0: "mono", 1: "top-bottom", 2: "left-right", 3: "custom", 4: "right-left"}
-MATROSKA_STEREO = {0: "mono", 1: "left-right", 2: "bottom-top", 3: "top-bottom", 11: "right-left"}
-MATROSKA_KINDS = {0: "rectangular", 1: "equirectangular", 2: "cubemap", 3: "mesh"}
 EXPORT = (
     "Export it as an equirectangular video, twice as wide as high: in the camera's own app choose '360 video', or use "
     "FFmpeg's filter v360"
 )
 
-GOPRO = (
-    "{0} is a GoPro recording that is not put together yet: its two tracks are the two strips of an equi-angular "
-    "cubemap (EAC), which no rig of lenses describes. Export it as an equirectangular MP4 with GoPro's Player or Quik. "
-    "Or with FFmpeg, some degrees off where the strips overlap: ffmpeg -i {0} -filter_complex "
-    "'[0:v:0][0:v:1]vstack,v360=eac:e' -map 0:a? whole.mp4"
-)
+# FFmpeg's AVSphericalProjection and AVStereo3DType (and the latter with its flag "inverted").
+SPHERES = ("equirectangular", "cubemap", "equirectangular", "equirectangular", "rectangular", "fisheye")
+HALF_SPHERE = 3
+STEREO = {0: "mono", 1: "left-right", 2: "top-bottom"}
+INVERTED = {"left-right": "right-left", "top-bottom": "bottom-top"}
 
 GPANO = "http://ns.google.com/photos/1.0/panorama/"
-GSPHERICAL = "http://ns.google.com/videos/1.0/spherical/"
 LARGEST = 1 << 29  # pixels of a sphere of which a picture is a part
 LONGEST_XMP, LONGEST = 1 << 22, 100  # bytes of a packet, characters of a value: errors show them
 AREA = (
@@ -76,82 +59,6 @@ AREA_ADVICE = (
     "Directions would be wrong. Put these numbers right (exiftool writes them), or pad the picture to the whole "
     "sphere; a photograph all the same: --force (all columns for 360 degrees, all rows for 180)"
 )
-
-
-@dataclass(frozen=True, eq=False)
-class VideoMetadata:
-    """`projection`: None if the file names none. `motion`: None if it has no motion track that can be used.
-
-    `missing`: bytes that are cut off at the end of the file. `entry`: the codec's four letters, "" if unknown. `facts`:
-    sentences about these. `raw`: whether the camera may have left its lenses' circles as they are. `tracks`: how many
-    tracks of pictures it has, as far as its index tells.
-    """
-
-    projection: Projection | None = None
-    motion: MotionTrack | None = None
-    missing: int = 0
-    entry: str = ""
-    facts: tuple[str, ...] = ()
-    raw: bool = False
-    tracks: int = 1
-
-
-def read_metadata(path: str, lenses: bool = False) -> VideoMetadata:
-    """What the file at `path` says. Raises `ImageError` for one that is cut off before its index.
-
-    Also for one with a track for each lens, unless `lenses` are wanted.
-    """
-    with open(path, "rb") as file:
-        try:
-            movie = read_movie(file)
-        except FormatError as error:
-            raise ImageError(f"{path} {error}. Copy it again from the camera") from error
-        if movie is not None:
-            return _of_movie(path, movie, file, lenses)
-        head = read_head(file)
-    if head is None:
-        return VideoMetadata(raw=path.lower().endswith(UNSTITCHED))
-    crop = "its track is to be cropped by {} (top), {} (bottom), {} (left), {} (right) pixels, which is not done"
-    facts = (crop.format(*head.crop),) if any(head.crop) else ()
-    return VideoMetadata(of_head(head), missing=head.missing, facts=facts)
-
-
-def _of_movie(path: str, movie: Movie, file: BinaryIO, wanted: bool) -> VideoMetadata:
-    motion, facts = None, ()
-    raw = path.lower().endswith(UNSTITCHED)
-    try:
-        trailer = read_insta360(file)
-        if trailer is not None:
-            raw = True
-            facts += (f"the camera is {trailer.camera or 'one of Insta360'}",)
-            if motion is None and (motion := trailer.motion()) is not None:
-                facts += (
-                    "its motion track (Insta360) has axes that are not documented: the one that feels gravity is taken "
-                    "for up, so turns of the heading are right, tilts may be about another axis",
-                )
-    except FormatError as error:
-        facts += (f"its motion track cannot be used: it {error}",)
-    if motion is not None:
-        facts += ("the motion track is the camera's: where its app steadied the pictures, they turn otherwise",)
-    lenses = len(movie.pictures)
-    if lenses > 1 and not wanted and (path.lower().endswith(".360") or any(t.entry == "gpmd" for t in movie.tracks)):
-        raise ImageError(GOPRO.format(os.path.basename(path)))
-    if raw and lenses > 1 and not wanted:
-        raise ImageError(
-            f"{os.path.basename(path)} holds {lenses} tracks of pictures, one for each lens. Give the lenses with "
-            f"--rig FILE.yaml (eagor camera calibrate makes one). Or: {EXPORT}"
-        )
-    if lenses > 1 and not wanted:
-        facts += (f"it has {lenses} tracks of pictures, of which the first is taken",)
-    if not movie.pictures:
-        return VideoMetadata(None, motion, movie.missing, "", facts, raw)
-    picture = movie.pictures[0]
-    if find(picture.extensions, "clap") is not None:
-        facts += ("its pictures are to be cropped (box clap), which is not done",)
-    return VideoMetadata(of_track(picture), motion, movie.missing, picture.entry, facts, raw, lenses)
-
-
-# --- projection ---
 
 
 @dataclass(frozen=True)
@@ -197,9 +104,6 @@ class Projection:
             raise ImageError(f"{name} holds two eyes in a way ({self.stereo}) that is not read. {EXPORT}, for one eye")
         if self.wrong and not force:
             raise ImageError(f"{name}: {self.wrong}. {AREA_ADVICE}")
-        top, bottom, left, right = self.cropped
-        if not (top + bottom < 1 and left + right < 1):
-            raise ImageError(f"{name} is damaged: {self.source} says that nothing is left of the picture")
 
     def facts(self) -> tuple[str, ...]:
         """Sentences for the user."""
@@ -269,126 +173,29 @@ class Layout:
         return mask if mask.any() else None
 
 
-def of_track(track: Track) -> Projection | None:
-    """What the boxes of an MP4 track say; None if nothing. V2 has priority over V1, as the V2 RFC wants."""
-    inner = find(track.extensions, "sv3d", "proj")
-    found = None if inner is None else _of_boxes(inner)
-    stereo = find(track.extensions, "st3d")
-    mode = ST3D.get(stereo[4], f"mode {stereo[4]}") if stereo is not None and len(stereo) > 4 else None
-    if found is None:
-        found = _of_xml(track)
-    if mode is not None:
-        found = Projection("its box st3d", "rectangular", mode) if found is None else replace(found, stereo=mode)
-    return found
-
-
-def _of_boxes(inner: memoryview) -> Projection | None:
-    """Of the content of ``proj``.
+def of_video(side_data: Mapping[str, bytes]) -> Projection | None:
+    """What a video says, as PyAV's side data of its first picture has it; None if it says nothing.
 
     The signs are those of the V2 RFC as corrected in 2016: yaw to the left, pitch up, roll clockwise about the forward
     vector for one who looks back along it, which is the left side down.
     """
-    kinds = {"equi": "equirectangular", "cbmp": "cubemap", "mshp": "mesh"}
-    found = Projection("its box sv3d")
-    for kind, body in children(inner):
-        if kind == "prhd" and len(body) >= 16:
-            yaw, pitch, roll = (value / 65536 for value in struct.unpack_from(">iii", body, 4))
-            found = _posed(found, yaw, pitch, roll)
-        elif kind == "equi" and len(body) >= 20:
-            found = replace(found, kind="equirectangular", cropped=_bounds(bytes(body)))
-        elif kind in kinds:
-            found = replace(found, kind=kinds[kind])
+    found = None
+    if len(sphere := side_data.get("SPHERICAL", b"")) >= 32:
+        kind, yaw, pitch, roll, *bounds = struct.unpack_from("=4i4I", sphere)
+        left, top, right, bottom = (bound / 2**32 for bound in bounds)
+        yaw, pitch, roll = (math.radians(angle / 65536) for angle in (yaw, pitch, roll))
+        name = SPHERES[kind] if 0 <= kind < len(SPHERES) else f"kind {kind}"
+        cropped = HALF if kind == HALF_SPHERE else (top, bottom, left, right)
+        found = Projection("its metadata", name, "mono", yaw, -pitch, -roll, cropped)
+    if len(eyes := side_data.get("STEREO3D", b"")) >= 8:
+        kind, flags = struct.unpack_from("=2i", eyes)
+        stereo = STEREO.get(kind, f"kind {kind}")
+        stereo = INVERTED.get(stereo, stereo) if flags & 1 else stereo
+        found = replace(found or Projection("its metadata", "rectangular"), stereo=stereo)
     return found
 
 
-def _posed(found: Projection, yaw: float, pitch: float, roll: float) -> Projection:
-    """With the pose of the V2 RFC (degrees)."""
-    if not all(math.isfinite(angle) for angle in (yaw, pitch, roll)):
-        return found
-    return replace(found, yaw=math.radians(yaw), pitch=-math.radians(pitch), roll=-math.radians(roll))
-
-
-def _bounds(equi: bytes) -> tuple[float, float, float, float]:
-    """The content of ``equi``: version and flags, then what is cropped, in 2 ** -32 of the whole."""
-    top, bottom, left, right = (value / 2**32 for value in struct.unpack_from(">IIII", equi, 4))
-    return top, bottom, left, right
-
-
-def _of_xml(track: Track) -> Projection | None:
-    """Spherical Video V1."""
-    for kind, body in children(track.body):
-        if kind == "uuid" and bytes(body[:16]) == SPHERICAL:
-            said = properties(bytes(body[16:]), GSPHERICAL)
-            if said.get("Spherical", "").lower() == "true":
-                return _with_area(
-                    Projection(
-                        "its XML of Spherical Video V1",
-                        said.get("ProjectionType", "equirectangular").lower(),
-                        said.get("StereoMode", "mono").lower(),
-                    ),
-                    said,
-                )
-    return None
-
-
-def _with_area(found: Projection, said: Mapping[str, str], size: tuple[int, int] | None = None) -> Projection:
-    """With the cropped area, or with what is wrong about it.
-
-    `size`: width and height of the picture, if known. What is not told follows from the rest where there is one way
-    only: the sphere is twice as wide as high, and a part that fills it begins at its border.
-    """
-    told = {name: said[name] for name in AREA if name in said}
-    if not told or (size is None and not told.keys() & set(AREA[2:4])):
-        if size is None or is_twice_as_wide(size[1], size[0]):
-            return found
-        return replace(found, wrong=f"{found.source} says equirectangular, and not which part of the sphere; the "
-                       f"picture is {size[0]} x {size[1]}, not 2:1")  # fmt: skip
-    words = f"{found.source} says an area that does not add up: " + ", ".join(f"{k} {v}" for k, v in told.items())
-    words += f"; the picture is {size[0]} x {size[1]}" if size else ""
-    try:
-        width, height, wide, high, left, top = (float(told[name]) if name in told else math.nan for name in AREA)
-    except ValueError:
-        return replace(found, wrong=words)
-    shape = size or (math.nan, math.nan)
-    wide, high = (shown if math.isnan(n) else n for n, shown in zip((wide, high), shape, strict=True))
-    height = width / 2 if math.isnan(height) else height
-    width = 2 * height if math.isnan(width) else width
-    slack = max(ROUNDING, 0.002 * width)
-    left, top = (
-        0.0 if math.isnan(start) and (size is None or abs(full - n) <= slack) else start
-        for start, n, full in ((left, wide, width), (top, high, height))
-    )
-    fits = all(
-        start >= -slack and n >= 1 and start + n <= full + slack < 1e6 and full >= 1
-        for start, n, full in ((left, wide, width), (top, high, height))
-    )
-    square = abs(width - 2 * height) <= 2 * slack  # and the picture is the part that was cut, in any size
-    alike = size is None or abs(size[0] * high - size[1] * wide) <= 0.02 * size[0] * high + ROUNDING * max(wide, high)
-    if not (fits and square and alike):  # also where a number is missing
-        return replace(found, wrong=words)
-    if size is not None and size[0] * size[1] / (wide * high) * width * height > LARGEST:
-        return replace(found, wrong=words)
-    cropped: list[float] = []
-    for start, n, full in ((top, high, height), (left, wide, width)):  # a part that juts out by rounding is moved in
-        first = min(max(start / full, 0.0), max(1 - n / full, 0.0))
-        cropped += [first, max(1 - first - n / full, 0.0)]
-    return replace(found, cropped=tuple(cropped))
-
-
-def of_head(head: Head) -> Projection | None:
-    """What Matroska's elements say.
-
-    Angles are read as in MP4. RFC 9559 has other signs for yaw and roll, as had the V2 RFC before its correction, but
-    programs write the same numbers into both kinds of file.
-    """
-    stereo = MATROSKA_STEREO.get(head.stereo, f"StereoMode {head.stereo}")
-    if head.projection is None:
-        return Projection("its StereoMode", "rectangular", stereo) if head.stereo else None
-    kind = MATROSKA_KINDS.get(head.projection, f"kind {head.projection}")
-    found = _posed(Projection("its Projection element", kind, stereo), *head.pose)
-    if kind == "equirectangular" and len(head.private) >= 20:
-        found = replace(found, cropped=_bounds(head.private))
-    return found
+# --- photographs ---
 
 
 def of_photograph(said: Mapping[str, str], size: tuple[int, int]) -> Projection | None:
@@ -409,10 +216,48 @@ def of_photograph(said: Mapping[str, str], size: tuple[int, int]) -> Projection 
 
     kind = said["ProjectionType"].lower()
     found = Projection("its XMP (GPano)", kind, "mono", -angle("Heading"), -angle("Pitch"), angle("Roll"))
-    return _with_area(found, said, size)
+    return _with_area(found, {name: said[name] for name in AREA if name in said}, size)
 
 
-# --- XMP ---
+def _with_area(found: Projection, area: Mapping[str, str], size: tuple[int, int]) -> Projection:
+    """With the cropped `area` of a picture of `size`, or with what is wrong about it.
+
+    What is not told follows from the rest where there is one way only: the sphere is twice as wide as high, and a part
+    that fills it begins at its border.
+    """
+    shape = f"the picture is {size[0]} x {size[1]}"
+    if not area:
+        if is_twice_as_wide(size[1], size[0]):
+            return found
+        what = f"{found.source} says {found.kind}, and not which part of the sphere; {shape}, not 2:1"
+        return replace(found, wrong=what)
+    listed = ", ".join(f"{key} {value}" for key, value in area.items())
+    wrong = replace(found, wrong=f"{found.source} says an area that does not add up: {listed}; {shape}")
+    try:
+        width, height, wide, high, left, top = (float(area[name]) if name in area else math.nan for name in AREA)
+    except ValueError:
+        return wrong
+    wide, high = (own if math.isnan(n) else n for n, own in zip((wide, high), size, strict=True))
+    height = width / 2 if math.isnan(height) else height
+    width = 2 * height if math.isnan(width) else width
+    slack = max(ROUNDING, 0.002 * width)
+    left, top = (
+        0.0 if math.isnan(start) and abs(full - n) <= slack else start
+        for start, n, full in ((left, wide, width), (top, high, height))
+    )
+    sides = ((top, high, height), (left, wide, width))
+    fits = all(start >= -slack and n >= 1 and start + n <= full + slack < 1e6 and full >= 1 for start, n, full in sides)
+    square = abs(width - 2 * height) <= 2 * slack  # and the picture is the part that was cut, in any size
+    alike = abs(size[0] * high - size[1] * wide) <= 0.02 * size[0] * high + ROUNDING * max(wide, high)
+    if not (fits and square and alike):  # also where a number is missing
+        return wrong
+    if size[0] * size[1] / (wide * high) * width * height > LARGEST:
+        return wrong
+    cropped: list[float] = []
+    for start, n, full in sides:  # a part that juts out by rounding is moved in
+        first = min(max(start / full, 0.0), max(1 - n / full, 0.0))
+        cropped += [first, max(1 - first - n / full, 0.0)]
+    return replace(found, cropped=tuple(cropped))
 
 
 def properties(xmp: bytes, namespace: str) -> dict[str, str]:

@@ -3,9 +3,6 @@
 Images are ``(H, W)`` or ``(H, W, C)`` arrays in the layout of `eagor.sphere`: the centre column is forward, columns
 grow to the right. A photograph has no depth, so the camera can turn in it, but not move. `read_photograph` also tells
 what a file says of itself (Photo Sphere XMP Metadata, "GPano").
-
-`cut` gives what ordinary pictures show of a panorama (`eagor.grids.tangent_views`: so that they cover the sphere).
-Detectors and models know such pictures better than panoramas, and none of them has a seam.
 """
 
 from __future__ import annotations
@@ -27,9 +24,10 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from eagor._checks import checked_picture, is_twice_as_wide
-from eagor._extras import need
+from eagor._extras import need, opencv
 from eagor._files import natural
 from eagor._srgb import to_coded
+from eagor.cameras import Sampler
 from eagor.errors import ImageError, MissingExtraError
 from eagor.grids import ErpGrid, Grid, PerspectiveGrid, ViewKey, forward_view, view_key
 from eagor.media.metadata import GPANO, Projection, of_photograph, properties
@@ -37,18 +35,11 @@ from eagor.sphere import check_rotation
 
 # Pillow starts no other program for any of these; AVIF since its version 11.3.
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", *(("AVIF",) if find_spec("PIL.AvifImagePlugin") else ()))
-BOXED = {  # brands of pictures in MP4's boxes (ISO/IEC 23008-12), and what reads them
-    brand.encode(): reader
-    for reader, brands in (
-        ("Pillow from version 11.3 on", "avif avis"),
-        ("the package pillow-heif", "heic heix heim heis hevc hevx mif1 msf1"),
-    )
-    for brand in brands.split()
-}
+HEIC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
+BOXED = dict.fromkeys(HEIC, "HEIC") | {b"avif": "AVIF", b"avis": "AVIF"}  # brands of pictures (ISO/IEC 23008-12)
 ORIENTATION = 0x0112  # the tag in Exif
 _SMALL = 1 << 26  # bytes: 4096 x 4096 in colour
 _DENSEST = 600  # decoded bytes per byte of the file; blank pictures reach up to a thousand
-
 _PAD = 8  # columns copied from the other side of the seam before a panorama is resized
 
 IMAGES = (
@@ -69,12 +60,26 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Radiance (.hdr) is tone-mapped,
     with a warning; that needs OpenCV. Raises `ImageError` if there is no readable image.
     """
-    return _read(os.fspath(path))[0]
+    image, _ = _read(name := os.fspath(path))
+    for warning in _oddities(name, image):
+        warnings.warn(warning, UserWarning, stacklevel=2)
+    return image
+
+
+def _oddities(name: str, image: np.ndarray) -> list[str]:
+    """What has to be said of an image that is taken for a panorama as it is."""
+    height, width = image.shape[:2]
+    odd = [f"{name!r} {TONE_MAPPED}"] if _is_hdr(name) else []
+    if width != 2 * height:
+        odd.append(
+            f"{name!r} is {width} x {height}, not 2:1: longitude and latitude are mapped separately (all columns span "
+            "360 degrees, all rows 180). If the image covers less than the whole sphere, pad it first"
+        )
+    return odd
 
 
 def _read(name: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """The image, and the mask ``(H, W)`` of what is transparent in it, or None; as `read_panorama`, with its errors."""
-    unseen = None
+    """The image, and the mask ``(H, W)`` of what is transparent in it, or None; errors as of `read_panorama`."""
     if not os.path.exists(name):
         raise ImageError(f"there is no file {name!r}; give the path of an equirectangular image (PNG, JPEG, ...)")
     if os.path.isdir(name):
@@ -83,9 +88,8 @@ def _read(name: str) -> tuple[np.ndarray, np.ndarray | None]:
         raise ImageError(f"{name!r} is empty (0 bytes); an interrupted copy or download? Fetch the image again")
     try:
         if _is_hdr(name):
-            image = tone_mapped(_radiance(name))
-        else:
-            image, unseen = _decoded(name, os.path.getsize(name), _lying)
+            return tone_mapped(_radiance(name)), None
+        return _decoded(name, os.path.getsize(name), _upright)
     except MissingExtraError:
         raise
     except ImageError as error:
@@ -95,17 +99,6 @@ def _read(name: str) -> tuple[np.ndarray, np.ndarray | None]:
             f"{name!r} cannot be read as an image ({type(error).__name__}: {error}); it is corrupt, truncated or of "
             "another kind. Wanted an image that Pillow reads, such as PNG or JPEG: fetch or export it again"
         ) from error
-    if _is_hdr(name):
-        warnings.warn(f"{name!r} {TONE_MAPPED}", UserWarning, stacklevel=3)
-    height, width = image.shape[:2]
-    if width != 2 * height:
-        warnings.warn(
-            f"{name!r} is {width} x {height}, not 2:1: longitude and latitude are mapped separately (all columns "
-            "span 360 degrees, all rows 180). If the image covers less than the whole sphere, pad it first",
-            UserWarning,
-            stacklevel=3,
-        )
-    return image, unseen
 
 
 def _is_hdr(name: str) -> bool:
@@ -123,14 +116,13 @@ def _radiance(name: str) -> np.ndarray:
     if not head.startswith(b"#?") or size is None:
         raise ImageError("is no Radiance picture (it has no header of one); export it again, or as PNG or JPEG")
     height, width = int(size[1]), int(size[2])
-    if 12 * height * width > max(_SMALL, _DENSEST * os.path.getsize(name)):
-        raise ImageError(f"claims {width} x {height} pixels in {os.path.getsize(name)} bytes; it is corrupt, or blank")
-    told = cv2.utils.logging.getLogLevel()
+    _check_claim(width, height, 12 * width * height, os.path.getsize(name))
+    level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
     try:
         found = cv2.imread(name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
     finally:
-        cv2.utils.logging.setLogLevel(told)
+        cv2.utils.logging.setLogLevel(level)
     if found is None or found.dtype != np.float32:
         raise ImageError("cannot be decoded; it is corrupt or truncated: fetch or export it again")
     return np.nan_to_num(found[..., ::-1], nan=0.0, posinf=float(np.finfo(np.float32).max), neginf=0.0)
@@ -157,12 +149,10 @@ def tone_mapped(radiance: np.ndarray) -> np.ndarray:
 def read_image(
     file: str | IO[bytes], size: int, turned: Callable[[Image.Image], Image.Image] = lambda image: image
 ) -> np.ndarray:
-    """The picture ``(H, W, 3)`` uint8 in a file of `size` bytes. Raises `ImageError`, or what Pillow's decoders raise.
-
-    `turned`: what turns it as its orientation tag (Exif) says; by default the tag is ignored.
+    """The picture ``(H, W, 3)`` uint8 in a file of `size` bytes, `turned`: as it is stored, unless this says otherwise.
 
     A picture that claims more pixels than a real one of this file size can have is rejected before memory is allocated.
-    Small pictures may be blank.
+    Small pictures may be blank. Raises `ImageError`, or what Pillow's decoders raise.
     """
     return _decoded(file, size, turned)[0]
 
@@ -171,11 +161,14 @@ def _decoded(
     file: str | IO[bytes], size: int, turned: Callable[[Image.Image], Image.Image]
 ) -> tuple[np.ndarray, np.ndarray | None]:
     with opened(file) as image:
-        width, height = image.size
-        if decoded_bytes(image) > max(_SMALL, _DENSEST * size):
-            raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or blank")
+        _check_claim(image.width, image.height, decoded_bytes(image), size)
         image.load()
         return seen_of(turned(image))
+
+
+def _check_claim(width: int, height: int, decoded: int, size: int) -> None:
+    if decoded > max(_SMALL, _DENSEST * size):
+        raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or blank")
 
 
 def opened(file: str | os.PathLike[str] | IO[bytes]) -> Image.Image:
@@ -186,13 +179,13 @@ def opened(file: str | os.PathLike[str] | IO[bytes]) -> Image.Image:
         with open(file, "rb") if isinstance(file, str | os.PathLike) else nullcontext(file) as data:
             data.seek(0)
             head = data.read(12)
-        reader = BOXED.get(head[8:], "")
-        if head[4:8] != b"ftyp" or not reader:
+        kind = BOXED.get(head[8:]) if head[4:8] == b"ftyp" else None
+        if kind is None:
             raise
-        if "heif" in reader and find_spec("pillow_heif"):
+        if kind == "HEIC" and find_spec("pillow_heif"):
             import_module("pillow_heif").register_heif_opener()
             return Image.open(file, formats=("HEIF",))
-        kind = "HEIC" if "heif" in reader else "AVIF"
+        reader = {"HEIC": "the package pillow-heif", "AVIF": "Pillow from version 11.3 on"}[kind]
         raise ImageError(f"is {kind}, which takes {reader} (pip install); or export it as JPEG") from None
 
 
@@ -206,7 +199,7 @@ def seen_of(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
     return rgb, unseen if unseen.any() else None
 
 
-def _lying(image: Image.Image) -> Image.Image:
+def _upright(image: Image.Image) -> Image.Image:
     """A panorama as its orientation tag says, but never a whole one on its side; with a damaged tag, as it is."""
     try:
         tag = image.getexif().get(ORIENTATION, 1)
@@ -224,15 +217,16 @@ def decoded_bytes(image: Image.Image) -> int:
 def as_rgb(image: Image.Image) -> np.ndarray:
     """``(H, W, 3)`` uint8 of any picture with 8 or 16 bits per channel."""
     if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip instead of scaling
-        grey = np.clip(np.asarray(image), 0, 65535).astype(np.uint32)
-        grey += 128  # rounds to nearest
-        grey //= 257
+        grey = (np.clip(np.asarray(image), 0, 65535).astype(np.uint32) + 128) // 257
         return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
     if image.mode == "F":
         raise ImageError("holds floating-point grey values of unknown range; tone-map it to 8 bits first")
     if image.mode == "P":  # palettes may carry transparency, which only RGBA supports
         image = image.convert("RGBA")
     return np.array(image.convert("RGB"))
+
+
+# --- turning, sizes ---
 
 
 def turn(image: np.ndarray, new_R_old: np.ndarray) -> np.ndarray:
@@ -243,9 +237,8 @@ def turn(image: np.ndarray, new_R_old: np.ndarray) -> np.ndarray:
     and data type are kept. Raises `RotationError` and `ImageError`.
     """
     rotation = check_rotation(np.asarray(new_R_old, dtype=np.float64))
-    image = _checked(image)
-    grid = ErpGrid(*image.shape[:2])
-    return _sample(image, grid.directions @ rotation)  # row vectors: d_old = R^T d_new
+    grid = _grid_of(image := np.asarray(image))
+    return Sampler(grid, grid.directions @ rotation)(image)  # row vectors: d_old = R^T d_new
 
 
 def view(image: np.ndarray, grid: Grid) -> np.ndarray:
@@ -254,44 +247,23 @@ def view(image: np.ndarray, grid: Grid) -> np.ndarray:
     Bilinear, without a low-pass filter: choose pixels that are not much coarser than the panorama's. Cells in which
     `grid` sees nothing (the corners of a fisheye) are black. Raises `ImageError`.
     """
-    seen = _sample(_checked(image), grid.directions)
+    seen = Sampler(_grid_of(image := np.asarray(image)), grid.directions)(image)
     seen[np.asarray(grid.weights) <= 0] = 0
     return seen
 
 
-def _checked(image: np.ndarray) -> np.ndarray:
-    image = np.asarray(image)
+def _grid_of(image: np.ndarray) -> ErpGrid:
     if image.ndim not in (2, 3) or image.size == 0 or image.dtype.kind not in "uif":
         raise ImageError(
             f"a panorama is an array (H, W) or (H, W, C) of numbers; got shape {image.shape}, type {image.dtype}. "
             "Read files with eagor.media.panorama.read_panorama"
         )
-    return image
+    return ErpGrid(*image.shape[:2])
 
 
-def _sample(image: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """`image` read bilinearly at `directions` ``(..., 3)``, around the seam and over the poles."""
-    height, width = image.shape[:2]
-    x, y, _ = ErpGrid(height, width).project(directions)
-    exact = image.dtype.itemsize <= 2 or image.dtype == np.float32  # float32 holds the values
-    rows = image.astype(np.float32 if exact else np.float64)
-    # Beyond a pole the image continues half a turn away: one such row is added above and one below.
-    above, below = (sum(np.roll(row, half, axis=1) for half in (width // 2, width - width // 2)) / 2
-                    for row in (rows[:1], rows[-1:]))  # fmt: skip
-    rows = np.concatenate([above, rows, below])
-    u, v = x - 0.5, np.clip(y, 0, height) + 0.5
-    left, top = np.floor(u).astype(np.intp), np.clip(np.floor(v).astype(np.intp), 0, height)
-    channels = (1,) * (image.ndim - 2)
-    right_share = (u - left).astype(rows.dtype).reshape(u.shape + channels)
-    lower_share = (v - top).astype(rows.dtype).reshape(v.shape + channels)
-    left, right = left % width, (left + 1) % width
-    upper = rows[top, left] * (1 - right_share) + rows[top, right] * right_share
-    lower = rows[top + 1, left] * (1 - right_share) + rows[top + 1, right] * right_share
-    values = upper * (1 - lower_share) + lower * lower_share
-    return (np.rint(values) if image.dtype.kind in "ui" else values).astype(image.dtype)
-
-
-# --- sizes ---
+def is_whole(panorama: np.ndarray) -> bool:
+    """Whether its aspect ratio is 2:1, up to the rounding of a resized picture."""
+    return is_twice_as_wide(*panorama.shape[:2])
 
 
 def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.ndarray:
@@ -318,6 +290,48 @@ def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.
 def resized_mask(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """A mask ``(H, W)`` at `size` (height, width)."""
     return resized(np.repeat(np.uint8(255) * mask[..., None], 3, axis=2), size)[..., 0] > 127
+
+
+def by_area(image: np.ndarray, height: int, width: int) -> np.ndarray:
+    """A picture ``(H, W, 3)`` uint8 at another size: each pixel is the mean of its area; enlarged, bilinear."""
+    if image.shape[:2] == (height, width):
+        return image
+    shrinks = height < image.shape[0] or width < image.shape[1]
+    if (cv2 := opencv()) is not None:
+        return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    how = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
+    return np.asarray(Image.fromarray(np.ascontiguousarray(image)).resize((width, height), how))
+
+
+def shrunk(image: np.ndarray, rows: int) -> np.ndarray:
+    """A panorama with about so many `rows`, by areas; one that has no more is returned as it is."""
+    while image.shape[0] >= 2 * rows and not (image.shape[0] % 2 or image.shape[1] % 2):  # fast, and exact
+        image = by_area(image, image.shape[0] // 2, image.shape[1] // 2)
+    height, width = image.shape[:2]
+    return image if height <= rows else by_area(image, rows, max(2, round(rows * width / height)))
+
+
+# --- ordinary pictures cut from a panorama ---
+
+
+def cut(panorama: np.ndarray, *views: PerspectiveGrid) -> list[np.ndarray]:
+    """What cameras with these grids see of the panorama ``(H, W, 3)`` uint8: one uint8 ``(*grid.shape, 3)`` for each.
+
+    Bilinear, around the seam and over the poles. A panorama that is finer than the views is shrunk first, so that
+    nothing is left out between the pixels. Raises `ImageError`.
+    """
+    # A pixel of a view spans fewest degrees at its border; half way between that and the middle blurs least.
+    rows = max((math.ceil(math.pi * view.focal / math.cos(view.hfov / 2)) for view in views), default=2)
+    image = shrunk(np.ascontiguousarray(checked_picture(panorama)), max(2, rows))
+    grid = ErpGrid(*image.shape[:2])
+    rays = (view.body_R_view.astype(np.float32) @ _rays(view_key(view)) for view in views)
+    return [Sampler(grid, each.T)(image).reshape(*view.shape, 3) for each, view in zip(rays, views, strict=True)]
+
+
+@lru_cache(maxsize=4)
+def _rays(lens: ViewKey) -> np.ndarray:
+    """Directions ``(3, n)`` of the pixels of a view that looks forward; components side by side are quick to turn."""
+    return np.ascontiguousarray(forward_view(lens).directions.reshape(-1, 3).T, dtype=np.float32)
 
 
 # --- photographs with what their files say ---
@@ -365,30 +379,27 @@ def read_photograph(path: str | os.PathLike[str], warn: bool = True, force: bool
     are not 2:1, unless `warn` is False: for who knows the camera, or says it otherwise. Raises `ImageError` if there is
     no readable image, or if it says that it is not equirectangular, or (unless `force`) an area that does not add up.
     """
-    name = os.fspath(path)
-    with warnings.catch_warnings(record=True) as warned:
-        warnings.simplefilter("always")
-        image, unseen = _read(name)
+    image, unseen = _read(name := os.fspath(path))
     if _is_hdr(name):
         found = Picture(image, facts=(TONE_MAPPED,))
     else:
         with opened(name) as file:
-            found, count = _told(image, unseen, file, name, force), 1
+            found, count = _placed_by_file(image, unseen, file, name, force), 1
             with suppress(Exception):  # Pillow may raise anything for a damaged file; an MPO has one that counts
                 count = 1 if file.format == "MPO" else getattr(file, "n_frames", 1)
         if count > 1:
             found = replace(found, facts=(*found.facts, f"it holds {count} pictures, of which the first is taken"))
-    for warning in warned if warn and found.picture is image else ():
-        warnings.warn(str(warning.message), UserWarning, stacklevel=2)
+    for warning in _oddities(name, image) if warn and found.picture is image else ():
+        warnings.warn(warning, UserWarning, stacklevel=2)
     return found
 
 
 def photograph_of(image: Image.Image, name: str) -> Picture:
     """One picture of a file that is open, as `read_photograph` gives it."""
-    return _told(*seen_of(image), image, name, False)
+    return _placed_by_file(*seen_of(image), image, name, False)
 
 
-def _told(image: np.ndarray, unseen: np.ndarray | None, file: Image.Image, name: str, force: bool) -> Picture:
+def _placed_by_file(image: np.ndarray, unseen: np.ndarray | None, file: Image.Image, name: str, force: bool) -> Picture:
     """`image` as what its file says it is."""
     found = of_photograph(properties(_xmp(file), GPANO), image.shape[1::-1])
     if found is None:
@@ -397,79 +408,21 @@ def _told(image: np.ndarray, unseen: np.ndarray | None, file: Image.Image, name:
     return placed(image, found, unseen)
 
 
-def is_whole(panorama: np.ndarray) -> bool:
-    """Whether its aspect ratio is 2:1, up to the rounding of a resized picture."""
-    return is_twice_as_wide(*panorama.shape[:2])
-
-
 def placed(image: np.ndarray, found: Projection, hidden: np.ndarray | None = None) -> Picture:
     """A picture where `found` says that it belongs; `hidden`: what of it is not seen, or None."""
-    height, width = image.shape[:2]
-    layout = found.layout(height, width)
+    layout = found.layout(*image.shape[:2])
     panorama, unseen = layout.place(resized(image, layout.size)), layout.unseen
     if hidden is not None:
         own = layout.place(resized_mask(hidden, layout.size))
         unseen = own if unseen is None else own | unseen
-    tilted, turned = bool(found.pitch or found.roll), bool(found.yaw)
-    return Picture(
-        panorama,
-        unseen,
-        found.level_R_body if tilted else None,
-        found.world_R_body if tilted or turned else None,
-        found.facts(),
-    )
+    tilted = bool(found.pitch or found.roll)
+    world = found.world_R_body if tilted or found.yaw else None
+    return Picture(panorama, unseen, found.level_R_body if tilted else None, world, found.facts())
 
 
 def _xmp(image: Image.Image) -> bytes:
     """The XMP packet of a picture that could be read; empty if it has none."""
-    for data in (image.info.get("xmp"), image.info.get("XML:com.adobe.xmp")):
-        if data:
-            return data.encode() if isinstance(data, str) else bytes(data)
+    if data := image.info.get("xmp") or image.info.get("XML:com.adobe.xmp"):
+        return data.encode() if isinstance(data, str) else bytes(data)
     segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
     return next((data[len(JPEG_XMP) :] for data in segments if data.startswith(JPEG_XMP)), b"")
-
-
-# --- ordinary pictures cut from a panorama ---
-
-
-def cut(panorama: np.ndarray, *views: PerspectiveGrid) -> list[np.ndarray]:
-    """What cameras with these grids see of the panorama ``(H, W, 3)`` uint8: one uint8 ``(*grid.shape, 3)`` for each.
-
-    Bilinear, around the seam and over the poles. A panorama that is finer than the views is shrunk first, so that
-    nothing is left out between the pixels. Raises `ImageError`, and `MissingExtraError` without OpenCV.
-    """
-    need("cutting views from a panorama", "photos", "cv2")
-    import cv2
-
-    image = checked_picture(panorama)
-    # A pixel of a view spans fewest degrees at its border; half way between that and the middle blurs least.
-    rows = max((math.ceil(math.pi * view.focal / math.cos(view.hfov / 2)) for view in views), default=2)
-    image = shrunk(np.ascontiguousarray(image), max(2, rows))
-    height, width = image.shape[:2]
-    # Beyond a pole the picture goes on half a turn away: one such row above and one below.
-    canvas = np.concatenate([np.roll(image[:1], width // 2, axis=1), image, np.roll(image[-1:], width // 2, axis=1)])
-    pictures = []
-    for view in views:
-        x, y, z = np.tensordot(view.body_R_view.astype(np.float32), _rays(view_key(view)), axes=1)
-        column = (0.5 - np.arctan2(y, x) / np.float32(2 * math.pi)) * np.float32(width) - np.float32(0.5)
-        row = (0.5 - np.arctan2(z, np.hypot(x, y)) / np.float32(math.pi)) * np.float32(height) + np.float32(0.5)
-        pictures.append(cv2.remap(canvas, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
-    return pictures
-
-
-@lru_cache(maxsize=4)
-def _rays(lens: ViewKey) -> np.ndarray:
-    """Directions ``(3, h, w)`` of a view that looks forward."""
-    return np.ascontiguousarray(np.moveaxis(forward_view(lens).directions, -1, 0).astype(np.float32))
-
-
-def shrunk(image: np.ndarray, rows: int) -> np.ndarray:
-    """A panorama with about so many `rows`, by areas, around the seam; one that has no more is returned as it is."""
-    import cv2
-
-    while image.shape[0] >= 2 * rows and not (image.shape[0] % 2 or image.shape[1] % 2):  # fast, and exact
-        image = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    height, width = image.shape[:2]
-    if height <= rows:
-        return image
-    return cv2.resize(image, (max(2, round(rows * width / height)), rows), interpolation=cv2.INTER_AREA)

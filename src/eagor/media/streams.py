@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, BinaryIO, ClassVar, cast
 
 import numpy as np
 
-from eagor._checks import above
 from eagor._extras import need
 from eagor._files import redacted
 from eagor.errors import DeviceError
@@ -37,14 +36,11 @@ OPENING, READING = 10.0, 5.0  # seconds that a network stream may take to open; 
 PROTOCOLS = "rtsp,rtp,udp,tcp,tls,http,https,httpproxy,rtmp,rtmps,rtmpt,rtmpts,srtp,crypto,data,hls"
 SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "http", "https", "udp", "tcp", "rtp", "srt")
 LOW_LATENCY = {"fflags": "nobuffer", "flags": "low_delay"}
-BRIEF = {
-    "probesize": "2000000",
-    "analyzeduration": "1000000",
-}  # bytes and microseconds in which the stream is described
-FORMATS = ("mjpeg", "h264", "hevc", "yuyv422", "nv12", "yuv420p", "rgb24", "bgr24", "uyvy422")
+BRIEF = {"probesize": "2000000", "analyzeduration": "1000000"}  # bytes, microseconds in which a stream is described
+SETTINGS = {"size": "video_size", "rate": "framerate", "format": "input_format"}  # and what FFmpeg calls them
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
-# Format: numerator and denominator of bytes per pixel, and the shape of the array that PyAV takes.
+# Bytes per pixel.
 BYTES = {"rgb24": 3.0, "bgr24": 3.0, "rgba": 4.0, "bgra": 4.0, "gray": 1.0, "yuv420p": 1.5, "nv12": 1.5, "yuyv422": 2.0}
 LARGEST = 1 << 27  # pixels
 _SPEC = re.compile(r"pipe:(\w+):(\d+)x(\d+)(:stamped)?")
@@ -144,27 +140,14 @@ def device(path: str, settings: Mapping[str, str]) -> Stream:
 
     Raises `DeviceError` if there is none, in words that list those that there are.
     """
-    options, size, kind = {}, None, settings.get("format", "")
-    for key, value in settings.items():
-        if key == "size":
-            found = _SIZE.fullmatch(value)
-            if found is None:
-                raise DeviceError(f"{path}: size={value}; wanted width and height, such as size=1920x960")
-            size, options["video_size"] = (int(found[1]), int(found[2])), value
-        elif key == "rate":
-            try:
-                fits = above(float(value), 0)
-            except ValueError:
-                fits = False
-            if not fits:
-                raise DeviceError(f"{path}: rate={value}; wanted pictures per second, such as rate=30")
-            options["framerate"] = value
-        elif key == "format":
-            if kind not in FORMATS:
-                raise DeviceError(f"{path}: format={value}; wanted one of {', '.join(FORMATS)}")
-            options["input_format"] = value
-        else:
+    for key in settings:
+        if key not in SETTINGS:
             raise DeviceError(f"{path}: there is no setting {key!r}; wanted size=WxH, rate=HZ or format=mjpeg")
+    found = _SIZE.fullmatch(settings.get("size", "1x1"))
+    if found is None:
+        raise DeviceError(f"{path}: size={settings['size']}; wanted width and height, such as size=1920x960")
+    size = (int(found[1]), int(found[2])) if "size" in settings else None
+    options = {SETTINGS[key]: value for key, value in settings.items()}
     try:
         mode = os.stat(path).st_mode
     except OSError:
@@ -239,25 +222,17 @@ class RawPipe:
                     f"double, then {size} bytes ({self.kind}, {self.width} x {self.height}). Pictures without times: "
                     "leave out :stamped"
                 )
-            array = np.frombuffer(data, np.uint8, offset=head).reshape(self._shape())
+            per = BYTES[self.kind]
+            rows, planes = (self.height * 3 // 2, ()) if per == 1.5 else (self.height, () if per == 1 else (int(per),))
+            array = np.frombuffer(data, np.uint8, offset=head).reshape(rows, self.width, *planes)
             yield told, av.VideoFrame.from_ndarray(np.ascontiguousarray(array), format=self.kind)
 
-    def _shape(self) -> tuple[int, ...]:
-        per = BYTES[self.kind]
-        if per == 1.5:
-            return self.height * 3 // 2, self.width
-        return (self.height, self.width) if per == 1.0 else (self.height, self.width, int(per))
-
-    def _exactly(self, count: int) -> bytes:
+    def _exactly(self, count: int) -> memoryview:
         """`count` bytes, or fewer at the end."""
-        parts, left = [], count
-        while left:
-            part = self.file.read(left)
-            if not part:
-                break
-            parts.append(part)
-            left -= len(part)
-        return parts[0] if len(parts) == 1 else b"".join(parts)
+        data, read = memoryview(bytearray(count)), 0
+        while read < count and (part := self.file.readinto(data[read:])):  # type: ignore[attr-defined]
+            read += part
+        return data[:read]
 
 
 def raw_pipe(text: str, file: BinaryIO) -> RawPipe:

@@ -14,15 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from eagor.cameras import Lens, Rig
 from eagor.errors import FormatError
-from eagor.lenses import Lens
 from eagor.media.bags import TF_STATIC, Bag, pick
-from eagor.media.intrinsics import Camera, Told, ordinary_grid, rig_of_info
+from eagor.media.intrinsics import Camera, IntrinsicsHint, ordinary_grid, rig_of_info
 from eagor.media.panorama import is_whole
-from eagor.media.rig_videos import makers
-from eagor.media.rigs import Rig, sizes_of
 from eagor.media.ros_frames import BODY, IDENTITY, TransformTree, contradiction, optical
 from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
+from eagor.media.stitching import PanoramaBuilder, sizes_of
 
 __all__ = [
     "LensTold", "Lenses", "TopicPictures", "beside", "is_rectified", "lacks_lens", "lens_told",
@@ -48,14 +47,13 @@ class Lenses:
 
     `rig`: of all; `camera`: an ordinary one, which each of the topics is; `info`: the topic of its CameraInfo, with
     commas between those of several. None of them: the CameraInfo beside the pictures tells. `rows`: the most of a
-    frame; `stitched`: make panoramas also of pictures of a rig's ordinary lenses.
+    frame.
     """
 
     rig: Rig | None = None
     camera: Camera | None = None
     info: str | None = None
     rows: int | None = None
-    stitched: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +82,13 @@ def lacks_lens(picture: np.ndarray, rig: Rig | None, camera: Camera | None) -> b
 class TopicPictures:
     """How the messages of `topics`, one for each camera, become frames; the `firsts` of them, and the lenses, say it.
 
-    A topic alone gives panoramas, or an ordinary camera's pictures. Several are a rig: each picture stays what it is
-    where all lenses are ordinary, unless they are to be stitched.
+    A topic alone gives panoramas, or an ordinary camera's pictures. Several are a rig, which is stitched.
 
     `told(topic, info)`: what a CameraInfo says, asked only for the topic `info`, or where nothing else tells the lens.
     `placed(frames)`: the rotations ``(3, 3)`` of the axes of cameras (x ahead) in those of the first, asked for
     several without a rig. `camera`: as it is then known, of a topic alone. `frame`: the frame whose axes the frames'
     grids are in, as its pictures name it (that of the first camera); None: the body's, where a rig is given for several
-    topics. `makers`: what makes the frames, one for each camera, or one for all. Raises `ImageError` for pictures that
+    topics. `builder`: what makes the frames. Raises `ImageError` for pictures that
     are no panoramas, or do not fit the rig, `FormatError` for messages that tell too little.
     """
 
@@ -137,26 +134,17 @@ class TopicPictures:
                 cameras.append(camera)
             self.camera, self.frame = None, names[0]
             rig = _rig_of(topics, names, cameras, self._sizes, placed)
-        self.makers = makers(self._sizes, rig, lenses.rows, ", ".join(topics), self.camera, lenses.stitched)
-        if len(self.makers) == 1:
-            self.makers[0].check(*pictures)
+        name = ", ".join(topics)
+        self.builder = PanoramaBuilder(self._sizes, name, rig=rig, camera=self.camera, rows=lenses.rows)
+        self.builder.check(*pictures)
 
-    @property
-    def together(self) -> bool:
-        """Whether the pictures of all topics make one frame."""
-        return len(self.makers) == 1
-
-    def made(self, lens: int, received: Sequence[Any], otherwise: str = "") -> np.ndarray:
-        """The frame of messages: of all topics where these are stitched, else of the camera with the number `lens`.
-
-        Raises `ImageError`; `FormatError`, with more words, for another size.
-        """
+    def made(self, received: Sequence[Any], otherwise: str = "") -> np.ndarray:
+        """The frame of the messages of all topics. Raises `ImageError`; `FormatError` for another size."""
         pictures = [panorama_of(each) for each in received]
-        before = self._sizes if self.together else self._sizes[lens : lens + 1]
-        for (width, height), (wide, high) in zip(sizes_of(pictures), before, strict=True):
+        for (width, height), (wide, high) in zip(sizes_of(pictures), self._sizes, strict=True):
             if (width, height) != (wide, high):
                 raise FormatError(f"it is {width} x {height}, and the first was {wide} x {high}{otherwise}")
-        return self.makers[lens].make(*pictures)
+        return self.builder.make(*pictures)
 
 
 def _rig_of(
@@ -182,9 +170,9 @@ def _rig_of(
 
 def _lens_of(camera: Camera, size: tuple[int, int], name: str) -> Lens:
     """The lens of pictures of a `size` (width, height)."""
-    if camera.wide and camera.rig is not None:
+    if camera.rig is not None:
         return camera.rig.scaled(camera.rig.factor_of((size,), name)).lenses[0]
-    grid = ordinary_grid(camera, Told(), size, name)
+    grid = ordinary_grid(camera, IntrinsicsHint(), size, name)
     assert grid is not None  # it is known
     return grid.lens
 

@@ -8,48 +8,60 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 
 from eagor._checks import above, whole, within
 from eagor._extras import need
-from eagor.errors import EagorError, ImageError, TimeError
+from eagor.cameras import SHAPE
+from eagor.errors import EagorError, FormatError, ImageError, TimeError
 from eagor.media import Frame
-from eagor.media.defects import fisheye_circles
-from eagor.media.intrinsics import told_by_video
-from eagor.media.metadata import EXPORT, Projection, read_metadata
-from eagor.media.rigs import SHAPE
+from eagor.media.intrinsics import intrinsics_from_tags
+from eagor.media.metadata import EXPORT, Projection, of_video
+from eagor.odometry.imu import MotionTrack, read_insta360
 
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
-__all__ = ["Damage", "Video", "open_video", "pictures", "plays", "to_rgb"]
+__all__ = ["Damage", "Video", "open_video", "pictures", "plays", "selected", "to_rgb", "tracks_of"]
 
+Item = TypeVar("Item")
 CLOCK = 5e-4  # seconds: half a unit of the coarsest common clock, Matroska's, to which stamps are rounded
 PLAIN = 25.0  # pictures per second where a file tells neither times nor rate; FFmpeg's own
 HDR = {16: "PQ", 18: "HLG"}  # transfer characteristics, ITU-T H.273
-CHECKED = (256, 512)  # size at which the first picture is looked at
-
 LARGEST = 1 << 27  # pixels: 16384 x 8192
 IN_FLIGHT = 1 << 28  # bytes: decoded pictures that threads may hold beside those that the codec needs
 MOST_THREADS = 8
 HD = 720  # rows from which on colours are ITU-R BT.709 where the file says nothing
 UNSPECIFIED, BT709 = 2, "ITU709"
+SHORT = 0.5  # seconds that may be missing at the end of a file that tells its length, and not how many pictures
 CONVERT = "convert it, for example: ffmpeg -i {} -c:v libx264 -pix_fmt yuv420p converted.mp4"
+UNSTITCHED = (".insv", ".360")  # as Insta360 and GoPro name recordings whose lenses are not put together yet
+LENSES = (
+    "{0} holds {1} tracks of pictures, one for each lens. Give the lenses with --rig FILE.yaml (eagor camera calibrate "
+    "makes one). Or: " + EXPORT
+)
+GOPRO = (
+    "{0} is a GoPro recording that is not put together yet: its two tracks are the two strips of an equi-angular "
+    "cubemap (EAC), which no rig of lenses describes. Export it as an equirectangular MP4 with GoPro's Player or Quik. "
+    "Or with FFmpeg, some degrees off where the strips overlap: ffmpeg -i {0} -filter_complex "
+    "'[0:v:0][0:v:1]vstack,v360=eac:e' -map 0:a? whole.mp4"
+)
 
 
 @dataclass
 class Damage:
-    """What could not be decoded: how many packets, and the time of the first (seconds; threads tell it late)."""
+    """What could not be decoded: how many packets, of how many, and the time of the first (threads tell it late)."""
 
     packets: int = 0
+    of: int = 0
     first: float = 0.0
 
 
@@ -59,8 +71,8 @@ class Video:
     `rate`: pictures per second to take: of each tick `start`, `start` + 1 / `rate`, ... the first picture at or after
     it, each picture once; None takes all. `start`, `end`: seconds of the file; the picture at `end` is not taken.
     `rows`: the most rows of a picture; larger ones are shrunk by area while they are decoded. `lenses`: the pictures
-    are those of a camera's lenses, for `eagor.media.stitching` to stitch: fisheye circles are wanted, and what the file
-    says of its projection does not count. `track`: which of several tracks of pictures, from 0.
+    are those of a camera's lenses: what the file says of its projection does not count. `track`: which of several
+    tracks of pictures, from 0.
 
     Stamps are the presentation times in seconds from the start of the file, and increase: a picture whose time is
     missing, or not after that of the one before, gets that time plus the mean interval. If only some lack it, a
@@ -71,7 +83,7 @@ class Video:
     `count`: about how many pictures will come, or None; `facts`: sentences about what the file says of itself;
     `motion`: None, or the rotations that its motion track tells (`eagor.odometry.imu.MotionTrack`); `level_R_body`:
     None, or the rotation ``(3, 3)`` that makes its pictures level, as the file says; `unseen`: None, or the mask of
-    `shape` of what no picture shows; `told`: what the file says of an ordinary lens, for pictures of `shape`.
+    `shape` of what no picture shows; `hint`: what the file says of an ordinary lens, for pictures of `shape`.
 
     Raises `ImageError` for a file that cannot be read as a video, `TimeError` for impossible times,
     `MissingExtraError`. Iterating raises `ImageError` after the last picture if some could not be decoded, or if the
@@ -92,130 +104,142 @@ class Video:
     ) -> None:
         need("reading a video", "photos", "av")
         _check(rate, start, end, rows)
-        self.path = os.fspath(path)
-        self.rate, self.start, self.end = rate, start, end
-        self._track = track
-        said = read_metadata(_checked_path(self.path), lenses)
-        projection = (None if lenses else said.projection) or Projection("nothing", "rectangular")
-        projection.check(self.path)  # before FFmpeg, which refuses some of them without a word
-        container, stream = open_video(self.path, said.entry, track)
+        self.path = _checked_path(os.fspath(path))
+        self.rate, self.start, self.end, self._track = rate, start, end, track
+        camera, self.motion, facts = _camera_track(self.path)
+        container, stream = open_video(self.path, track)
         with container:
+            tracks = _check_tracks(container, self.path, bool(camera), lenses)
             picture = _first_picture(container, stream, self.path)
-            if said.raw and not lenses and fisheye_circles(to_rgb(picture, *CHECKED)):
-                raise ImageError(
-                    f"{self.path} shows the circles of a fisheye camera, not stitched yet. Give the lenses with --rig "
-                    f"FILE.yaml (eagor camera calibrate makes one). Or: {EXPORT}"
-                )
             unit, begins = float(stream.time_base or 0), (container.start_time or 0) / 1e6  # seconds
-            self.duration: float | None = None
-            if stream.duration is not None:
-                self.duration = stream.duration * unit
-            elif container.duration is not None:
+            self.duration: float | None = stream.duration * unit if stream.duration else None
+            self._frames = stream.frames
+            if self.duration is None and container.duration:
                 self.duration = container.duration / 1e6
             self.frame_rate = float(stream.average_rate or stream.guessed_rate or 0) or None
             aspect, codec = float(stream.sample_aspect_ratio or 1) or 1.0, stream.codec_context.name
             tags = container.metadata | stream.metadata
         if self.duration is not None and start >= self.duration:
             raise TimeError(f"start = {start:g} s is beyond the end of {self.path}, which lasts {self.duration:.2f} s")
-        self._missing, self._timed = said.missing, picture.pts is not None
+        side_data = _side_data(picture)
+        found = None if lenses else of_video(side_data)
+        projection = found or Projection("nothing", "rectangular")
+        projection.check(self.path)
+        self._timed = picture.pts is not None
         self._zero = round(begins / unit) * unit if unit else begins
         self._clock, self._interval = min(CLOCK, unit / 2) + 1e-9, 1 / (self.frame_rate or PLAIN)
-        self._size, (self._turns, mirrored) = (picture.height, picture.width), _turns(picture)
+        self._size, (self._turns, mirrored) = (picture.height, picture.width), _turns(picture, side_data)
         high, wide = picture.height, max(1, round(picture.width * aspect))
         self._layout = projection.layout(*((wide, high) if self._turns % 2 else (high, wide)), rows)
         self.shape, self.unseen = self._layout.shape, self._layout.unseen
         self.level_R_body = projection.level_R_body if projection.pitch or projection.roll else None
-        self.motion = said.motion
-        self.told = told_by_video(tags, (self.shape[1], self.shape[0]), self._turns)
+        self.hint = intrinsics_from_tags(tags, (self.shape[1], self.shape[0]), self._turns)
         quarters, bright = self._turns, HDR.get(picture.color_trc)
-        facts = {
+        own = {
             f"{codec}, {picture.width} x {picture.height} pixels": True,
-            f"the camera is {_camera(tags)}": _camera(tags),
+            f"the camera is {camera}": camera,
             f"its pictures are turned by {90 * quarters} degrees counterclockwise, as it wants to be shown": quarters,
             "it wants to be shown mirrored, which is not done": mirrored,
             f"its colours are HDR ({bright}) and taken as they are: they look pale": bright,
             f"its pictures have no times; {self.frame_rate or PLAIN:g} a second are assumed": not self._timed,
             "its pictures are those of lenses, and are stitched": lenses,
+            f"it has {tracks} tracks of pictures, of which the first is taken": tracks > 1 and not lenses,
         }
-        shown = () if lenses or said.projection is None else said.projection.facts()
-        self.facts = (*(fact for fact, holds in facts.items() if holds), *shown, *said.facts)
+        said = () if found is None else found.facts()
+        self.facts = (*(fact for fact, holds in own.items() if holds), *said, *facts)
         self.count = self._count()
 
     def __iter__(self) -> Iterator[Frame]:
-        name, damage, next_tick, stopped = os.path.basename(self.path), Damage(), 0, False
-        seen = taken = repaired = 0
-        last: float | None = None
-        for picture in self._decoded(damage):
-            stamp = None if picture.time is None else picture.time - self._zero
-            if stamp is None or (last is not None and stamp <= last):
-                repaired += 1
-                stamp = 0.0 if last is None else last + self._interval
-            seen, last = seen + 1, stamp
-            if self.end is not None and stamp >= self.end - self._clock:
-                stopped = True
-                break
-            if stamp < self.start - self._clock:
-                continue
-            if self.rate is not None:
-                tick = math.floor((stamp - self.start + self._clock) * self.rate)
-                if tick < next_tick:
-                    continue
-                next_tick = tick + 1
+        name, damage, taken = os.path.basename(self.path), Damage(), 0
+        self._seen, self._repaired, self._last = 0, 0, None
+        for stamp, picture in selected(self._stamped(damage), self.start, self.end, self.rate, self._clock):
             taken += 1
             yield Frame(stamp, self._panorama(picture), f"{name} at {stamp:.2f} s")
-        if repaired and self._timed:
+        if self._repaired and self._timed:
             warnings.warn(
-                f"{self.path}: the times of {repaired} of {seen} pictures are missing or do not increase; each "
-                f"follows the picture before by {self._interval:.4f} s",
+                f"{self.path}: the times of {self._repaired} of {self._seen} pictures are missing or do not increase; "
+                f"each follows the picture before by {self._interval:.4f} s",
                 UserWarning,
                 stacklevel=2,
             )
-        reached = "none of its pictures could be read" if last is None else f"it was read up to {last:.2f} s"
-        if self._missing and not stopped:
-            raise ImageError(
-                f"{self.path} is cut off: {self._missing} bytes are missing at its end; {reached}, and {taken} "
-                "pictures were taken. Copy it again from the camera for the rest"
-            )
+        reached = (
+            "none of its pictures could be read" if self._last is None else f"it was read up to {self._last:.2f} s"
+        )
+        end = f"{reached}, and {taken} pictures were taken. Copy it again from the camera"
+        if missing := self._missing(damage):
+            raise ImageError(f"{self.path} is cut off: {missing}; {end} for the rest")
         if damage.packets:
             raise ImageError(
                 f"{self.path} is damaged: {damage.packets} of its packets could not be decoded, the first near "
-                f"{damage.first - self._zero:.2f} s; {reached}, and {taken} pictures were taken. Copy it again from "
-                "the camera"
+                f"{damage.first - self._zero:.2f} s; {end}"
             )
         if not taken:
-            end = "its end" if self.end is None else f"end = {self.end:g} s"
+            until = "its end" if self.end is None else f"end = {self.end:g} s"
             raise TimeError(
-                f"{self.path} has no picture from start = {self.start:g} s to {end}; {reached}. Choose other times"
+                f"{self.path} has no picture from start = {self.start:g} s to {until}; {reached}. Choose other times"
             )
 
-    def _decoded(self, damage: Damage) -> Iterator[VideoFrame]:
-        """All pictures that can be decoded, from the key picture before `start` on."""
-        container, stream = open_video(self.path, track=self._track)
+    def _missing(self, damage: Damage) -> str:
+        """What a file says that it holds, and does not; empty where nothing is missing."""
+        if self._last is None or (self.end is not None and self._last >= self.end - self._clock):
+            return ""
+        if self._frames:
+            there = damage.of < self._frames and not self.start
+            return f"of {self._frames} pictures {damage.of} are there" if there else ""
+        short = self.duration is not None and self._last < self.duration - SHORT - 2 * self._interval
+        return f"it should last {self.duration:.2f} s" if short else ""
+
+    def _stamped(self, damage: Damage) -> Iterator[tuple[float, VideoFrame]]:
+        """All pictures that can be decoded, from the key picture before `start` on, with stamps that increase."""
+        container, stream = open_video(self.path, self._track)
         try:
             if self.start > 0 and self._timed and not _seek_to(container, stream, self.start + self._zero):
                 container.close()
-                container, stream = open_video(self.path, track=self._track)
-            yield from pictures(container, stream, damage)
+                container, stream = open_video(self.path, self._track)
+            for picture in pictures(container, stream, damage):
+                stamp = None if picture.time is None else picture.time - self._zero
+                if stamp is None or (self._last is not None and stamp <= self._last):
+                    self._repaired += 1
+                    stamp = 0.0 if self._last is None else self._last + self._interval
+                self._seen, self._last = self._seen + 1, stamp
+                yield stamp, picture
         finally:
             container.close()
 
     def _panorama(self, picture: VideoFrame) -> np.ndarray:
         """The whole panorama ``(*shape, 3)`` of a decoded picture."""
-        high, wide = self._layout.size
-        turns, own = self._turns, self._size
+        (high, wide), own = self._layout.size, self._size
         if abs(picture.width * own[0] / (picture.height * own[1]) - 1) > SHAPE:
             raise ImageError(
                 f"{self.path}: its pictures change from {own[1]} x {own[0]} to {picture.width} x {picture.height}, "
                 "another shape, so another part of what the camera sees; cut the video there (--start, --end)"
             )
-        rgb = to_rgb(picture, *((wide, high) if turns % 2 else (high, wide)))
-        return self._layout.place(np.rot90(rgb, turns) if turns else rgb)
+        rgb = to_rgb(picture, *((wide, high) if self._turns % 2 else (high, wide)))
+        return self._layout.place(np.rot90(rgb, self._turns) if self._turns else rgb)
 
     def _count(self) -> int | None:
         if self.duration is None or not (self.rate or self.frame_rate):
             return None
         seconds = min(self.duration, math.inf if self.end is None else self.end) - self.start
         return max(1, math.ceil(seconds * min(rate for rate in (self.rate, self.frame_rate) if rate) - 1e-6))
+
+
+def selected(
+    items: Iterable[tuple[float, Item]], start: float, end: float | None, rate: float | None, slack: float
+) -> Iterator[tuple[float, Item]]:
+    """Of each tick of `rate` per second from `start` to `end` (seconds) the first item at or after it, once."""
+    next_tick = 0
+    for stamp, item in items:
+        if end is not None and stamp >= end - slack:
+            return
+        if stamp < start - slack:
+            continue
+        if rate is not None:
+            tick = math.floor((stamp - start + slack) * rate)
+            if tick < next_tick:
+                continue
+            next_tick = tick + 1
+        yield stamp, item
 
 
 def _check(rate: float | None, start: float, end: float | None, rows: int | None) -> None:
@@ -244,11 +268,71 @@ def _checked_path(path: str) -> str:
     return path
 
 
+# --- what the file says ---
+
+
+def _camera_track(path: str) -> tuple[str, MotionTrack | None, tuple[str, ...]]:
+    """The camera that wrote an Insta360 trailer ("" if there is none), its motion, and sentences about that."""
+    try:
+        with open(path, "rb") as file:
+            trailer = read_insta360(file)
+        motion = None if trailer is None else trailer.motion()
+    except FormatError as error:
+        return "", None, (f"its motion track cannot be used: it {error}",)
+    if trailer is None:
+        return "", None, ()
+    camera = trailer.camera or "one of Insta360"
+    return camera, motion, () if motion is None else (
+        "its motion track (Insta360) has axes that are not documented: the one that feels gravity is taken for up, so "
+        "turns of the heading are right, tilts may be about another axis",
+        "the motion track is the camera's: where its app steadied the pictures, they turn otherwise",
+    )  # fmt: skip
+
+
+def tracks_of(path: str | os.PathLike[str]) -> int:
+    """How many tracks of pictures a video has. Raises `ImageError`."""
+    container, _ = open_video(_checked_path(os.fspath(path)))
+    with container:
+        return len(_tracks(container))
+
+
+def _tracks(container: InputContainer) -> list[VideoStream]:
+    return [each for each in container.streams.video if not each.disposition & each.disposition.attached_pic]
+
+
+def _check_tracks(container: InputContainer, path: str, insta360: bool, lenses: bool) -> int:
+    """How many tracks of pictures it has. Raises `ImageError` for those of lenses, unless `lenses` are wanted."""
+    count, name = len(_tracks(container)), os.path.basename(path)
+    if count > 1 and not lenses:
+        makers = [str(each.metadata.get("handler_name", "")) for each in container.streams]
+        if path.lower().endswith(".360") or any("GoPro" in each for each in makers):
+            raise ImageError(GOPRO.format(name))
+        if insta360 or path.lower().endswith(UNSTITCHED):
+            raise ImageError(LENSES.format(name, count))
+    return count
+
+
+def _side_data(picture: VideoFrame) -> dict[str, bytes]:
+    """What FFmpeg tells beside a picture, by its names of it."""
+    told = cast("dict[str, bytes]", picture.side_data)
+    return {
+        name: bytes(told[name]) for name in ("SPHERICAL", "STEREO3D", "DISPLAYMATRIX") if told.get(name) is not None
+    }
+
+
+def _turns(picture: VideoFrame, side_data: dict[str, bytes]) -> tuple[int, bool]:
+    """Quarter turns (counterclockwise) with which a picture is to be shown, and whether mirrored, too."""
+    with suppress(KeyError, ValueError):
+        matrix = np.frombuffer(side_data["DISPLAYMATRIX"], "i4").reshape(3, 3)[:2, :2].astype(float)
+        return round(picture.rotation / 90) % 4, bool(np.linalg.det(matrix) < 0)
+    return 0, False
+
+
 # --- decoding ---
 
 
-def open_video(path: str, entry: str = "", track: int = 0) -> tuple[InputContainer, VideoStream]:
-    """The file and one of its streams of pictures; `entry`: its codec, if known otherwise. Raises `ImageError`."""
+def open_video(path: str, track: int = 0) -> tuple[InputContainer, VideoStream]:
+    """The file and one of its streams of pictures. Raises `ImageError`."""
     import av
     from av.error import FFmpegError
 
@@ -258,11 +342,11 @@ def open_video(path: str, entry: str = "", track: int = 0) -> tuple[InputContain
     except (FFmpegError, ValueError) as error:
         why = error.strerror if isinstance(error, FFmpegError) else error
         raise ImageError(
-            f"{path} cannot be read as a video ({why}); it is damaged, cut off at its start, or of another kind. "
-            "Wanted an MP4, MOV, MKV or WebM file: copy it again from the camera"
+            f"{path} cannot be read as a video ({why}); it is damaged, cut off before its index was written, or of "
+            "another kind. Wanted an MP4, MOV, MKV or WebM file: copy it again from the camera"
         ) from error
     try:
-        stream = _stream(container, path, entry, track)
+        stream = _stream(container, path, track)
         context = stream.codec_context
         pixels = context.width * context.height
         if pixels > LARGEST:
@@ -289,19 +373,19 @@ def plays(path: str | os.PathLike[str]) -> bool:
     return True
 
 
-def _stream(container: InputContainer, path: str, entry: str, track: int) -> VideoStream:
+def _stream(container: InputContainer, path: str, track: int) -> VideoStream:
     kind = container.format.name
     if kind.endswith("_pipe") or kind in ("image2", "tty"):
         what = "text" if kind == "tty" else "a single picture"
         raise ImageError(f"{path} is {what}, not a video; eagor locate takes a picture, eagor track a folder of them")
-    streams = [s for s in container.streams.video if not s.disposition & s.disposition.attached_pic]
+    streams = _tracks(container)
     if not streams:
         others = ", ".join(sorted({s.type for s in container.streams})) or "nothing"
         raise ImageError(f"{path} has no stream of pictures, but: {others}. Give a video")
     if not 0 <= track < len(streams):
         raise ImageError(f"{path} has {len(streams)} tracks of pictures, and number {track} was asked for, from 0")
     if streams[track].codec_context is None:
-        raise ImageError(f"{path} is in a codec {entry!r} that this FFmpeg cannot decode; {CONVERT.format(path)}")
+        raise ImageError(f"{path} is in a codec that this FFmpeg cannot decode; {CONVERT.format(path)}")
     return streams[track]
 
 
@@ -313,21 +397,6 @@ def _first_picture(container: InputContainer, stream: VideoStream, path: str) ->
         why = f"none of its {damage.packets} packets can be decoded" if damage.packets else "it is empty"
         raise ImageError(f"{path} holds no picture: {why}. Copy it again from the camera, or {CONVERT.format(path)}")
     return picture
-
-
-def _turns(picture: VideoFrame) -> tuple[int, bool]:
-    """Quarter turns (counterclockwise) with which a picture is to be shown, and whether mirrored, too."""
-    with suppress(KeyError, ValueError):
-        data = bytes(cast("dict[str, bytes]", picture.side_data)["DISPLAYMATRIX"])
-        matrix = np.frombuffer(data, "i4").reshape(3, 3)[:2, :2].astype(float)
-        return round(picture.rotation / 90) % 4, bool(np.linalg.det(matrix) < 0)
-    return 0, False
-
-
-def _camera(metadata: dict[str, str]) -> str:
-    """Maker and model, "" if unknown."""
-    keys = {key.rsplit(".", 1)[-1].lower(): value for key, value in metadata.items()}
-    return " ".join(keys[key] for key in ("make", "model") if keys.get(key)).strip()
 
 
 def pictures(container: InputContainer, stream: VideoStream, damage: Damage) -> Iterator[VideoFrame]:
@@ -342,6 +411,7 @@ def pictures(container: InputContainer, stream: VideoStream, damage: Damage) -> 
                 return
             if packet.pts is not None and packet.time_base:
                 time = float(packet.pts * packet.time_base)
+            damage.of += packet.size > 0
             if packet.is_corrupt:  # decoded all the same: later pictures build on it
                 spoilt.add(packet.pts)
             found = packet.decode()

@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import Meta
 from scipy.special import expit
 
+from eagor.cameras import Lens
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import FormatError
 from eagor.evidence import BodyMask, Evidence
@@ -21,7 +22,6 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import are_fractions, is_beside
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
-from eagor.lenses import PinholeLens
 from eagor.odometry.files import FramePose
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
 from eagor.perception.things import Boxes, Seen, combined, labels_of
@@ -437,9 +437,7 @@ def _of_lens(image: _Image, told: Sequence[str], body_R_view: np.ndarray) -> Per
     assert image.centre is not None
     height, width = _size(image)
     distortion = tuple(image.distortion or ())
-    return PerspectiveGrid.of_lens(
-        PinholeLens("view", (width, height), image.focal, image.centre, distortion, body_R_view)
-    )
+    return PerspectiveGrid.of_lens(Lens("view", (width, height), image.focal, image.centre, distortion, body_R_view))
 
 
 def _body_R_view(told: Mapping[str, float]) -> np.ndarray:

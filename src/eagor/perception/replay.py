@@ -22,13 +22,13 @@ from eagor.evidence.detector import DetectorModel
 from eagor.grids import PerspectiveGrid
 from eagor.perception import Perception
 from eagor.perception import look as one_look
-from eagor.perception.partial import ViewPerception, look_at_view
+from eagor.perception.partial import look_at_view
 from eagor.perception.records import Record, parse_record, read_looks, read_records, write_record
 from eagor.perception.words import colour_of, fitting, meant, named
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
-    "Record", "ReplayPerception", "look", "look_if_recorded", "parse_record", "read_records", "takes_pictures",
+    "Record", "ReplayPerception", "look", "look_if_recorded", "parse_record", "read_records",
     "write_record",
 ]  # fmt: skip
 
@@ -185,11 +185,6 @@ class ReplayPerception:
                 "If they are views of one moment, use each of looks(query, stamp)"
             )
         return self._of(record, query)
-
-
-def takes_pictures(perception: Perception) -> bool:
-    """Whether it looks at ordinary pictures as they are, or needs none; else it knows panoramas alone."""
-    return isinstance(perception, ViewPerception | ReplayPerception)
 
 
 def look(

@@ -262,7 +262,7 @@ def open_for(opening: Opening) -> CameraSource:
     if opening.simulated:
         return open_source(opening.source)
     rate = LOOKS if os.path.isfile(opening.source) else None
-    return open_source(opening.source, rows=ROWS, rig=opening.rig, rate=rate, camera=opening.camera, stitched=True)
+    return open_source(opening.source, rows=ROWS, rig=opening.rig, rate=rate, camera=opening.camera)
 
 
 class Stream:

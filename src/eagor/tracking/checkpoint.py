@@ -29,7 +29,7 @@ VERSION = 7
 FORMAT = "eagor tracker"
 LONGEST = 1000  # bytes of the first line
 # Only dataclasses of these, and of their modules, may be in a file.
-PACKAGES = ("eagor.belief", "eagor.evidence", "eagor.grids", "eagor.lenses", "eagor.tracking")
+PACKAGES = ("eagor.belief", "eagor.evidence", "eagor.cameras", "eagor.grids", "eagor.tracking")
 
 
 def packed(value: Any) -> bytes:

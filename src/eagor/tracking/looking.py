@@ -19,10 +19,10 @@ from scipy.spatial import KDTree
 from eagor._arrays import frozen
 from eagor._checks import above, require, within
 from eagor._values import where
+from eagor.cameras import Lens
 from eagor.errors import GridError
 from eagor.evidence.detector import Alarms
 from eagor.grids import ErpGrid, PerspectiveGrid, ViewKey, forward_view, view_key
-from eagor.lenses import Lens
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 from eagor.tracking.hypotheses import TargetHypotheses
 

@@ -248,8 +248,7 @@ class RosCamera(TopicSource):
             named = topics_of(topic or None, "topics")
             self.topics = tuple(self._ears.resolved(each or "image") for each in named)
             self._newest: list[Any] = [None for _ in named]
-            self._fresh, self._last = [False for _ in named], [-math.inf for _ in named]
-            self._turn = [*range(len(named))]  # the cameras, that which waited longest first
+            self._fresh, self._last = False, -math.inf  # of the first topic: with it the newest of the others are taken
             for at, name in enumerate(self.topics):
                 self._read(name, PICTURES, partial(self._received, at))
             if not self._ears.wait(lambda: None not in self._newest):
@@ -259,51 +258,45 @@ class RosCamera(TopicSource):
         except BaseException:
             self.close()
             raise
-        self.frame, first = self._pictures.frame, self._pictures.makers[0]
-        self.grid, self.unseen = first.grid, first.unseen
-        if self._pictures.together:
-            self._turn = [0]  # the others are taken with it
+        self.frame, builder = self._pictures.frame, self._pictures.builder
+        self.grid, self.unseen = builder.grid, builder.unseen
 
     def __iter__(self) -> Iterator[Frame]:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._closed or any(self._fresh[each] for each in self._turn))
+                self._news.wait_for(lambda: self._closed or self._fresh)
                 if self._closed:
                     return
-                lens = next(each for each in self._turn if self._fresh[each])
-                self._turn.remove(lens)
-                self._turn.append(lens)
-                messages = self._newest[:] if self._pictures.together else [self._newest[lens]]
-                self._fresh[lens] = False
+                messages, self._fresh = self._newest[:], False
             try:
-                frame = self._frame(lens, messages)
+                frame = self._frame(messages)
             except EagorError as error:
-                frame, self.problem = None, f"{self.topics[lens]}: a picture is left out: {error}"
+                frame, self.problem = None, f"{self.topics[0]}: a picture is left out: {error}"
             if frame is None:
                 self.dropped += 1
             else:
                 yield frame
 
-    def _frame(self, lens: int, messages: list[Any]) -> Frame | None:
+    def _frame(self, messages: list[Any]) -> Frame | None:
         """The next frame; None if it was sent twice, or comes too soon or out of order. Raises as `TopicPictures`."""
-        topic, told, last = self.topics[lens], messages[0].header.stamp, self._last[lens]
+        topic, told, last = self.topics[0], messages[0].header.stamp, self._last
         stamp = (seconds(told) or self._ears.now()) - self.latency
         if last - BACK <= stamp <= last or 0 < stamp - last < self._apart:
             return None
-        picture = self._pictures.made(lens, messages, ": another camera or mode? Set it back, or start again")
-        while stamp in self._last:  # of another camera: no two frames have one stamp
-            stamp = math.nextafter(stamp, math.inf)
-        self._last[lens], self.problem = stamp, None
+        picture = self._pictures.made(messages, ": another camera or mode? Set it back, or start again")
+        self._last, self.problem = stamp, None
         if seconds(told):
             self._ears.remember(stamp, told, self.latency)
         else:
             self.problem = f"{topic} tells no times (its headers have the stamp 0): those of arrival are taken"
-        return Frame(stamp, picture, f"{topic} at {stamp:.3f} s", self._pictures.makers[lens].view, lens)
+        return Frame(stamp, picture, f"{topic} at {stamp:.3f} s", self._pictures.builder.view)
 
-    def _received(self, lens: int, message: Any) -> None:
-        self.dropped += self._fresh[lens] and lens in self._turn
-        self._newest[lens], self._fresh[lens] = message, True
-        self._news.notify()
+    def _received(self, at: int, message: Any) -> None:
+        self._newest[at] = message
+        if at == 0:
+            self.dropped += self._fresh
+            self._fresh = True
+            self._news.notify()
 
     def _told(self, topic: str, asked: str | None) -> LensTold | None:
         """What the CameraInfo says; None if nobody publishes it."""
