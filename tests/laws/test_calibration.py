@@ -1,7 +1,5 @@
 """Fitting by log score: it finds what it should, judges on apartments that it has not seen, and its file is checked."""
 
-import json
-
 import numpy as np
 import pytest
 from detections_made_up import detected
@@ -172,11 +170,6 @@ def test_what_is_written_is_read_again(tmp_path, calibration, forgetting, detect
     assert {name: getattr(config.target_motion, name) for name in forgetting} == forgetting
 
 
-def test_what_a_file_leaves_out_is_as_by_default():
-    assert from_json(GOOD | {"detector": {"kept_for": None}}, "it").detector.kept_for is None
-    assert from_json(GOOD | {"detector": {"look_alikes": 0.2}}, "it").detector == DetectorModel(look_alikes=0.2)
-
-
 READ = {"floor": 0.1, "neutral": 0.1, "temperature": 1, "persistence": 0.5, "spread": 0.1}
 GOOD = {"perception": "scout", "calibration": READ, "forgetting": {}}
 
@@ -197,14 +190,3 @@ def test_files_that_are_no_calibration_are_refused(changes, says):
     assert from_json(GOOD, "it").calibration.floor == 0.1
     with pytest.raises(EagorError, match=says):
         from_json(GOOD | changes, "it")
-
-
-def test_files_that_cannot_be_read_are_told(tmp_path):
-    with pytest.raises(EagorError, match="eagor calibrate"):
-        read_calibrated(tmp_path / "none.json")
-    (tmp_path / "bad.json").write_text("{")
-    with pytest.raises(EagorError, match="is not JSON"):
-        read_calibrated(tmp_path / "bad.json")
-    (tmp_path / "list.json").write_text(json.dumps([1]))
-    with pytest.raises(EagorError, match="is not a calibration"):
-        read_calibrated(tmp_path / "list.json")

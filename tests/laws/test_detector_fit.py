@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -14,21 +13,18 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
-from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.grids import ErpGrid
 from eagor.lab.eval.detector_fit import (
-    FLAT,
     Deviations,
     Estimate,
     assign,
     expected_look_alikes,
     fit_detector,
-    fitted_curve,
     fitted_model,
     log_score,
-    scatter,
 )
 from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, segments
-from eagor.sphere import FORWARD, direction, unit, world_R_body
+from eagor.sphere import FORWARD, direction, unit
 
 NOTHING = np.zeros((0, 3))
 BASE = DetectorModel()
@@ -91,12 +87,6 @@ def test_every_number_of_a_detector_is_recovered_and_lies_in_its_interval(name):
     assert blind.false_alarms_per_look == pytest.approx(0.8, abs=0.1), "without poses all that is false is counted"
 
 
-@pytest.mark.slow
-def test_a_detector_that_is_never_fooled_again_has_no_look_alikes():
-    model = fitted_model(looks_of(np.random.default_rng(2), groups=60, spread=0.05), BASE)
-    assert model.look_alikes < 0.3
-
-
 def test_what_a_box_errs_by_its_size_is_told_from_what_it_errs_anyhow():
     rng, looks = np.random.default_rng(5), []
     for group in range(60):
@@ -112,23 +102,6 @@ def test_what_a_box_errs_by_its_size_is_told_from_what_it_errs_anyhow():
     assert model.offset_of_size == pytest.approx(0.4, rel=0.25)
     assert model.spread == pytest.approx(0.01, rel=0.25)
     assert model.offset == pytest.approx(0.02, rel=0.3)
-
-
-def test_the_scatter_of_places_is_the_likelihood_of_their_covariance():
-    rng = np.random.default_rng(0)
-    own, offsets = rng.uniform(0, 0.01, 5), rng.normal(size=(5, 2))
-    place, deviations = np.array([0, 0, 0, 1, 1]), Deviations(0.3, 0.7, 0.5, 0.9)
-    wanted = 0.0
-    for number in (0, 1):
-        of = np.flatnonzero(place == number)
-        covariance = np.full((len(of), len(of)), deviations.per_place(own[of].mean()))
-        covariance += np.diag(deviations.per_look(own[of]))
-        for values in offsets[of].T:
-            wanted -= 0.5 * (values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
-    errors = own, offsets, place, np.ones(5)
-    assert scatter(*errors, np.ones(2), deviations) == pytest.approx(wanted)
-    twice = scatter(*errors, np.array([2.0, 2.0]), deviations)
-    assert twice == pytest.approx(2 * wanted)
 
 
 def test_a_thing_is_the_same_place_where_it_lies_in_the_same_direction():
@@ -164,18 +137,6 @@ def test_scores_that_tell_nothing_are_not_believed():
     assert np.abs(np.log(alike.ratios(np.linspace(0.3, 0.9, 7), 7))).mean() < 0.25
     same = [LabelledLook(Evidence.from_points([FORWARD], scores=[0.6]), FORWARD)] * 9
     assert fitted_model(same, BASE).score_ratios == ((0.0, 1.0), (1.0, 1.0)), "one score for all says nothing"
-
-
-def test_a_score_curve_never_falls_and_few_scores_say_little():
-    rng = np.random.default_rng(0)
-    scores = np.concatenate([rng.beta(2, 4, 300), rng.beta(4, 2, 300)])
-    upside_down = np.arange(600) < 300
-    _, falling = fitted_curve(scores, upside_down, np.ones(600))
-    assert falling == pytest.approx(np.zeros(len(falling)), abs=1e-6)
-    _, many = fitted_curve(scores, ~upside_down, np.ones(600))
-    _, few = fitted_curve(scores, ~upside_down, np.full(600, 0.01))
-    assert np.ptp(few) < 0.5 * np.ptp(many)
-    assert fitted_curve(scores, np.zeros(600), np.ones(600)) is FLAT
 
 
 def test_the_fit_mends_looks_that_it_has_not_seen():
@@ -214,36 +175,6 @@ def test_one_target_is_assigned_as_the_model_says():
         assert math.log(1 - shares.sum()) == pytest.approx(math.log(missed), abs=1e-9)
 
 
-def test_several_targets_are_assigned_as_an_enumeration_says():
-    rng, errors = np.random.default_rng(1), []
-    near_model = DetectorModel(spread=0.1)
-    for _ in range(20):
-        at = unit(np.array(FORWARD) + 0.15 * rng.normal(size=(2, 3)))
-        places = unit(np.array(FORWARD) + 0.15 * rng.normal(size=(3, 3)))
-        look = LabelledLook(Evidence.from_points(places), at)
-        table, near = DetectionTable([look], BASE), Deviations(0.1, 1.0, 0.0, 0.0)
-        found = assign(table, Estimate(None, np.full(2, 0.7), 0.5, near))
-        odds = np.array(
-            [
-                [look.detections.read(near_model).densities(target, np.ones(1), row[None])[0, 0] for row in np.eye(3)]
-                for target in at
-            ]
-        )
-        odds *= 0.7 / 0.3 / (0.5 / (4 * math.pi))
-        total, shares = 0.0, np.zeros((2, 3))
-        for one, two in product((None, 0, 1, 2), repeat=2):
-            if one is not None and one == two:
-                continue
-            weight = (1 if one is None else odds[0, one]) * (1 if two is None else odds[1, two])
-            total += weight
-            for target, detection in ((0, one), (1, two)):
-                if detection is not None:
-                    shares[target, detection] += weight
-        errors.append(np.abs(found.reshape(2, 3) - shares / total).max())
-    assert np.max(errors) < 0.2
-    assert np.median(errors) < 0.05
-
-
 # --- little, and nothing ---------------------------------------------------------------------------------------------
 
 
@@ -263,15 +194,6 @@ def test_few_looks_shrink_to_the_prior():
     assert share(fitted_model(places, base)) > 0.95
 
 
-def test_a_stated_detection_probability_is_the_mean_of_the_prior():
-    base = DetectorModel(detection_probability=0.9)
-    absent = [LabelledLook(Evidence.from_points([]), NOTHING, n) for n in range(5)]
-    assert fitted_model(absent, base).detection_probability == 0.9
-    one = fitted_model([LabelledLook(Evidence.from_points([FORWARD]), FORWARD)], base)
-    assert one.detection_probability is None
-    assert share(one) == pytest.approx(0.9, abs=0.05)
-
-
 def test_an_absent_thing_tells_of_false_alarms_only():
     looks = [LabelledLook(Evidence.from_points(unit(np.eye(3)[: n % 3])), [], n) for n in range(30)]
     found = fit_detector(looks, BASE, resamples=20)
@@ -283,14 +205,6 @@ def test_an_absent_thing_tells_of_false_alarms_only():
     lasting = fitted_model(posed, BASE)
     assert lasting.look_alikes > expected_look_alikes(BASE), "the same two places, again and again"
     assert lasting.false_alarms_per_look < 0.1
-
-
-def test_what_a_view_does_not_show_is_not_missed():
-    view = PerspectiveGrid(64, 64, math.radians(60), world_R_body(0.0))
-    behind = [LabelledLook(Evidence.from_boxes([], view), [direction(math.pi, 0.0)], n, str(n)) for n in range(20)]
-    ahead = [LabelledLook(Evidence.from_boxes([[28, 28, 36, 36]], view), FORWARD, n, str(n)) for n in range(20)]
-    assert fit_detector(behind, resamples=0).targets == 0
-    assert share(fitted_model(behind + ahead, BASE)) > 0.9
 
 
 def test_what_cannot_be_fitted_is_refused():

@@ -5,23 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eagor._srgb import to_linear
-from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment.furniture import KINDS, build
 from eagor.lab.worlds.apartment.mesh import Part, merged
-from eagor.lab.worlds.apartment.textures import TONES
 from eagor.lab.worlds.scene import Raycaster
 from eagor.queries import COLOURS, parse_query
 
 PLACEMENTS = ("floor", "top", "hung", "ceiling")
 BUDGET = 1800  # triangles of one piece
 PIECES = [(category, colour) for category, kind in sorted(KINDS.items()) for colour in kind.colours or (None,)]
-BACKED = ["chair", "armchair", "sofa", "bed"]  # their backs are higher than their fronts
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def model_of(category, colour, seed):
-    return build(category, colour, seed)
 
 
 def joined(model):
@@ -44,7 +36,7 @@ def model_box(model, placement):
 
 @pytest.mark.parametrize(("category", "kind"), sorted(KINDS.items()))
 def test_kinds_can_be_asked_for_by_name(category, kind):
-    assert model_of(category, None, 0).category == category == category.lower()
+    assert build(category, None, 0).category == category == category.lower()
     assert kind.placement in PLACEMENTS
     assert set(kind.colours) <= set(COLOURS)
     assert len(set(kind.colours)) == len(kind.colours)
@@ -58,7 +50,7 @@ def test_kinds_can_be_asked_for_by_name(category, kind):
 @given(seed=SEEDS)
 @settings(max_examples=2)
 def test_every_piece_is_sound(category, colour, seed):
-    model = model_of(category, colour, seed)
+    model = build(category, colour, seed)
     assert (model.category, model.colour) == (category, colour)
     vertices, triangles, _ = joined(model)
     for piece in model.parts:
@@ -84,7 +76,7 @@ def test_every_piece_is_sound(category, colour, seed):
 
 
 def seen(model, azimuth, elevation=0.3, across=40):
-    """What parallel rays from a direction meet: part, whether its outside, ``(n,)`` both; reflectance ``(n, 3)``."""
+    """What parallel rays from a direction meet: part, and whether its outside, ``(n,)`` both."""
     vertices, triangles, owner = joined(model)
     c, s = np.cos(azimuth), np.sin(azimuth)
     towards = -np.array([np.cos(elevation) * c, np.cos(elevation) * s, np.sin(elevation)])
@@ -94,64 +86,23 @@ def seen(model, azimuth, elevation=0.3, across=40):
     offsets = step[:, None, None] * up + step[None, :, None] * right
     origins = (middle - 3 * radius * towards + radius * offsets).reshape(-1, 3)
     hits = Raycaster(vertices, triangles).cast(origins, np.broadcast_to(towards, origins.shape).astype(np.float32))
-    met = hits.triangle >= 0
-    hit, u, v = hits.triangle[met], hits.u[met, None], hits.v[met, None]
+    hit = hits.triangle[hits.triangle >= 0]
     a, b, c = vertices[triangles[hit]].transpose(1, 0, 2)
-    uv = np.concatenate([piece.uv for piece in model.parts])[hit]
-    uv = uv[:, 0] * (1 - u - v) + uv[:, 1] * u + uv[:, 2] * v
-    looks = np.array([piece.material.colour for piece in model.parts])
-    colours = to_linear(looks)[owner[hit]]
-    for place, piece in enumerate(model.parts):
-        if piece.material.texture is not None:
-            mine, (rows, columns) = owner[hit] == place, piece.material.texture.shape[:2]
-            column, row = np.floor(uv[mine] * (columns, rows)).astype(int).T
-            texels = piece.material.texture[rows - 1 - row % rows, column % columns, :3]
-            colours[mine] *= to_linear(texels / 255)
-    return owner[hit], np.cross(b - a, c - a) @ towards < 0, colours
-
-
-def lab(linear):
-    """CIELAB (D65) of linear sRGB ``(..., 3)``."""
-    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-    ratio = linear @ (xyz / xyz.sum(axis=1, keepdims=True)).T
-    f = np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), ratio * (29 / 6) ** 2 / 3 + 4 / 29)
-    return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], axis=-1)
-
-
-def words_for(linear):
-    """The plain word ``(n,)`` for each reflectance ``(n, 3)``: that of the nearest tone of the palette."""
-    words = np.array([word for word, tones in TONES.items() for _ in tones])
-    tones = lab(to_linear(np.array([tone for tones in TONES.values() for tone in tones]) / 255))
-    return words[np.linalg.norm(lab(linear)[:, None] - tones, axis=-1).argmin(axis=1)]
+    return owner[hit], np.cross(b - a, c - a) @ towards < 0
 
 
 @pytest.mark.parametrize(("category", "colour"), [piece for piece in PIECES if piece[1]])
 def test_the_colour_that_is_asked_for_is_what_is_seen(category, colour):
     elevation = -0.3 if KINDS[category].placement == "ceiling" else 0.3  # from where a person looks at it
     for seed in range(2):
-        model = model_of(category, colour, seed)
-        parts, _, colours = (
-            np.concatenate(each) for each in zip(*(seen(model, turn, elevation) for turn in (0.5, -0.5)), strict=True)
-        )
+        model = build(category, colour, seed)
+        parts = np.concatenate([seen(model, turn, elevation)[0] for turn in (0.5, -0.5)])
         names = [model.parts[place].material.name for place in parts]
         shares = {name: names.count(name) / len(names) for name in set(names)}
         words = {name.split()[0] for name in shares} & set(COLOURS)  # books and bare metal have no colour of their own
         total = {word: sum(share for name, share in shares.items() if name.split()[0] == word) for word in words}
         assert max(total, key=lambda word: total[word]) == colour, shares
         assert total[colour] > 0.4, shares
-        if category not in UNTARGETED:  # what the materials are called is also what they look like
-            found, count = np.unique(words_for(colours), return_counts=True)
-            assert found[count.argmax()] == colour, dict(zip(found.tolist(), count.tolist(), strict=True))
-
-
-def test_the_television_has_no_colour_as_its_stand_has_any():
-    leading = set()
-    for seed in range(12):
-        model = model_of("tv", None, seed)
-        assert model.colour is None
-        found, count = np.unique(words_for(seen(model, 0.4)[2]), return_counts=True)
-        leading.add(str(found[count.argmax()]))
-    assert len(leading) > 1  # no single word would be true
 
 
 @pytest.mark.parametrize(
@@ -160,24 +111,15 @@ def test_the_television_has_no_colour_as_its_stand_has_any():
 @given(seed=SEEDS)
 @settings(max_examples=3)
 def test_solid_furniture_shows_its_outside(category, seed):
-    model = model_of(category, None, seed)
+    model = build(category, None, seed)
     outside = np.concatenate([seen(model, azimuth)[1] for azimuth in (0.4, 2.0, 3.5, 5.0)])
     assert outside.mean() > 0.995
-
-
-@pytest.mark.parametrize("category", BACKED)
-@given(seed=SEEDS)
-@settings(max_examples=10)
-def test_backs_are_at_the_rear(category, seed):
-    vertices, _, _ = joined(model_of(category, None, seed))
-    top = vertices[:, 2] > 0.9 * vertices[:, 2].max()
-    assert vertices[top, 0].mean() < 0
 
 
 @given(SEEDS)
 def test_seats_are_where_one_can_sit(seed):
     for category in ("chair", "armchair", "sofa"):
-        model = model_of(category, None, seed)
+        model = build(category, None, seed)
         vertices, triangles, _ = joined(model)
         down = np.array([[0, 0, -1]], dtype=np.float32)
         hits = Raycaster(vertices, triangles).cast(np.array([[0.07, 0.12, 3]], np.float32), down)

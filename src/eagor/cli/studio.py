@@ -57,12 +57,10 @@ class Studio(Common):
     """With export: the page to write."""
     episode: Annotated[str | None, bare("NAME")] = None
     """With export: the episode, as bench failures names it (default: the worst one)."""
-    methods: Annotated[tuple[str, ...], bare("NAME ...")] = ()
-    """With export: the methods to show (default: all that the run has)."""
 
 
 SHORTEST = 16  # letters of a token
-FOR_EXPORT = ("out", "episode", "methods")
+FOR_EXPORT = ("out", "episode")
 FOR_SOURCE = ("query", "poses", "rig", "hfov", "camera")
 FOR_SERVING = ("port", "open", "host", "token", "folder", "perception", *FOR_SOURCE, "source")
 EPISODE = "episode.html"  # beside a report
@@ -151,7 +149,7 @@ def export(options: Studio) -> int:
     from eagor.studio.runs import export as write
 
     with terminal.progress("playing the episode again", None) as advance:
-        found = write(folder, out, options.episode, options.methods, lambda _: advance())
+        found = write(folder, out, options.episode, lambda _: advance())
     size = out.stat().st_size
     if options.json:
         terminal.emit({"page": str(out), "bytes": size, "title": found.scene["title"], "steps": len(found.steps)})

@@ -212,20 +212,15 @@ def built() -> bool:
     return TEMPLATE.is_file()
 
 
-def export(
-    folder: Path, path: Path, episode: str | None, methods: tuple[str, ...], advance: Advance = lambda _: None
-) -> EpisodeReplay:
+def export(folder: Path, path: Path, episode: str | None, advance: Advance = lambda _: None) -> EpisodeReplay:
     """Write an episode of the run in `folder` (None: the worst one) to `path`; returns it.
 
-    `methods`: those that are shown beside the one with the belief (none: all). A recording of ``eagor live`` and the
-    report of ``eagor robot run`` are one episode each. Raises `EagorError` for an unknown episode or method, or if the
-    page has not been built, `StorageError`.
+    A recording of ``eagor live`` and the report of ``eagor robot run`` are one episode each. Raises `EagorError` for an
+    unknown episode, or if the page has not been built, `StorageError`.
     """
     if not built():
         raise EagorError("the studio's page has not been built in this clone: run make page there (it needs Node)")
     found = again(Path(folder), episode, advance)
-    if methods:
-        _only(found, methods)
     write(found, path)
     return found
 
@@ -233,18 +228,6 @@ def export(
 def write(found: EpisodeReplay, path: Path) -> None:
     """Write an episode to `path`. Raises `EagorError` if the page has not been built, `StorageError`."""
     written(path, page_of(found))
-
-
-def _only(found: EpisodeReplay, methods: tuple[str, ...]) -> None:
-    """Leave out the methods that are not asked for. Raises `EagorError` for one that the episode does not have."""
-    there = [each["name"] for each in found.scene["methods"]]
-    if unknown := [name for name in methods if name not in there]:
-        raise EagorError(f"the episode has no method {unknown[0]!r}; it has {', '.join(there)}")
-    kept = {*methods, found.scene["method"]}
-    found.scene["methods"] = [each for each in found.scene["methods"] if each["name"] in kept]
-    for part in (found.scene["paths"], *(step.get("methods", {}) for step in found.steps)):
-        for name in {*part} - kept:
-            del part[name]
 
 
 def page_of(found: EpisodeReplay) -> str:

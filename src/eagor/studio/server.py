@@ -37,8 +37,7 @@ from eagor.studio.sessions import Page, SessionManager, Settings
 
 __all__ = ["Auth", "create_app", "is_loopback", "serve"]
 
-PAGES = 64  # open at a time
-TOO_MANY, FOREIGN = 4429, 4403  # codes with which a socket is closed
+FOREIGN = 4403  # the code with which a socket is closed
 STATIC = Path(str(files("eagor.studio") / "static"))
 POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
@@ -161,7 +160,7 @@ def create_app(manager: SessionManager) -> Starlette:
         ],
         lifespan=lifespan,
         middleware=[Middleware(Auth, host=manager.settings.host, token=manager.settings.token)],
-        exception_handlers={PageError: _refused, 404: _failed, 405: _failed, 500: _failed},
+        exception_handlers={PageError: _refused},
     )
 
 
@@ -170,26 +169,15 @@ async def _refused(_: Request, error: Exception) -> Response:
     return JSONResponse({"problem": error.problem, "change": error.change}, error.status)
 
 
-async def _failed(request: Request, error: Exception) -> Response:
-    status = getattr(error, "status_code", 500)
-    problem = f"There is nothing at {request.url.path[:200]}." if status < 500 else "The server has failed."
-    return JSONResponse({"problem": problem, "change": "Open the page at /; the server's terminal says more."}, status)
-
-
 async def _serve_page(manager: SessionManager, web: WebSocket) -> None:
     """One page, until it goes: what it says is checked and passed on, what is for it is sent as fast as it reads."""
     await web.accept()
-    if manager.pages >= PAGES:
-        await web.close(TOO_MANY, f"{PAGES} pages are open already; close one of them")
-        return
-    manager.pages += 1
     page = Page()
     sending = asyncio.create_task(_send(page, web))
     try:
         while (received := await web.receive())["type"] != "websocket.disconnect":
             _hear(manager, page, received.get("text") or received.get("bytes") or "")
     finally:
-        manager.pages -= 1
         manager.leave(page)
         sending.cancel()
         with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError, OSError):

@@ -197,7 +197,7 @@ class SessionManager:
     """Opens streams for pages. For the event loop's thread."""
 
     def __init__(self, settings: Settings) -> None:
-        self.settings, self.ready, self.pages = settings, False, 0
+        self.settings, self.ready = settings, False
         self.uploads, self.runs = Uploads(), RunReader(settings.runs)
         self.perceptions = offers(settings.perception)
         self._streams: dict[str, StreamHandle] = {}

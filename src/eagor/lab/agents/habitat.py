@@ -29,6 +29,7 @@ from eagor.perception import Perception, look
 from eagor.sphere import azimuth_elevation, world_R_body
 
 CAMERA = Camera(height=0.88)  # as in habitat-lab's ObjectNav on HM3D
+NEAR = 0.75  # metres to the thing within which it stops: nobody is told where the view points are
 FLOOR = 0.1  # metres: so near to the height of the feet is floor
 STANDS = 1e-3  # metres: a shorter step only turns
 PATIENCE = 12  # plans in a row that ask for nothing: then it turns once
@@ -61,7 +62,7 @@ class HabitatAgent:
         seed: int = 0,
     ) -> None:
         self._perception, self._categories, self._camera = perception, categories, camera
-        self._rules = rules or NavigationRules.objectnav()
+        self._rules = rules or NavigationRules(success_distance=NEAR, stop="call", sliding=False)
         self._estimator, self._depth_range, self._rng = estimator, depth_range, np.random.default_rng(seed)
         self.reset()
 

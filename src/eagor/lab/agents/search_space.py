@@ -23,11 +23,9 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from eagor.conventions import rotation_from_wxyz
 from eagor.evidence import Evidence
 from eagor.evidence.detector import Habits
 from eagor.grids import ErpGrid
-from eagor.lab.envs.places import Place
 from eagor.lab.envs.rules import Camera
 from eagor.sphere import heading
 from eagor.tracking.looking import information
@@ -56,7 +54,6 @@ FINE = 7 * RAYS  # rays about the body itself, the others among them: what they 
 OPEN = 1.5  # metres: how far one sees on average into what is unknown
 VEIL = np.array([CELL / OPEN, 0.0, 50.0])  # log of the share of sight that is lost in a cell: unknown, floor, contact
 EVERY = 3  # cells between the places that are weighed
-MOST = 1000  # looks that are made again, some 3 ms each; of a longer way, so many of its poses
 
 # --- the floor -------------------------------------------------------------------------------------------------------
 
@@ -372,19 +369,3 @@ def _rays(count: int) -> tuple[np.ndarray, np.ndarray]:
     angles = (np.arange(count) + 0.5) * 2 * math.pi / count
     offsets = np.stack([np.sin(angles)[:, None] * metres, np.cos(angles)[:, None] * metres], axis=-1)
     return np.round(offsets / CELL).astype(np.intp), 2 * math.pi / count * metres * CELL
-
-
-def explored_floor(place: Place, poses: np.ndarray, camera: Camera) -> FloorMap:
-    """What the looks from true `poses` ``(n, 7)`` showed of the floor of `place`, to a body that searches.
-
-    x, y, z (metres) of the camera in the world, and its orientation ``world_R_body`` as a quaternion w, x, y, z.
-    """
-    ground = SearchedGround(camera)
-    if len(poses) > MOST:  # evenly spread, the first and the last among them
-        poses = poses[np.linspace(0, len(poses) - 1, MOST).round().astype(np.intp)]
-    for pose in poses:
-        eye, world_R_body = pose[:3], rotation_from_wxyz(pose[3:] / np.linalg.norm(pose[3:]))
-        floor = place.floor_in(place.ids(eye, world_R_body), eye, world_R_body)
-        position = eye - [0.0, 0.0, place.ground.height(eye[:2])]
-        ground.look(SteeringInput(0.0, 0.0, 0.0, None, position, world_R_body, floor))  # nothing is believed
-    return ground.known

@@ -95,13 +95,6 @@ class Place:
             self._ways[targets] = first.union(*others) if others else first
         return self._ways[targets]
 
-    def way_to_views(self, places: np.ndarray) -> GeodesicDistance:
-        """Geodesic distance to the nearest of places ``(n, 3)`` at the feet, metres, world frame."""
-        key = np.ascontiguousarray(places, dtype=np.float64).tobytes()
-        if key not in self._ways:
-            self._ways[key] = self.ground.field_to_places(np.frombuffer(key).reshape(-1, 3))
-        return self._ways[key]
-
 
 @lru_cache(maxsize=4)
 def load_place(world: str, seed: int, radius: float) -> Place:

@@ -16,7 +16,6 @@ from msgspec import Meta
 
 from eagor.errors import WorldError
 
-SURROUNDS = 0.75  # metres from a thing to its view points, at most
 LEGS = ("L1", "L2", "L3", "L4")  # of a route
 
 VISIBLE = 2  # pixels of a panorama of 64 x 128 that make a target visible
@@ -94,8 +93,7 @@ class NavigationRules(_Rules):
     """Map-Free Navigation: start facing away, walk in fixed steps until the target is reached.
 
     - `max_steps`: the episode then ends as a failure (Habitat's limit). `sliding`: along walls (Habitat's default).
-    - `success_distance`: geodesic metres, strict as in Habitat, to the `goal`: the target's "footprint", or the nearest
-      of the "view_points" that the episodes of a file have.
+    - `success_distance`: geodesic metres to the target's footprint, strict as in Habitat.
     - `stop`: "reach": the episode ends as soon as that distance is reached (the paper names no stop action);
       "call": the agent has to call stop there (Habitat's rule). It does when its estimator believes that it has
       arrived; one that knows no distances never does.
@@ -108,7 +106,6 @@ class NavigationRules(_Rules):
 
     max_steps: Count = 500
     success_distance: Positive = 1.0
-    goal: Literal["footprint", "view_points"] = "footprint"
     stop: Literal["reach", "call"] = "reach"
     sliding: bool = True
     detour: bool = True
@@ -122,27 +119,18 @@ class NavigationRules(_Rules):
         super().__post_init__()
         self._require("farthest", self.farthest >= self.nearest, f"wanted no less than nearest = {self.nearest!r}")
 
-    @classmethod
-    def objectnav(cls) -> NavigationRules:
-        """The rules of Habitat's ObjectNav challenges: stop within 0.1 m of a view point, without sliding."""
-        return cls(success_distance=0.1, goal="view_points", stop="call", sliding=False)
-
     @property
     def near(self) -> float:
-        """Metres to the thing within which a body calls stop; 0: it need not. Nobody knows where view points are."""
-        if self.stop == "reach":
-            return 0.0
-        return SURROUNDS if self.goal == "view_points" else self.success_distance
+        """Metres along the floor to the thing within which a body calls stop; 0: it need not call."""
+        return self.success_distance if self.stop == "call" else 0.0
 
     @property
     def success_criterion(self) -> str:
         """What success means, in words."""
-        where = "a view point of the goal" if self.goal == "view_points" else "the target's footprint"
         ended = "on arrival, without a call" if self.stop == "reach" else "when the agent calls stop"
-        slide = "with" if self.sliding else "without"
         return (
-            f"success: less than {self.success_distance:g} m along the floor from {where}; the episode ends {ended}; "
-            f"at most {self.max_steps} steps, {slide} sliding along walls"
+            f"success: less than {self.success_distance:g} m along the floor from the target's footprint; the episode "
+            f"ends {ended}; at most {self.max_steps} steps, {'with' if self.sliding else 'without'} sliding along walls"
         )
 
 

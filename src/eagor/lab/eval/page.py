@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -161,7 +162,8 @@ def number(value: float | None, digits: int = 1, sign: bool = False) -> str:
 
 def span(ends: Sequence[float | None] | None, digits: int = 1, sign: bool = False) -> str:
     """An interval as text; "" where there is none."""
-    return " to ".join(number(end, digits, sign) for end in ends) if ends and None not in ends else ""
+    known = [end for end in ends or () if end is not None and not math.isnan(end)]
+    return " to ".join(number(end, digits, sign) for end in known) if len(known) == 2 else ""
 
 
 def cell(value: float | None, ends: Sequence[float | None] | None = None, digits: int = 1) -> Cell:

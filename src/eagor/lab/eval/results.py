@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ from eagor.statistics import (
     Interval,
     PairedDifference,
     calibration_error,
-    mcnemar,
     paired_difference,
     reliability,
     share_interval,
@@ -464,9 +463,9 @@ def _causes(task: Task, records: Sequence[Record]) -> dict[str, int]:
 def compare(a: Run, b: Run, methods: Sequence[str] = ()) -> dict[str, Any]:
     """Metric by metric, a minus b, over the samples that both have a result of, ready for JSON.
 
-    With an interval that resamples whole groups, p by sign flips of groups, and McNemar's exact test where every value
-    is an outcome. `methods` of simulated tasks: of both runs, or of a and of b; by default ours. Raises `EagorError` if
-    the runs are of different tasks, data or worlds, or share no sample.
+    With an interval that resamples whole groups, and p by sign flips of groups. `methods` of simulated tasks: of both
+    runs, or of a and of b; by default ours. Raises `EagorError` if the runs are of different tasks, data or worlds, or
+    share no sample.
     """
     for key in ("task", "data", "world"):
         if (x := a.settings.get(key)) != (y := b.settings.get(key)):
@@ -529,9 +528,6 @@ def _compared(metric: Metric, left: Sequence[Result], right: Sequence[Result]) -
     found["difference"] = x.mean - y.mean
     if (paired := difference(x, y)) is not None:
         found |= {key: value for key, value in _plain(paired).items() if key not in found}
-    outcomes = np.array([x.array, y.array]) / metric.scale
-    if metric.share and np.isin(outcomes, (0.0, 1.0)).all():
-        found["mcnemar"] = asdict(mcnemar(*outcomes))
     return found
 
 

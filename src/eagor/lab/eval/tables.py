@@ -372,24 +372,14 @@ def comparison_in_words(found: Mapping[str, Any], run: Run) -> list[str]:
     if "methods" in found:
         lines.append("  method: a {}, b {}".format(*found["methods"]))
     lines += [f"  {key}: a {words(x)}, b {words(y)}" for key, (x, y) in found["settings"].items()]
-    outcomes = any("mcnemar" in figure for figure in found["figures"].values())
-    rows = [["", "a", "b", "a - b", "95 % interval", "p", *(("only a", "only b", "McNemar p") if outcomes else ())]]
+    rows = [["", "a", "b", "a - b", "95 % interval", "p"]]
     for metric in run.task.metrics:
-        if (figure := found["figures"].get(metric.key)) is None:
-            continue
-        line = [f"{column_header(metric)} ({figure['n']})", shown(figure["a"], metric), shown(figure["b"], metric)]
-        line.append(shown(figure["difference"], metric, True))
-        if "p" in figure:
-            line += [span((figure["low"], figure["high"]), metric.digits, True), f"{figure['p']:.2g}"]
-        else:
-            line += "--"
-        if outcomes:
-            test = figure.get("mcnemar")
-            line += [str(test["only_a"]), str(test["only_b"]), f"{test['p']:.2g}"] if test else "---"
-        rows.append(line)
-    lines += in_columns(rows)
-    note = f"; McNemar takes {case}s as independent" if outcomes else ""
-    lines.append(f"p: sign flips of whole {unit}s, each figure for itself{note}.")
+        if (figure := found["figures"].get(metric.key)) is not None:
+            sides = (shown(figure[side], metric, side == "difference") for side in ("a", "b", "difference"))
+            ends = span((figure.get("low"), figure.get("high")), metric.digits, True) or "-"
+            p = f"{figure['p']:.2g}" if "p" in figure else "-"
+            rows.append([f"{column_header(metric)} ({figure['n']})", *sides, ends, p])
+    lines += [*in_columns(rows), f"p: sign flips of whole {unit}s, each figure for itself."]
     groups = max((figure.get("groups", 1) for figure in found["figures"].values()), default=1)
     lines += small_cluster_warning(groups, unit)
     return lines + ([f"p cannot be below {lowest_p(groups):.2g}."] if 1 < groups < FEW else [])

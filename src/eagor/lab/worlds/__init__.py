@@ -64,35 +64,24 @@ class View(Protocol):
 class SimulatedScene(Protocol):
     """A scene that another simulator holds: no triangles, but its things, its ground and its pictures.
 
-    Frames and names are those of a `Scene`: metres, z up, the floor at z = 0.
+    Frames and names are those of a `Scene`: metres, z up, the floor at z = 0. The instances' indices are the ids in
+    pictures. `source`: the simulator and the scene, in words; `hash`: hexadecimal digits that change with the scene, as
+    episodes are made for one scene alone; `facts`: what else is worth to be recorded; `zero`: the height of our z = 0
+    in the scene's own files, and in episodes made for it, metres.
     """
 
     @property
-    def instances(self) -> tuple[Instance, ...]:
-        """The named things; their indices are the ids in pictures."""
-        ...
-
+    def instances(self) -> tuple[Instance, ...]: ...
     @property
     def rooms(self) -> tuple[Room, ...]: ...
     @property
-    def source(self) -> str:
-        """The simulator and the scene, in words."""
-        ...
-
+    def source(self) -> str: ...
     @property
-    def hash(self) -> str:
-        """Hexadecimal digits that change with the scene, as episodes are made for one scene alone."""
-        ...
-
+    def hash(self) -> str: ...
     @property
-    def facts(self) -> dict[str, str]:
-        """What else is worth to be recorded."""
-        ...
-
+    def facts(self) -> dict[str, str]: ...
     @property
-    def zero(self) -> float:
-        """The height of our z = 0 in the scene's own files, and in episodes made for it, metres."""
-        ...
+    def zero(self) -> float: ...
 
     def ground(self, radius: float, /) -> NavMesh:
         """The ground for a body of this radius, metres. Raises `WorldError` if there is no room for it."""

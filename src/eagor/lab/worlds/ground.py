@@ -1,12 +1,10 @@
 """The ground plan of a scene: where a round body can stand, path lengths, and steps with collisions.
 
 A grid of square cells in the world frame (x along columns, y along rows, metres). A cell is *free* if it has a floor
-and no obstacle within `radius` of its centre, to the accuracy of a cell; only the largest connected area counts. All
-distances are of paths over free cells.
+and no obstacle within `radius` of its centre, to the accuracy of a cell; only the largest connected area counts.
 
-Which cells a triangle touches between two heights is exact and conservative (`rasterize`): a cell counts if the
-triangle meets the box above it (separating axes). So neither a thin wall nor a chair leg falls between samples. A face
-exactly between two cells, as walls on round numbers, counts for the one behind it.
+Which cells a triangle touches between two heights is exact and conservative (`rasterize`): neither a thin wall nor a
+chair leg falls between samples. A face exactly between two cells, as walls on round numbers, counts for the one behind.
 
 In the graph of the free cells, each is joined to 32 neighbours (steps of up to three cells that are not a multiple of a
 shorter one) if all cells that the straight step touches are free. Directions are at most 18.4 degrees apart, so a path
@@ -139,8 +137,8 @@ class Ground:
         """The ground of a scene, for a body of `radius` and `height` that walks over obstacles lower than `climb`.
 
         Obstacles are all triangles between `climb` and `height` above the floor. The floor is level surfaces within
-        `climb` of the height `floor`; by default 0 if the scene has a floor there, otherwise its lowest large level
-        surface. Raises `WorldError` if there is no floor, no free cell, or too large a floor for such cells.
+        `climb` of the height `floor` (default: `floor_height`). Raises `WorldError` if there is no floor, no free cell,
+        or too large a floor for such cells.
         """
         if not (0 < cell <= 1 and radius >= 0 and 0 <= climb < height):
             raise WorldError(

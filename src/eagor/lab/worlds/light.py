@@ -1,20 +1,18 @@
-"""The light of a scene: its sources, the outdoors, and what reaches each surface, baked and cached on disk.
+"""The light of a scene: its sources, and what reaches each surface, baked and cached on disk.
 
-Sources are lamps, glowing surfaces, and the sky in the windows, each as a few points. The outdoors, for rays that leave
-the building, are a bright sky, a hazy horizon with houses and trees, and lawn below. They are infinitely far away, so
-they depend on the direction alone, world frame.
+Sources are lamps and the sky in the windows, each as a few points; what glows is bright, but lights nothing. The sky is
+infinitely far away: it depends on the direction alone, world frame.
 
 Light is irradiance over pi, so that a white surface has this radiance; linear RGB; 1 is a white surface 1 m in front of
 a lamp of power 1. All points of the scene use the same few points of each source, and send their rays along one shared
-spiral of directions (Vogel 1979), rotated about the normal from point to point. Neighbours thus complement each other
-when the light is smoothed over a surface; independent samples would leave blotches.
+spiral of directions (Vogel 1979), rotated about the normal from point to point: neighbours complement each other when
+the light is smoothed over a surface.
 
-It is computed at a `Lattice` of samples on every triangle. A triangle with the edges
-e1 and e2 from its corner 0 carries (nu + 1) x (nv + 1) samples at corner + i/nu e1 + j/nv e2. Neighbouring samples are
-at most a step apart; small triangles have only their corners. Corner 0 is opposite the longest edge, so that the two
-halves of a rectangle have the same samples. The triangles for rays stay whole: there are no cracks, and light can be
-finer than the mesh. The cells that straddle the longest edge need the part of the lattice beyond it. That part lies on
-the other half if the triangle is half of a parallelogram; otherwise it is moved back to the edge.
+It is computed at a `Lattice` of samples on every triangle. A triangle with the edges e1 and e2 from its corner 0 has
+(nu + 1) x (nv + 1) samples at corner + i/nu e1 + j/nv e2, some beyond its longest edge, which is opposite corner
+0, for the cells that straddle it. So the two halves of a rectangle have the same samples. Neighbouring ones are at most
+a step apart; small triangles have only their corners. The triangles for rays stay whole: there are no cracks, and light
+can be finer than the mesh.
 """
 
 from __future__ import annotations
@@ -22,6 +20,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
+import math
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,104 +29,32 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from eagor._files import cache_folder, written
-from eagor._srgb import to_linear
 from eagor._values import lazy
 from eagor.errors import StorageError
-from eagor.lab.worlds.scene import Material, Raycaster, Scene
+from eagor.lab.worlds.scene import Raycaster, Scene
 
-ROWS, COLUMNS = 512, 1024
-_HORIZON = np.array([0.93, 0.95, 0.97])
-_ZENITH = np.array([0.38, 0.57, 0.88])
-_LAWN = np.array([0.20, 0.26, 0.12])
-_CLOUD = np.array([0.97, 0.97, 0.98])
-_HAZE = np.array([0.50, 0.57, 0.47])
+HORIZON, ZENITH = np.array([0.93, 0.95, 0.97]), np.array([0.38, 0.57, 0.88])  # linear colours of the sky
 _GROUND = np.array([0.24, 0.25, 0.21])
 SKY_GAIN = 5.0  # brightness of the sky over `daylight`, as drawn: eyes and cameras adapt to the room
 LIFT = 0.004  # metres from surfaces to the start of rays
 GOLDEN = (1 + 5**0.5) / 2
 _FAINT = 0.004  # light too faint for a shadow ray
 _BALL = 0.1  # metres: radius of a lamp
-VERSION = 3  # of the light, part of its file names
+_FRAME = 0.15  # metres before a window at which shadow rays end
+VERSION = 4  # of the light, part of its file names
 DIRECTIONS = 32  # rays per point: their noise is below the detail lost to smoothing
 BOUNCES = 4
 SMOOTHING = 3  # passes over the indirect light
-# Things closer than `NEAR` metres remove up to this share of the light: the lattice is too coarse for fine contact
-# shadows between furniture and floor.
-CONTACT, NEAR = 0.6, 0.4
+CONTACT, NEAR = 0.6, 0.4  # share of the light that things closer than so many metres remove: for contact shadows
 _HIGHEST = 6e4  # limit of half precision
-_SPARSE = 4  # every fourth direction tests whether a point is shut in
 
 
 def sky_radiance(directions: np.ndarray) -> np.ndarray:
     """Light ``(n, 3)``, linear RGB, from the directions ``(n, 3)``: about 1 near the horizon, a quarter below it."""
-    height = directions[:, 2:3] / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
-    sky = _HORIZON + (_ZENITH - _HORIZON) * np.sqrt(np.clip(height, 0, 1))
+    height = _unit(directions)[:, 2:3]
+    sky = HORIZON + (ZENITH - HORIZON) * np.sqrt(np.clip(height, 0, 1))
     blend = np.clip(height / 0.1 + 0.5, 0, 1)
     return blend * sky + (1 - blend) * _GROUND
-
-
-def painted_sky(seed: int) -> np.ndarray:
-    """The view outdoors, ``(ROWS, COLUMNS, 3)`` linear RGB, equirectangular in the layout of `eagor.sphere`."""
-    rng = np.random.default_rng(seed)
-    azimuth = (0.5 - (np.arange(COLUMNS) + 0.5) / COLUMNS) * 2 * np.pi
-    elevation = np.degrees((0.5 - (np.arange(ROWS) + 0.5) / ROWS) * np.pi)[:, None]
-    above, below = elevation[: ROWS // 2], elevation[ROWS // 2 :]
-    up = np.sin(np.radians(above))[..., None]
-    cloud = sum(_waves(rng, azimuth + s * np.radians(above), (3, 9)) for s in (-2.0, 1.0, 3.5)) / 3
-    cover = np.clip(cloud * 0.9 + 0.15, 0, 1)[..., None] * (1 - up)
-    clear = _HORIZON + (_ZENITH - _HORIZON) * np.sqrt(up)
-    air = clear + (_CLOUD - clear) * 0.7 * cover
-    # Lawn that fades to haze at the horizon.
-    away = 5 / np.tan(np.radians(np.clip(-below, 0.5, 89.5)))  # metres, seen from one storey's height
-    x, y = away * np.cos(azimuth), away * np.sin(azimuth)
-    patches = sum(_waves(rng, 0.11 * (x * np.cos(a) + y * np.sin(a)), (1, 9)) for a in (0.2, 1.3, 2.4)) / 3
-    grass = _LAWN * (1 + 0.35 * patches / (1 + away / 20))[..., None]
-    haze = 1 - np.exp(-away / 60)[..., None]
-    image = np.concatenate([air, grass + (_HAZE - grass) * haze])
-    band = np.abs(elevation[:, 0]) < 14  # everything that stands on the ground
-    image[band] = _skyline(image[band], rng, azimuth, elevation[band])
-    return np.clip(image, 0, 1)
-
-
-def _skyline(image: np.ndarray, rng: np.random.Generator, azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """Hills, houses before them and trees before these; elevations in degrees."""
-    hills = 1.6 + 1.2 * _waves(rng, azimuth, (2, 6))
-    image = _put(image, (elevation < hills) & (elevation > -1.0), np.array([0.50, 0.60, 0.68]))
-    for _ in range(int(rng.integers(7, 13))):
-        image = _house(image, rng, azimuth, elevation)
-    crowns = 1.2 + 3.2 * np.maximum(_waves(rng, azimuth, (4, 12)), 0) + 0.8 * _waves(rng, azimuth, (30, 80))
-    shade = 1 + 0.3 * _waves(rng, azimuth * 1.7 + np.radians(elevation) * 9, (15, 60))
-    trees = np.array([0.17, 0.25, 0.13]) * shade[..., None]
-    return _put(image, (elevation < crowns) & (elevation > -1.8 - 0.6 * shade), trees)
-
-
-def _house(image: np.ndarray, rng: np.random.Generator, azimuth: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """A house with a pitched roof and rows of windows."""
-    middle, half, top = rng.uniform(-np.pi, np.pi), rng.uniform(0.04, 0.11), rng.uniform(3.5, 8.0)
-    across = ((azimuth - middle + np.pi) % (2 * np.pi) - np.pi) / half
-    wall = np.array([0.72, 0.64, 0.54]) * rng.uniform(0.7, 1.1) * rng.uniform(0.9, 1.1, 3)
-    roof = np.array([0.42, 0.24, 0.18]) if rng.random() < 0.6 else np.array([0.30, 0.31, 0.34])
-    inside = np.abs(across) < 1
-    image = _put(image, inside & (elevation < top) & (elevation > -1.5), wall)
-    panes = (np.abs((across * 3.5) % 1 - 0.5) < 0.22) & (np.abs((elevation / 1.7) % 1 - 0.5) < 0.27)
-    image = _put(image, inside & panes & (elevation < top - 0.4) & (elevation > -1), np.array([0.25, 0.30, 0.36]))
-    return _put(
-        image, (np.abs(across) < 1.08) & (elevation >= top) & (elevation < top + 2 * (1.08 - np.abs(across))), roof
-    )
-
-
-def _put(image: np.ndarray, where: np.ndarray, colour: np.ndarray) -> np.ndarray:
-    """`colour`, faded by the air between, where `where` is true."""
-    pale = 0.86 * colour + 0.14 * np.array([0.78, 0.84, 0.90])
-    return np.where(where[..., None], pale, image)
-
-
-def _waves(rng: np.random.Generator, phase: np.ndarray, band: tuple[int, int]) -> np.ndarray:
-    """Periodic noise of unit size: a few whole-number frequencies within `band`, with random phases."""
-    total = np.zeros(np.shape(phase))
-    for _ in range(7):
-        total += np.sin(rng.integers(band[0], band[1]) * phase + rng.uniform(0, 2 * np.pi))
-    return total / 3
 
 
 # --- the points at which its light is computed ------------------------------------------------------------------------
@@ -172,11 +99,6 @@ class Lattice:
         triangles = np.take_along_axis(scene.triangles, places, axis=1).astype(np.int32)
         return cls(scene, triangles, turned, cells.astype(np.int32), base.astype(np.int32))
 
-    @property
-    def size(self) -> int:
-        """The number of slots."""
-        return int(self.base[-1] + (self.cells[-1] + 1).prod())
-
     @lazy
     def slots(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Triangle, i and j of every slot."""
@@ -191,23 +113,20 @@ class Lattice:
         """Corner 0, e1, e2 and the unit normal of every triangle, ``(T, 3)`` float64 each (the normal may be 0)."""
         corners = self.scene.vertices[self.triangles].astype(np.float64)
         e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        normal = np.cross(e1, e2)
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        return corners[:, 0], e1, e2, normal / np.maximum(length, 1e-20)
+        return corners[:, 0], e1, e2, _unit(np.cross(e1, e2))
 
     @lazy
-    def points(self) -> Points:
-        """The slots, merged where they are the same point of the same smooth surface."""
+    def points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions and unit normals ``(P, 3)`` of the points that light is computed at, and the point of every slot.
+
+        Slots are merged where they are the same point of the same smooth surface.
+        """
         corner, e1, e2, _ = self.frame
         triangle, i, j = self.slots
         u, v = i / self.cells[triangle, 0], j / self.cells[triangle, 1]
-        beyond = (u + v > 1) & ~self._is_half()[triangle]
-        excess = np.where(beyond, np.maximum(u + v, 1.0), 1.0)
-        u, v = u / excess, v / excess
         place = corner[triangle] + u[:, None] * e1[triangle] + v[:, None] * e2[triangle]
         smooth = self._smooth_normals()
-        away = sum(smooth[triangle, k] * share[:, None] for k, share in enumerate((1 - u - v, u, v)))
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-20)
+        away = _unit(np.sum([smooth[triangle, k] * w[:, None] for k, w in enumerate((1 - u - v, u, v))], axis=0))
         _, first, index = np.unique(_key(place, away), return_index=True, return_inverse=True)
         order = first.argsort()  # neighbours stay neighbours: consecutive rays then hit the same things
         rank = np.empty_like(order)
@@ -222,14 +141,13 @@ class Lattice:
         count = np.bincount(index).astype(np.float64)
         position = np.stack([np.bincount(index, place[:, k]) for k in range(3)], axis=1) / count[:, None]
         facing = np.stack([np.bincount(index, away[:, k]) for k in range(3)], axis=1)
-        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
-        return Points(position, facing, index)
+        return position, _unit(facing), index
 
     def neighbours(self) -> csr_array:
         """The number of times that points are neighbours on the same surface, ``(P, P)``."""
         triangle, i, j = self.slots
         nu, nv = self.cells[triangle, 0], self.cells[triangle, 1]
-        slot, point = np.arange(len(i)), self.points.of_slot
+        slot, (position, _, point) = np.arange(len(i)), self.points
         inside = i / nu + j / nv <= 1 + 1e-9
         right = slot[(i < nu) & inside]
         down = slot[(j < nv) & inside]
@@ -237,17 +155,9 @@ class Lattice:
         a = np.concatenate([point[right], point[down], point[across + 1]])
         b = np.concatenate([point[right + 1], point[down + nu[down] + 1], point[across + nu[across] + 1]])
         a, b = a[a != b], b[a != b]
-        count = len(self.points.position)
+        count = len(position)
         ones = np.ones(2 * len(a), dtype=np.float32)
         return csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(count, count))
-
-    def _is_half(self) -> np.ndarray:
-        """Which triangles are halves of a parallelogram along their longest edge, ``(T,)`` bool."""
-        corner, e1, e2, normal = self.frame
-        sides = np.stack([np.linalg.norm(e, axis=1) for e in (e1, e2)], axis=1)
-        key = _key(corner + (e1 + e2) / 2, normal) ^ _key(np.pad(sides, ((0, 0), (0, 1))), np.zeros_like(normal))
-        _, index, count = np.unique(key, return_inverse=True, return_counts=True)
-        return count[index] >= 2
 
     def _smooth_normals(self) -> np.ndarray:
         """Normals at the corners ``(T, 3, 3)``: the mean over the triangles there that meet below the crease angle."""
@@ -270,16 +180,12 @@ class Lattice:
             total[mine] += np.where(smooth, weight[other], 0.0)[:, None] * normal[owner[other]]
         lost = np.linalg.norm(total, axis=1) < 1e-12
         total[lost] = normal[owner[lost]]
-        return (total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)).reshape(-1, 3, 3)
+        return _unit(total).reshape(-1, 3, 3)
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
-    """`position` and unit `normal` ``(P, 3)`` of the points that light is computed at, and `of_slot` ``(S,)``."""
-
-    position: np.ndarray
-    normal: np.ndarray
-    of_slot: np.ndarray
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors ``(n, 3)`` of length 1, or 0."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-20)
 
 
 def unseen(scene: Scene) -> np.ndarray:
@@ -307,28 +213,25 @@ def _key(place: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Light from a few points ``(K, 3)`` of equal share, which face `normal` ``(3,)``, or all directions if it is None.
+    """Light from a few points ``(K, 3)`` of equal share: a lamp, or a window, which faces the room along `normal`.
 
-    `power` ``(3,)``: the light of a white surface at 1 m that faces it, on its axis. `sky`: multiply the power by the
-    radiance of the sky behind the points. `short`: shadow rays end this many metres before the points. `radius`: of the
-    disc that each point stands for, which bounds the light close by. The first `probes` points are spread over the
-    whole source.
+    `power` ``(3,)``: the light of a white surface at 1 m that faces it, on its axis; of a window, times the radiance of
+    the sky behind the points. `radius`: of the disc that each point stands for, which bounds the light close by. The
+    first `probes` points are spread over the whole source.
     """
 
     positions: np.ndarray
     normal: np.ndarray | None
     power: np.ndarray
-    sky: bool = False
-    short: float = 0.0
-    radius: float = 0.2
-    probes: int = 6
+    radius: float
+    probes: int
 
     def add_to(self, light: np.ndarray, origin: np.ndarray, normal: np.ndarray, shadows: Raycaster) -> None:
         """Add the light of this source to `light` ``(P, 3)`` at points `origin` with the unit normals `normal`.
 
         If the shadow rays to the first points of the source agree, they decide for the others.
         """
-        brightest = float(self.power.max())
+        brightest, sky = float(self.power.max()), self.normal is not None
         axis = None if self.normal is None else self.normal.astype(np.float32)
         centre = self.positions.mean(axis=0)
         spread = float(np.linalg.norm(self.positions - centre, axis=1).max())
@@ -340,7 +243,7 @@ class Source:
         near = np.flatnonzero(reached)
         origin, normal = origin[near], normal[near]
         asked, passed = np.zeros(len(near), dtype=np.int32), np.zeros(len(near), dtype=np.int32)
-        gained = np.zeros((len(near), 3 if self.sky else 1), dtype=np.float32)
+        gained = np.zeros((len(near), 3 if sky else 1), dtype=np.float32)
         for k, place in enumerate(self.positions.astype(np.float32)):
             if k == self.probes:  # points that no probe reaches stay dark
                 left = np.flatnonzero(passed)
@@ -356,64 +259,33 @@ class Source:
             share /= (square + np.float32(self.radius**2)) * np.float32(len(self.positions))
             lit = share * np.float32(brightest) > _FAINT / len(self.positions)
             unsure = np.flatnonzero(lit if k < self.probes else lit & (passed < asked))
-            stop = np.maximum(1 - np.float32(LIFT + self.short) / distance[unsure], 0)
+            stop = np.maximum(1 - np.float32(LIFT + (_FRAME if sky else 0.0)) / distance[unsure], 0)
             shaded = shadows.occluded(origin[unsure], way[unsure], stop)
             if k < self.probes:
                 asked[unsure] += 1
                 passed[unsure] += ~shaded
             lit[unsure[shaded]] = False
             share *= lit
-            gained += share[:, None] * sky_radiance(way) if self.sky else share[:, None]
+            gained += share[:, None] * sky_radiance(way) if sky else share[:, None]
         light[near] += gained * self.power
 
 
 def lamps(scene: Scene, shadows: Raycaster) -> list[Source]:
     """The lamps, as small balls of points, so that their shadows have soft edges."""
-    tetrahedron = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
-    k = np.arange(12)
-    height, angle = (2 * k + 1) / 12 - 1, 2 * np.pi / GOLDEN * k
-    ring = np.sqrt(1 - height**2)
-    spiral = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
-    ball = np.concatenate([tetrahedron, spiral]).astype(np.float32)
+    height = (np.arange(12) * 5 % 12 + 0.5) / 6 - 1  # of a spiral, in an order in which the first are far apart
+    angle, ring = 2 * np.pi / GOLDEN * np.arange(12), np.sqrt(1 - height**2)
+    ball = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1).astype(np.float32)
     found = []
     for lamp in scene.lamps:
         centre = np.asarray(lamp.position, dtype=np.float32)
         # The ball must not extend through the shade.
         free = shadows.cast(np.broadcast_to(centre, ball.shape), ball).distance
         points = centre + np.minimum(0.7 * free, _BALL)[:, None] * ball
-        found.append(Source(points, None, np.asarray(lamp.power, dtype=np.float64), probes=4))
+        found.append(Source(points, None, np.asarray(lamp.power, dtype=np.float64), 0.2, 4))
     return found
 
 
-def glowing(scene: Scene) -> list[Source]:
-    """Glowing things without a lamp (screens), one source each, as large as its glowing part."""
-    emission = np.array([m.emission for m in scene.materials])[scene.material]
-    found = []
-    for owner in np.unique(scene.instance[emission > 0]):
-        thing = scene.instances[owner]
-        low, high = thing.low - 0.3, thing.high + 0.3
-        if any(((low <= lamp.position) & (lamp.position <= high)).all() for lamp in scene.lamps):
-            continue
-        mine = np.flatnonzero((scene.instance == owner) & (emission > 0))
-        corners = scene.vertices[scene.triangles[mine]].astype(np.float64)
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-        area = np.linalg.norm(across, axis=1)
-        if area.sum() < 1e-6:
-            continue
-        colour = np.array([mean_colour(scene.materials[k]) * scene.materials[k].emission for k in scene.material[mine]])
-        spread = np.searchsorted(np.cumsum(area) / area.sum(), (np.arange(6) + 0.5) / 6)
-        facing = across.sum(axis=0)
-        flat = np.linalg.norm(facing) > 0.5 * area.sum()
-        axis = facing / np.linalg.norm(facing) if flat else None
-        points = corners[np.minimum(spread, len(mine) - 1)].mean(axis=1) + (0.02 * axis if axis is not None else 0.0)
-        # From any side, a body shows about a quarter of its surface.
-        power = (colour * area[:, None]).sum(axis=0) / np.pi * (1.0 if flat else 0.25)
-        size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
-        found.append(Source(points, axis, power, short=0.0 if flat else size))
-    return found
-
-
-def portals(scene: Scene) -> list[Source]:
+def windows_of(scene: Scene) -> list[Source]:
     """Windows between a room and the outdoors, through which the sky shines in."""
     found = []
     for thing in scene.instances:
@@ -425,33 +297,24 @@ def portals(scene: Scene) -> list[Source]:
         sides = [scene.room_at(*(thing.centre + sign * (0.35 + size[axis] / 2) * inwards)[:2]) for sign in (1, -1)]
         if (sides[0] is None) == (sides[1] is None):
             continue
-        inwards = inwards if sides[0] is not None else -inwards
-        along = np.eye(3)[1 - axis] * size[1 - axis]
-        cells = sorted(range(16), key=lambda cell: (cell not in (0, 3, 5, 10, 12, 15), cell))
-        grid = [((cell % 4 + 0.5) / 4 - 0.5, (cell // 4 + 0.5) / 4 - 0.5) for cell in cells]
-        points = np.array([thing.centre + a * along + b * np.array([0, 0, size[2]]) for a, b in grid])
+        along, up = np.eye(3)[1 - axis] * size[1 - axis], np.array([0, 0, size[2]])
+        cells = np.array([0, 3, 5, 10, 12, 15, 1, 2, 4, 6, 7, 8, 9, 11, 13, 14])[:, None]  # the first are far apart
+        points = thing.centre + ((cells % 4 + 0.5) / 4 - 0.5) * along + ((cells // 4 + 0.5) / 4 - 0.5) * up
         disc = size[1 - axis] * size[2] / np.pi  # squared radius of the disc of equal area
         power = SKY_GAIN * np.asarray(scene.daylight) * disc
-        found.append(Source(points, inwards, power, sky=True, short=0.15, radius=np.sqrt(disc / len(points))))
+        found.append(Source(points, inwards if sides[0] is not None else -inwards, power, math.sqrt(disc / 16), 6))
     return found
 
 
-def leave_through(portal: Source, origin: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """Which rays leave through the rectangle that the points of a portal span."""
-    assert portal.normal is not None
-    along = way @ portal.normal
-    middle = portal.positions.mean(axis=0)
-    distance = ((middle - origin) @ portal.normal) / np.where(np.abs(along) < 1e-9, 1e-9, along)
+def leave_through(window: Source, origin: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Which rays leave through the rectangle that the points of a window span."""
+    assert window.normal is not None
+    along = way @ window.normal
+    middle = window.positions.mean(axis=0)
+    distance = ((middle - origin) @ window.normal) / np.where(np.abs(along) < 1e-9, 1e-9, along)
     offset = np.abs(origin + distance[:, None] * way - middle)
-    half = np.ptp(portal.positions, axis=0) / 2 * (4 / 3) + 0.15  # the points are an eighth of the size off the rim
+    half = np.ptp(window.positions, axis=0) / 2 * (4 / 3) + 0.15  # the points are an eighth of the size off the rim
     return (distance > 0) & (offset <= half).all(axis=1)
-
-
-def mean_colour(material: Material) -> np.ndarray:
-    """The mean reflectance ``(3,)`` of a material, linear."""
-    tint = to_linear(np.asarray(material.colour, dtype=np.float64))
-    texture = material.texture
-    return tint if texture is None else tint * to_linear(texture[::2, ::2, :3] / 255).mean(axis=(0, 1))
 
 
 def light_of(scene: Scene, lattice: Lattice, cache: Path | None = None) -> np.ndarray:
@@ -466,7 +329,7 @@ def light_of(scene: Scene, lattice: Lattice, cache: Path | None = None) -> np.nd
     with contextlib.suppress(Exception):  # missing, damaged, or not an archive: zipfile and NumPy may raise anything
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             light = stored["light"]
-        if light.shape == (lattice.size, 3) and light.dtype == np.float16 and np.isfinite(light).all():
+        if light.shape == (len(lattice.slots[0]), 3) and light.dtype == np.float16 and np.isfinite(light).all():
             return light.astype(np.float32)
     light = np.minimum(bake(scene, lattice), _HIGHEST).astype(np.float16)
     packed = io.BytesIO()
@@ -485,26 +348,23 @@ def light_of(scene: Scene, lattice: Lattice, cache: Path | None = None) -> np.nd
 
 def bake(scene: Scene, lattice: Lattice) -> np.ndarray:
     """The light ``(S, 3)`` at the slots of `lattice`: direct, then `BOUNCES` diffuse reflections."""
-    points = lattice.points
-    origin = (points.position + LIFT * points.normal).astype(np.float32)
-    normal = points.normal.astype(np.float32)
+    position, normal, of_slot = lattice.points
+    origin, normal = (position + LIFT * normal).astype(np.float32), normal.astype(np.float32)
     everything = Raycaster(scene.vertices, lattice.triangles, watertight=False)
     glows = np.array([m.emission for m in scene.materials])[scene.material] > 0
     # Shades and bulbs do not block the light of the lamps in them.
-    solid = lattice.triangles[~glows]
-    shadows = everything
-    if 0 < len(solid) < len(glows):
-        shadows = Raycaster(scene.vertices, solid, watertight=False)
-    windows = portals(scene)
+    mixed = 0 < glows.sum() < len(glows)
+    shadows = Raycaster(scene.vertices, lattice.triangles[~glows], watertight=False) if mixed else everything
+    windows = windows_of(scene)
     direct = np.zeros((len(origin), 3), dtype=np.float32)
-    sources = [*lamps(scene, shadows), *glowing(scene), *windows]
+    sources = [*lamps(scene, shadows), *windows]
     for source in sources:
         source.add_to(direct, origin, normal, shadows)
     indirect, close, buried = _gather(scene, lattice, origin, normal, direct, everything, windows, dark=not sources)
     neighbours = lattice.neighbours()
     total = _smoothed(direct, buried, neighbours, 2) + _smoothed(indirect, buried, neighbours, SMOOTHING)
     contact = 1 - CONTACT * _smoothed(close[:, None], buried, neighbours, 1)
-    return (total * contact)[points.of_slot]
+    return (total * contact)[of_slot]
 
 
 def _gather(
@@ -517,14 +377,13 @@ def _gather(
     room, gets even light, less of it in its corners.
     """
     tangent, bitangent = _tangents(normal)
-    # Neighbours rotate the set by different angles: one finds what the other misses, and smoothing combines them. The
-    # golden angle would not do: it maps each direction of the spiral to the next, so neighbours would look alike.
+    # Neighbours rotate the set by different angles, not by the golden one, which maps the spiral onto itself.
     turn = (2 * np.pi / np.sqrt(2) * np.arange(len(origin)))[:, None]
     cosine, sine = np.cos(turn).astype(np.float32), np.sin(turn).astype(np.float32)
     facing = lattice.frame[3].astype(np.float32)
     # One more row for rays without a hit: their slot is the one after the last.
     nu, nv = (np.append(column, 0).astype(np.float32) for column in lattice.cells.T)
-    base, stride = np.append(lattice.base, lattice.size), nu.astype(np.int32) + 1
+    base, stride = np.append(lattice.base, len(lattice.slots[0])), nu.astype(np.int32) + 1
     seen = np.empty((DIRECTIONS, len(origin)), dtype=np.int32)
     open_sky, behind = np.zeros((len(origin), 3), dtype=np.float32), np.zeros(len(origin), dtype=np.int32)
     close = np.zeros(len(origin), dtype=np.float32)
@@ -539,26 +398,23 @@ def _gather(
         seen[k] = base[triangle] + i.astype(np.int32) + j.astype(np.int32) * stride[triangle]
         close += np.maximum(1 - hits.distance / np.float32(NEAR), 0)
         left = np.flatnonzero(triangle < 0)
-        if k % _SPARSE == 0:
-            back = np.einsum("nk,nk->n", facing[triangle], way) > 0
-            back[left] = False
-            behind += back
+        behind += (np.einsum("nk,nk->n", facing[triangle], way) > 0) & (triangle >= 0)
         if dark:
             open_sky += np.where(triangle < 0, 0, np.minimum(hits.distance, 1))[:, None] * daylight
         for window in windows:
             left = left[~leave_through(window, origin[left], way[left])]
         open_sky[left] += sky_radiance(way[left]) * (SKY_GAIN * daylight)
-    reflectance = np.array([mean_colour(m) for m in scene.materials], dtype=np.float32)[scene.material]
+    reflectance = np.array([look.reflectance for look in scene.materials], dtype=np.float32)[scene.material]
     reflectance = reflectance[lattice.slots[0]]
-    radiance = np.zeros((lattice.size + 1, 3), dtype=np.float32)  # the last: nothing
+    radiance = np.zeros((len(lattice.slots[0]) + 1, 3), dtype=np.float32)  # the last: nothing
     indirect = open_sky
     for _ in range(BOUNCES):
-        radiance[:-1] = (direct + indirect)[lattice.points.of_slot] * reflectance
+        radiance[:-1] = (direct + indirect)[lattice.points[2]] * reflectance
         bounced = np.zeros(indirect.shape, dtype=np.float32)
         for row in seen:
             bounced += radiance.take(row, axis=0)
         indirect = open_sky + bounced / DIRECTIONS
-    return indirect, close / DIRECTIONS, behind > 0.6 * len(range(0, DIRECTIONS, _SPARSE))
+    return indirect, close / DIRECTIONS, behind > 0.6 * DIRECTIONS
 
 
 def hemisphere(count: int) -> np.ndarray:

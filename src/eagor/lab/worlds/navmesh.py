@@ -239,19 +239,18 @@ def string_pull(points: np.ndarray, walls: np.ndarray) -> np.ndarray:
     It runs from both ends until the path gets no shorter; new corners half-way along the legs let outer ones move in.
     """
     best = _shortcut(points, walls)
-    for _ in range(4):
+    while True:
         halved = np.insert(best, np.arange(1, len(best)), (best[1:] + best[:-1]) / 2, axis=0)
         shorter = _shortcut(_shortcut(halved, walls)[::-1], walls)[::-1]
         if length_of(shorter) > length_of(best) - 1e-3:
-            break
+            return best
         best = shorter
-    return best
 
 
 def _shortcut(points: np.ndarray, walls: np.ndarray) -> np.ndarray:
     kept = [0]
-    while kept[-1] < len(points) - 2:
-        following = kept[-1] + 1
-        seen = sees(walls, points[kept[-1]], points[following + 1 :])
+    while kept[-1] < len(points) - 1:
+        following, ahead = kept[-1] + 1, points[kept[-1] + 2 :]
+        seen = sees(walls, points[kept[-1]], ahead) if len(ahead) else []
         kept.append(following + int(np.append(seen, False).argmin()))
-    return points[[*kept, len(points) - 1] if kept[-1] < len(points) - 1 else kept]
+    return points[kept]

@@ -1,22 +1,14 @@
 """Object-goal episodes in the file format of Habitat's ObjectNav (HM3D), and scenes of ours as Habitat reads HM3D.
 
-    <folder>/<split>/<split>.json.gz              categories, no episodes
-    <folder>/<split>/content/<scene>.json.gz      the episodes of a scene, and its goals by category
-
 Here positions are at the feet, in our world (z up), and rotations are `world_R_body`; in the files they are Habitat's
 (Y up, the axes of an exported GLB; quaternions x, y, z, w). `info["eagor"]`, which Habitat ignores, holds the scene,
 its version and the body that an episode was made for, so that it is never run in another scene unnoticed. Our "tv" is
 its "tv_monitor", and blanks are underscores there.
 
-`export_dataset` (``eagor export habitat``) writes a folder that Habitat's examples call ``data``:
-
-    scene_datasets/<name>/<name>.scene_dataset_config.json
-    scene_datasets/<name>/<split>/00007-apartment0007/apartment0007.glb      and beside it
-        .stage_config.json   axes: the GLB has Y up
-        .navmesh             Habitat's navigation mesh, where habitat_sim is installed
-        .navmesh.json, .semantic.json  the settings of that mesh; names and boxes of things, and what else a GLB cannot
-                             hold: our world `habitat:` reads them, habitat-lab needs the episodes' goals alone
-    datasets/objectnav/<name>/v1/<split>/<split>.json.gz, content/apartment0007.json.gz
+`export_dataset` (``eagor export habitat``) writes a folder that Habitat's examples call ``data``: the episodes as
+``datasets/objectnav/<name>/v1/<split>/<split>.json.gz`` (categories) and ``content/<scene>.json.gz`` beside it, and
+``scene_datasets/<name>/`` with the scene dataset's configuration and what `export_glb` writes of each scene, and its
+navigation mesh, where habitat_sim is installed.
 """
 
 from __future__ import annotations
@@ -26,7 +18,6 @@ import json
 import math
 import re
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -66,15 +57,13 @@ LAB_BODY = 0.88  # metres: height of the body in habitat-lab's configurations of
 class Goal:
     """A thing to find.
 
-    `instance`: its id in the scene; `position` ``(3,)``: its centre; `view_positions` ``(n, 3)``: places that count as
-    having found it; `room`: its name, which is written and not read.
+    `instance`: its id; `position` ``(3,)``: its centre; `view_positions` ``(n, 3)``: from there it counts as found.
     """
 
     category: str
     instance: int | str
     position: np.ndarray
     view_positions: np.ndarray
-    room: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,13 +203,13 @@ def _goal_entry(goal: Goal) -> dict[str, Any]:
     return {
         "position": to_gltf(goal.position).tolist(), "radius": None, "object_id": goal.instance,
         "object_name": f"{name}_{goal.instance}", "object_name_id": None, "object_category": name, "room_id": None,
-        "room_name": goal.room, "view_points": [{"agent_state": state, "iou": 0.0} for state in states],
+        "room_name": None, "view_points": [{"agent_state": state, "iou": 0.0} for state in states],
     }  # fmt: skip
 
 
 def _episode_entry(episode: Episode) -> dict[str, Any]:
     """An episode with all keys that Habitat wants; any other would stop it."""
-    info = _Info(episode.geodesic, episode.euclidean, episode.nearest, episode.origin)
+    info = _Info(episode.geodesic, episode.euclidean, episode.nearest, episode.origin)  # "eagor": for us alone
     return {
         "episode_id": episode.identifier, "scene_id": episode.scene, "scene_dataset_config": episode.dataset_config,
         "additional_obj_config_paths": [], "start_position": to_gltf(episode.position).tolist(),
@@ -342,32 +331,28 @@ def make_goals(scene: Scene, roomy: Ground, categories: Sequence[str] = ()) -> d
     lacking = [name for name in asked if name not in present]
     if lacking:
         raise WorldError(f"{scene.source} has no {', '.join(lacking)}; it has {', '.join(sorted(present))}")
-    renderer = Renderer(scene)
+    renderer, goals = Renderer(scene), {}
 
     @cache
     def in_sight(x: float, y: float) -> np.ndarray:
-        eye = (x, y, roomy.floor + EYE)
-        ids = renderer.panorama(eye, np.eye(3), ROWS, rgb=False, range=False).ids
+        ids = renderer.panorama((x, y, roomy.floor + EYE), np.eye(3), ROWS, rgb=False, range=False).ids
         assert ids is not None
-        return np.bincount(ids.ravel() + 1, minlength=len(scene.instances) + 1)[1:] >= PIXELS
+        return np.bincount(np.ravel(ids) + 1, minlength=len(scene.instances) + 1)[1:] >= PIXELS
 
-    goals: dict[str, tuple[Goal, ...]] = {}
     for category in asked or [read_category(name) for name in HM3D_CATEGORIES]:
         for index, thing in enumerate(scene.instances):
-            if thing.category != category:
-                continue
-            points, _ = roomy.beside(thing)
-            _, first = np.unique(np.floor(points / SPACING), axis=0, return_index=True)
-            views = [[x, y, roomy.floor + ON_MESH] for x, y in points[np.sort(first)] if in_sight(x, y)[index]]
-            if views:
-                goal = Goal(category, index, thing.centre, np.array(views), thing.room)
-                goals[category] = (*goals.get(category, ()), goal)
-    if hidden := [category for category in asked if category not in goals]:
-        raise WorldError(f"no {hidden[0]} of {scene.source} is in sight from a free place beside it; ask for others")
-    if not goals:
+            if thing.category == category:
+                points, _ = roomy.beside(thing)
+                _, first = np.unique(np.floor(points / SPACING), axis=0, return_index=True)
+                views = [[x, y, roomy.floor + ON_MESH] for x, y in points[np.sort(first)] if in_sight(x, y)[index]]
+                if views:
+                    goal = Goal(category, index, thing.centre, np.array(views))
+                    goals[category] = (*goals.get(category, ()), goal)
+    hidden = [category for category in asked if category not in goals]
+    if hidden or not goals:
         raise WorldError(
-            f"none of the {', '.join(HM3D_CATEGORIES)} of {scene.source} is in sight from a free place beside it; it "
-            f"has {', '.join(sorted(present))}"
+            f"no {hidden[0] if hidden else ' and no '.join(HM3D_CATEGORIES)} of {scene.source} is in sight from a free "
+            f"place beside it; ask for others; it has {', '.join(sorted(present))}"
         )
     return goals
 
@@ -382,8 +367,7 @@ def make_episodes(
 
     Raises `WorldError` if no start is far enough from a category's view points.
     """
-    rng = np.random.default_rng([zlib.crc32(scene.hash.encode()), 0])
-    starts = {}
+    rng, starts = np.random.default_rng([zlib.crc32(scene.hash.encode()), 0]), {}
     for category, things in goals.items():
         ways = np.array([ground.field(thing.view_positions[:, :2]).distance(points) for thing in things])
         views = np.concatenate([thing.view_positions[:, :2] for thing in things])
@@ -396,18 +380,17 @@ def make_episodes(
             )
         bent = fits[nearest[fits] >= RATIO * straight[fits]]
         starts[category] = (bent if len(bent) else fits), ways, straight
-    episodes = []
+    episodes, origin = [], Origin(scene.hash, scene.source, ground.radius, ground.cell)
     for number in range(count):
         category = list(goals)[number % len(goals)]
         fits, ways, straight = starts[category]
-        index = int(rng.choice(fits))
-        yaw = float(rng.uniform(-np.pi, np.pi))
-        closest = goals[category][int(ways[:, index].argmin())]
+        index, yaw = int(rng.choice(fits)), float(rng.uniform(-np.pi, np.pi))
+        closest = int(ways[:, index].argmin())
+        place = np.array([*points[index], ground.floor + ON_MESH])
         episodes.append(
             Episode(
-                file, category, np.array([*points[index], ground.floor + ON_MESH]), world_R_body(yaw), str(number),
-                float(ways[:, index].min()), float(straight[index]), closest.instance,
-                Origin(scene.hash, scene.source, ground.radius, ground.cell), dataset_config,
+                file, category, place, world_R_body(yaw), str(number), float(ways[closest, index]),
+                float(straight[index]), goals[category][closest].instance, origin, dataset_config,
             )
         )  # fmt: skip
     return tuple(episodes)
@@ -456,14 +439,13 @@ def export_dataset(
     Raises `WorldError` if the folder holds something, for two scenes of one name, and as `make_goals` and
     `make_episodes`; `StorageError` if it cannot be written.
     """
-    folder = Path(folder)
+    folder, names = Path(folder), [source.name for source in sources]
     for what, word in (("name", name), ("split", split)):
         if not re.fullmatch(r"[A-Za-z0-9_-]+", word):
             raise WorldError(f"{what} = {word!r}; wanted letters, digits, - and _: folders get that name")
     if episodes < 1:
         raise WorldError(f"{episodes} episodes of each scene; wanted 1 or more")
-    twice = [each for each, count in Counter(source.name for source in sources).items() if count > 1]
-    if twice:
+    if twice := [each for each in names if names.count(each) > 1]:
         raise WorldError(f"two scenes have the name {twice[0]!r}; one would replace the other: rename one")
     home = Path("scene_datasets", name)
     config = home / f"{name}.scene_dataset_config.json"

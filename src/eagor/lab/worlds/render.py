@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy import ndimage
 
 from eagor._srgb import to_coded, to_linear
 from eagor._values import lazy
 from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, Grid, PatchGrid
-from eagor.lab.worlds.light import Lattice, light_of, painted_sky, unseen
+from eagor.lab.worlds.light import HORIZON, ZENITH, Lattice, light_of, unseen
 from eagor.lab.worlds.scene import Hits, Material, Raycaster, Scene
 from eagor.media.panorama import checked_picture, turn
 from eagor.sphere import check_rotation
@@ -129,17 +130,34 @@ class Shader:
 
 def _look_up(image: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """The colours ``(n, 3)`` of an equirectangular image ``(H, W, 3)`` in these directions ``(n, 3)``, bilinear."""
-    height, width = image.shape[:2]
-    x, y, z = directions.astype(np.float64).T
-    column = (0.5 - np.arctan2(y, x) / (2 * np.pi)) * width - 0.5
-    row = np.clip((0.5 - np.arctan2(z, np.hypot(x, y)) / np.pi) * height - 0.5, 0, height - 1)
-    left, top = np.floor(column), np.minimum(np.floor(row), height - 2)
-    right_share, lower_share = (column - left)[:, None], (row - top)[:, None]
-    left, top = left.astype(np.intp) % width, top.astype(np.intp)
-    right = (left + 1) % width
-    upper = image[top, left] * (1 - right_share) + image[top, right] * right_share
-    lower = image[top + 1, left] * (1 - right_share) + image[top + 1, right] * right_share
-    return upper * (1 - lower_share) + lower * lower_share
+    x, y, _ = ErpGrid(*image.shape[:2]).project(directions)
+    round_ = np.pad(image.astype(np.float32), ((0, 0), (1, 1), (0, 0)), mode="wrap")
+    at = np.stack([y - 0.5, x + 0.5])
+    return np.stack([ndimage.map_coordinates(round_[..., k], at, order=1, mode="nearest") for k in range(3)], axis=-1)
+
+
+def painted_sky(seed: int) -> np.ndarray:
+    """The view outdoors, ``(512, 1024, 3)`` linear RGB, equirectangular: sky, hills and trees, lawn that fades."""
+    rng, (v, u) = np.random.default_rng(seed), (np.mgrid[:512, :1024] + 0.5) / 512
+    around, elevation = np.pi * (1 - u), 90 - 180 * v  # azimuth in radians, elevation in degrees
+
+    def waves(lowest: int, highest: int, phase: np.ndarray) -> np.ndarray:
+        """Periodic noise of unit size, of whole-number frequencies."""
+        return np.sum([np.sin(rng.integers(lowest, highest) * phase + rng.uniform(0, 7)) for _ in range(7)], axis=0) / 3
+
+    away = 5 / np.tan(np.radians(np.clip(-elevation, 0.5, 89.5)))  # metres, seen from one storey's height
+    grass = np.array([0.20, 0.26, 0.12]) * (1 + 0.2 * waves(3, 20, around) / (1 + away / 20))[..., None]
+    haze, up = 1 - np.exp(-away / 60)[..., None], np.sqrt(np.clip(np.sin(np.radians(elevation)), 0, 1))[..., None]
+    lawn = grass + (np.array([0.50, 0.57, 0.47]) - grass) * haze
+    cloud = np.clip(0.3 * waves(3, 9, around + np.radians(elevation)), 0, 0.4)[..., None] * (1 - up)
+    air = HORIZON + (ZENITH - HORIZON) * up
+    image = np.where((elevation > 0)[..., None], air + (1 - air) * cloud, lawn)
+    hills = (elevation < 1.8 + 1.2 * waves(2, 6, around)) & (elevation > -1)
+    image = np.where(hills[..., None], np.array([0.54, 0.63, 0.70]), image)
+    crowns = 1.4 + 3.2 * np.maximum(waves(4, 12, around), 0) + 0.8 * waves(30, 80, around)
+    shade = 1 + 0.3 * waves(15, 60, 1.7 * around + elevation / 6)
+    trees = (elevation < crowns) & (elevation > -1.8 - 0.6 * shade)
+    return np.clip(np.where(trees[..., None], np.array([0.26, 0.33, 0.24]) * shade[..., None], image), 0, 1)
 
 
 def texels_of(materials: tuple[Material, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

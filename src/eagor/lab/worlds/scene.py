@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from eagor._extras import how_to_install
+from eagor._srgb import to_linear
 from eagor._values import lazy
 from eagor.errors import MissingExtraError, WorldError
 from eagor.queries import Query
@@ -57,6 +58,12 @@ class Material:
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
     texture: np.ndarray | None = None
     emission: float = 0.0
+
+    @property
+    def reflectance(self) -> np.ndarray:
+        """The mean share of light that it reflects ``(3,)``, linear."""
+        tint, texture = to_linear(np.asarray(self.colour, dtype=np.float64)), self.texture
+        return tint if texture is None else tint * to_linear(texture[::2, ::2, :3] / 255).mean(axis=(0, 1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,23 +43,17 @@ _LIKELIEST = 10  # alternatives per token whose probabilities are requested
 _SECOND_TRY = 0.5  # temperature after an unreadable answer: at 0 the model would repeat it
 
 
-def _one_of(*choices: str) -> Any:
-    return Annotated[
-        str, msgspec.Meta(pattern=f"^({'|'.join(choices)})$", description=", ".join(filter(None, choices)))
-    ]
-
-
 class EndpointOptions(ServerOptions, kw_only=True, frozen=True, forbid_unknown_fields=True):
     """How a served model is shown panoramas; docs/models.md says what each option means."""
 
-    extractor: _one_of("", "boxes", "views") = ""  # type: ignore[valid-type]
-    per_view: _one_of("presence", "boxes") = "presence"  # type: ignore[valid-type]
+    extractor: Annotated[str, msgspec.Meta(pattern="^(boxes|views|)$")] = ""
+    per_view: Annotated[str, msgspec.Meta(pattern="^(presence|boxes)$")] = "presence"
     pixels: Amount = 0
     cell: Amount = 0
-    frame: _one_of("", "pixels", "thousand", "percent", "unit") = ""  # type: ignore[valid-type]
-    order: _one_of("", "xyxy", "yxyx") = ""  # type: ignore[valid-type]
-    seam: Annotated[bool, msgspec.Meta(description="true or false")] = True
-    image_format: _one_of("png", "jpeg") = "png"  # type: ignore[valid-type]
+    frame: Annotated[str, msgspec.Meta(pattern="^(pixels|thousand|percent|unit|)$")] = ""
+    order: Annotated[str, msgspec.Meta(pattern="^(xyxy|yxyx|)$")] = ""
+    seam: bool = True
+    image_format: Annotated[str, msgspec.Meta(pattern="^(png|jpeg)$")] = "png"
     max_tokens: Count = 1024
     concurrency: Count = 4
 
@@ -190,9 +184,9 @@ class EndpointPerception(ModelPerception):
 class ChatOptions(ServerOptions, kw_only=True, frozen=True, forbid_unknown_fields=True):
     """`quality`: of the JPEG pictures that are sent, as in H*Bench's runner; 0 sends PNG."""
 
-    temperature: Annotated[float, msgspec.Meta(ge=0, description="0 or more")] = 0.0
+    temperature: Annotated[float, msgspec.Meta(ge=0)] = 0.0
     max_tokens: Count = MAX_TOKENS
-    quality: Annotated[int, msgspec.Meta(ge=0, le=100, description="a whole number from 0 to 100")] = 85
+    quality: Annotated[int, msgspec.Meta(ge=0, le=100)] = 85
 
 
 class ServedChat:

@@ -42,18 +42,18 @@ _LONGEST_PAUSE = 30.0  # seconds between two tries at most, unless the server as
 _FEATURES = {"response_format", "logprobs"}  # that are tried
 _RENAMED = {"max_tokens": "max_completion_tokens"}  # as OpenAI's reasoning models call it
 
-Count = Annotated[int, msgspec.Meta(ge=1, description="a whole number, 1 or more")]
-Amount = Annotated[int, msgspec.Meta(ge=0, description="a whole number, 0 or more")]
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Amount = Annotated[int, msgspec.Meta(ge=0)]
 
 
 class ServerOptions(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fields=True):
     """How a server is asked; docs/models.md says what each option means."""
 
-    timeout: Annotated[float, msgspec.Meta(gt=0, le=86400, description="seconds above 0, at most 86400")] = 120.0
+    timeout: Annotated[float, msgspec.Meta(gt=0, le=86400)] = 120.0
     retries: Amount = 3
-    backoff: Annotated[float, msgspec.Meta(ge=0, le=86400, description="seconds, at most 86400")] = 0.5
-    key: Annotated[str, msgspec.Meta(description="the name of an environment variable")] = ""
-    ca: Annotated[str, msgspec.Meta(description="a file of certificates")] = ""
+    backoff: Annotated[float, msgspec.Meta(ge=0, le=86400)] = 0.5
+    key: str = ""
+    ca: str = ""
 
 
 @dataclass(frozen=True)

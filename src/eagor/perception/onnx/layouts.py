@@ -52,13 +52,9 @@ class Layout:
         batched = self.outputs(classes, 0)[0][0] == 1
         single = [(each[0] if batched else each).astype(np.float32, copy=False) for each in outputs]
         boxes, *scores = (each.astype(np.float64) for each in self.read(single, classes, threshold))
-        boxes = cxcywh_to_xyxy(boxes) if self.centred else boxes
+        if self.centred:
+            boxes = np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
         return boxes * np.tile(size[::-1], 2) if self.fractions else boxes, *scores
-
-
-def cxcywh_to_xyxy(boxes: np.ndarray) -> np.ndarray:
-    """Boxes ``(n, 4)`` as centre x, y, width, height, by their corners."""
-    return np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
 
 
 def _peaks(outputs: Arrays, classes: int, threshold: float) -> tuple[np.ndarray, ...]:

@@ -70,7 +70,8 @@ class Network:
         self._others = [each for each in inputs if each is not self._picture]
         sides = self._picture.shape[-3:]
         self.channels_first = sides[0] == 3 or sides[2] != 3
-        self.fixed = [_fixed(side) for side in (sides[1:] if self.channels_first else sides[:2])]
+        sides = sides[1:] if self.channels_first else sides[:2]
+        self.fixed = [side if isinstance(side, int) else None for side in sides]  # else a name, or nothing
 
     def size(self, asked: int | Size | str | None, usual: int) -> Size:
         """Rows and columns of the input: what is `asked` for, else fixed, else of the metadata, else `usual`.
@@ -123,11 +124,6 @@ class Network:
                 "without, or call it yourself and give eagor.Detector a function"
             )
         return known[given.name].astype(_DTYPES[given.type])
-
-
-def _fixed(side: Any) -> int | None:
-    """A side of a shape; None where any will do: a name, or nothing."""
-    return side if isinstance(side, int) else None
 
 
 def _is_picture(given: Any) -> bool:

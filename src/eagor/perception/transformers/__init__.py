@@ -85,7 +85,7 @@ class TransformersPerception(ModelPerception):
 
 # --- loading ----------------------------------------------------------------------------------------------------------
 
-Count = Annotated[int, msgspec.Meta(ge=1, description="a whole number, 1 or more")]
+Count = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class _Place(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
@@ -93,20 +93,19 @@ class _Place(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
 
     revision: str | None = None
     device: str | None = None
-    dtype: Annotated[str, msgspec.Meta(pattern="^(|float32|bfloat16|float16)$",
-                                       description="float32, bfloat16 or float16")] = ""  # fmt: skip
+    dtype: Annotated[str, msgspec.Meta(pattern="^(float32|bfloat16|float16|)$")] = ""
 
 
 class _Options(_Place, kw_only=True, forbid_unknown_fields=True):
     heads: str | None = None
-    presence: Annotated[bool, msgspec.Meta(description="true or false")] = True
-    pixels: Annotated[int, msgspec.Meta(ge=1, description="a whole number, such as 980000 (700 x 1400)")] | None = None
+    presence: bool = True
+    pixels: Count | None = None
     max_tokens: Count = MAX_TOKENS
     batch: Count = 8
 
 
 class _DetectorOptions(_Place, kw_only=True, forbid_unknown_fields=True):
-    threshold: Annotated[float, msgspec.Meta(ge=0, le=1, description="a score from 0 to 1, such as 0.2")] | None = None
+    threshold: Annotated[float, msgspec.Meta(ge=0, le=1)] | None = None
 
 
 def load_model(name: str, extractor: str = "", per_view: str = "", **options: Any) -> LanguageModel:

@@ -68,18 +68,15 @@ class LanguageModel:
     def __post_init__(self) -> None:
         prepare(self.model)
         self._yes, self._no = _verdict_tokens(self.tokenizer)
-        possible, text, kind = (
-            full_layers(self.model),
-            self.model.config.get_text_config(),
-            self.model.config.model_type,
-        )
         if self.heads is not None:  # the same head numbers may exist in another model and mean nothing
-            known = all(head < text.num_attention_heads for _, head in self.heads.heads)
-            if self.heads.model_type != kind or not known or not {*self.heads.layers} <= {*possible}:
+            possible, kind = full_layers(self.model), self.model.config.model_type
+            count = self.model.config.get_text_config().num_attention_heads
+            known = all(layer in possible and head < count for layer, head in self.heads.heads)
+            if self.heads.model_type != kind or not known:
                 raise EagorError(
                     f"the heads {list(self.heads.heads)} were found for {self.heads.model}, a {self.heads.model_type}; "
-                    f"{self.name} is a {kind} with layers of full attention {possible} and {text.num_attention_heads} "
-                    "heads each. Calibrate heads for this model"
+                    f"{self.name} is a {kind} with layers of full attention {possible} and {count} heads each. "
+                    "Calibrate heads for this model"
                 )
 
     @property
@@ -122,18 +119,15 @@ class LanguageModel:
         """Responses ``(Q, B, h, w)`` float32 in [0, 1) from attention, and the cost; `wrap`: these are panoramas."""
         cost, found = self._cost(), []
         for run, planned in self._batches(images, cost):
-            general = (
-                None if self.heads else self._attention(self._ask(run, planned, GENERAL, self.layers, cost)[2], planned)
-            )
+            general = None if self.heads else self._ask(run, planned, GENERAL, self.layers, cost)[2]
             responses = []
             for query in queries:
                 _, logits, rows = self._ask(run, planned, ask_presence(query), self.layers, cost)
-                if general is None:
-                    assert self.heads is not None
-                    ratio, saturation = of_heads(rows, self.heads.heads, planned), self.heads.saturation
+                if self.heads is not None:
+                    heat = saturated(of_heads(rows, self.heads.heads, planned), self.heads.saturation, wrap)
                 else:
-                    ratio, saturation = relative(self._attention(rows, planned), general), SATURATION
-                heat = saturated(ratio, saturation, wrap)
+                    assert general is not None
+                    heat = saturated(relative(*(mean_map(each, planned) for each in (rows, general))), SATURATION, wrap)
                 responses.append(heat * self.yes(logits)[:, None, None] if self.presence else heat)
             found.append(np.stack(responses))
         return np.concatenate(found, axis=1), cost
@@ -146,12 +140,9 @@ class LanguageModel:
 
         Raises `EagorError` if it cannot write boxes, `AnswerError` if they cannot be read.
         """
-        frame = self.family.frame
+        frame, cost = self.family.frame, self._cost()
         if frame is None:
-            raise EagorError(
-                f"{self.family.title} was not trained to write boxes; use extractor 'attention' or 'views'"
-            )
-        cost = self._cost()
+            raise EagorError(f"{self.family.title} was not trained to write boxes; use extractor 'attention'")
         found: list[list[list[Box]]] = [[] for _ in queries]
         for run, planned in self._batches(images, cost):
             for boxes, query in zip(found, queries, strict=True):
@@ -173,7 +164,8 @@ class LanguageModel:
         with self.lock:
             for start in range(0, len(images), self.batch):
                 part = images[start : start + self.batch]
-                planned = self.plan(part[0].shape[1] / part[0].shape[0])
+                height, width = part[0].shape[:2]
+                planned = plan(self.family, self.model.config, width / height, height * width)
                 yield self.share(part, planned, cost), planned
 
     def prompt(self, text: str, planned: InputPlan) -> Prompt:
@@ -197,13 +189,6 @@ class LanguageModel:
         cost["prompt_tokens"] += suffix.shape[1] * run.batch
         return running, *running.ask(suffix, layers)
 
-    @staticmethod
-    def _attention(rows: Mapping[int, torch.Tensor], planned: InputPlan) -> np.ndarray:
-        """Attention per cell ``(B, h, w)``, the mean over all captured layers and heads."""
-        return planned.cells(
-            np.mean([each.mean(dim=1).cpu().numpy().astype(np.float64) for each in rows.values()], axis=0)
-        )
-
     def yes(self, logits: torch.Tensor) -> np.ndarray:
         """The probability ``(B,)`` float32 of yes against no in the logits ``(B, V)`` of an answer's first token."""
         chances = logits.softmax(dim=-1)
@@ -217,7 +202,7 @@ class LanguageModel:
         The question is that of `maps`. Input of `fit_heads`.
         """
         picture = example.panorama if view is None else cut(example.panorama, view)[0]
-        planned = self.plan(picture.shape[1] / picture.shape[0])
+        planned = self.plan(picture.shape[1] / picture.shape[0], view is not None)
         grid = PatchGrid(*planned.shape) if view is None else view.resized(*planned.shape)
         with self.lock:
             cost = self._cost()
@@ -239,6 +224,12 @@ def _verdict_tokens(tokenizer: Any) -> tuple[list[int], list[int]]:
 
 
 # --- responses from captured attention --------------------------------------------------------------------------------
+
+
+def mean_map(rows: Mapping[int, torch.Tensor], planned: InputPlan) -> np.ndarray:
+    """Attention per cell ``(B, h, w)``, the mean over all captured layers and heads."""
+    layers = [each.mean(dim=1).cpu().numpy().astype(np.float64) for each in rows.values()]
+    return planned.cells(np.mean(layers, axis=0))
 
 
 def of_heads(rows: Mapping[int, torch.Tensor], heads: Sequence[tuple[int, int]], planned: InputPlan) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from eagor import metrics
 from eagor.errors import WorldError
-from eagor.lab.envs.episodes import Episode, EpisodeSpec, FileEpisode, choose_target, plan_listed
+from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import PlaceEnv, gymnasium
 from eagor.lab.envs.places import Place, load_place, pixels_of
 from eagor.lab.envs.rules import FACING_AWAY, RATIO, VISIBLE, WINDING, Camera, NavigationRules
@@ -135,21 +135,10 @@ class MapFreeNavigationEnv(PlaceEnv):
         return plan(spec, self.camera, self.rules)
 
     def _start(self) -> None:
-        self._stopped = False
-        self._measured: np.ndarray | None = None
-        self._left = self._distance_to_goal()
+        self._stopped, self._left = False, self._distance_to_goal()
 
     def _distance_to_goal(self) -> float:
-        if self.rules.goal == "footprint":
-            return float(self.place.way_to(self.episode.targets).distance(self.body.xy))
-        # habitat-lab's DistanceToGoal measures anew only where the body has moved.
-        if self._measured is None or not np.allclose(self._measured, self.body.xy, atol=MOVED):
-            self._measured = self.body.xy
-            return float(self.place.way_to_views(self.episode.view_points).distance(self.body.xy))
-        return self._left
-
-    def _target(self) -> np.ndarray | None:
-        return self._nearest(self.episode.goals) if isinstance(self.episode, FileEpisode) else super()._target()
+        return float(self.place.way_to(self.episode.targets).distance(self.body.xy))
 
     def _measures(self) -> dict[str, Any]:
         scores = score(self.rules, self.episode.shortest, self._left, self.body.walked, self._stopped)
@@ -204,5 +193,4 @@ NAVIGATION = SimTask(
     ranked_by=("sr", "spl", "mae"),
     strata={"visible": "Target in sight at the start", "way": "Way to the target"},
     walked=True,
-    listed=plan_listed,
 )  # fmt: skip

@@ -22,7 +22,7 @@ from eagor.lab.agents.methods import BASE, ORACLE, Estimator, make_estimator
 from eagor.lab.agents.models import EpisodePerception, is_privileged, shared
 from eagor.lab.agents.search_space import Chance, SteeringInput
 from eagor.lab.agents.steering import search_config, steering_for
-from eagor.lab.envs.episodes import Episode, EpisodeSpec, FileEpisodeSpec
+from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.envs.places import APARTMENT
 from eagor.lab.envs.rules import Camera, NoiseModel, from_dict
 from eagor.lab.tasks.task import load, require
@@ -135,8 +135,6 @@ class Runner:
 
     def plan(self, spec: EpisodeSpec) -> Episode:
         """The episode of this spec."""
-        if isinstance(spec, FileEpisodeSpec) and self.task.listed is not None:
-            return self.task.listed(spec, self.config["episodes_file"], self.camera, self.rules)
         return self.env.plan(spec)
 
     def run_episode(self, spec: EpisodeSpec, names: list[str], watch: Watch | None = None) -> dict[str, Any]:
@@ -196,13 +194,9 @@ class Runner:
         method = None if name == ORACLE else self.method(name, episode.spec)
         steering = steering_for(self.rules, self.camera)
         trace: dict[str, list[Any]] = defaultdict(list)
-        answers, path = list[np.ndarray](), list[list[float]]()
-
-        def note_feet() -> None:
-            path.append([round(float(value), 9) for value in (*self.env.body.xy, self.env.body.floor)])
+        answers = list[np.ndarray]()
 
         def act(step: StepInfo, true: np.ndarray, look: Evidence | None, info: dict[str, Any]) -> np.ndarray:
-            note_feet()
             answers.append(_answer(method, step, true, trace, watch))
             now = self._steering_input(answers[-1], method, look, step, info, steering.needs_floor_mask)
             turn, metres = steering.walk(now)
@@ -211,12 +205,9 @@ class Runner:
             return np.array([turn, 0.0 if steering.arrived else max(metres, STANDS)])
 
         rollout, info = self._roll_out(episode, act, "", watch is not None)
-        note_feet()
         trace |= {key: rollout.truth[key] for key in ("pose", "visible")}
         trace |= {f"true_{key}": rollout.truth[key] for key in ("azimuth_deg", "elevation_deg", "range_m")}
         found = self._measured(rollout, trace, answers, info=info, walked=self.env.body.walked)
-        if isinstance(episode.spec, FileEpisodeSpec):
-            found["path"] = path  # for habitat-lab to score, too
         return found | ({"looked": rollout.looked} if rollout.looked else {})
 
     def _measured(self, rollout: Rollout, trace: dict, answers: Sequence, **walk: Any) -> dict[str, Any]:

@@ -7,11 +7,9 @@ goes its own way, and an episode is one sample per method; else all methods get 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import msgspec
@@ -22,7 +20,7 @@ from eagor._values import lazy
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.lab.agents.methods import ORACLE, default_methods, fitted, make_estimator
-from eagor.lab.envs.episodes import Episode, EpisodeSpec, episode_specs, file_episode_specs, scene_file, spec_from_json
+from eagor.lab.envs.episodes import EpisodeSpec, episode_specs, spec_from_json
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT
 from eagor.lab.envs.rules import Camera, NoiseModel
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
@@ -50,8 +48,6 @@ class SimConfig(msgspec.Struct, kw_only=True):
     episodes: Annotated[int | None, Meta(description="number of episodes, five in each apartment")] = None
     seed: Annotated[int, Meta(ge=0, description="first apartment")] = 2000
     development: Annotated[bool, Meta(description="whether parameters were chosen on these apartments")] = False
-    episodes_file: Annotated[str | None, Meta(description="ObjectNav episodes to play")] = None
-    scenes: Annotated[str | None, Meta(description="folder of the scenes of these episodes")] = None
     methods: list[str] = []
     fitted: dict[str, str] = {}
     world: Annotated[str, Meta(description="apartment, an installed world, or a GLB file")] = APARTMENT
@@ -130,8 +126,6 @@ class SimTask:
     - `measure`: the figures of one method in one episode; None where one does not apply. `headline`: the key of the
       most important metric; `ranked_by`: those that rank episodes; `strata`: keys of `Episode.stratum` to report
       separately, and their titles.
-    - `listed`: makes the episode of a file (`eagor.lab.envs.episodes`) of the spec, the file, the camera and the rules;
-      None where the task takes no such files. `rules` then has ``objectnav()``: Habitat's.
     - `walked`: the estimate steers the body, so each method plays alone: `step` takes (heading, distance), and
       success, spl and mae are among its figures. Otherwise all methods get the same evidence.
     """
@@ -147,7 +141,6 @@ class SimTask:
     ranked_by: tuple[str, ...] = ()
     strata: Mapping[str, str] = field(default_factory=dict)
     walked: bool = False
-    listed: Callable[..., Episode] | None = None
     case: ClassVar[str] = "episode"
     Record: ClassVar[type[msgspec.Struct]] = SimRecord
 
@@ -182,14 +175,6 @@ class SimTask:
             return None
         return "never in sight" if not any(result["trace"]["visible"]) else "not reached"
 
-    def defaults(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """The settings of a run, with Habitat's rules for the episodes of a file. Raises `EagorError`."""
-        if not values.get("episodes_file"):
-            return dict(values)
-        if self.listed is None:
-            raise EagorError(f"{self.name} plays no episodes of a file; navigation does")
-        return {**values, "rules": asdict(self.rules.objectnav()) | dict(values.get("rules", {}))}
-
     def resolve(self, config: Any) -> Any:
         """The config with all that follows from it. Raises `EagorError` for what does not exist or cannot be played."""
         from eagor.lab.agents.models import shared
@@ -202,17 +187,14 @@ class SimTask:
                 make_estimator(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(names)) != len(names):
             raise EagorError(f"methods {names}; wanted each once")
-        if config.episodes_file is None and getattr(config.rules, "goal", "") == "view_points":
-            raise EagorError("goal=view_points needs episodes that have view points: --episodes-file")
-        played = specs_of(config)  # complains about a file that cannot be played
+        played = specs_of(config)
         if config.world != APARTMENT:
-            there = (spec.world for spec in played if os.path.exists(scene_file(spec.world)))
-            _try_world(next(there, played[0].world))
+            _try_world(config.world)
         return msgspec.structs.replace(
             config,
             episodes=len(played),
             methods=names,
-            development=any(spec.world == APARTMENT and spec.seed in DEVELOPMENT for spec in played),
+            development=config.world == APARTMENT and any(spec.seed in DEVELOPMENT for spec in played),
             fitted={name: text for name in names if (text := fitted(config.perception, name.partition(":")[0]))},
             rows=config.rows or rows_of(shared(config.perception)),
             versions={"eagor": __version__, "apartment": VERSION},
@@ -221,9 +203,6 @@ class SimTask:
 
 def specs_of(config: SimConfig) -> list[EpisodeSpec]:
     """The specs of a run's episodes. Raises `WorldError`."""
-    if config.episodes_file is not None:
-        scenes = None if config.scenes is None else Path(config.scenes)
-        return [*file_episode_specs(config.task, config.episodes_file, config.episodes, config.world, scenes)]
     count = PER_RUN if config.episodes is None else config.episodes
     return list(episode_specs(config.task, count, config.seed, config.world))
 

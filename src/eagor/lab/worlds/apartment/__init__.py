@@ -16,24 +16,19 @@ from eagor.lab.worlds.apartment import building
 from eagor.lab.worlds.apartment.building import Cells, Finish, Style, Thing
 from eagor.lab.worlds.apartment.furnish import REQUIRED, furnish
 from eagor.lab.worlds.apartment.furniture import KINDS
-from eagor.lab.worlds.apartment.mesh import Part, bounds, box, merged, placed, turned_about_z
-from eagor.lab.worlds.apartment.placement import GAP, Furnisher, NoRoom, Piece, from_rectangle, overlaps
+from eagor.lab.worlds.apartment.mesh import bounds, merged, placed, turned_about_z
+from eagor.lab.worlds.apartment.placement import Furnisher, NoRoom, Piece
 from eagor.lab.worlds.apartment.plans import Plan, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
-from eagor.lab.worlds.light import mean_colour
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Lamp, Material, Room, Scene
 
 __all__ = ["CATEGORIES", "REQUIRED", "VERSION", "generate"]
 
 _ATTEMPTS = 40
-VERSION = "2"
+VERSION = "3"
 CATEGORIES = (*STRUCTURE, *sorted(KINDS))  # all that an apartment can have; it always has those in REQUIRED
-# The reference room, for which one ceiling lamp of default power is right: square metres of floor, walls and ceiling,
-# and the share of the light that they absorb.
-_SURFACE, _ABSORPTION = 60.0, 0.45
+_SURFACE = 75.0  # square metres of floor, walls and ceiling of a room for which one ceiling lamp is right
 _SHARES = (0.2, 1.7)  # range of that power, as of real lamps
-_FURNISHED = 0.15  # share of the surface that furniture and open doors cover
-_DARK = 0.75  # absorption of those
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +74,7 @@ def build(seed: int, source: str) -> tuple[Apartment, Scene]:
         except NoRoom as failure:
             reason = str(failure)
             continue
-        apartment = Apartment(plan, cells, rooms, finishes, style, _lit(pieces, rooms, finishes, plan.height))
+        apartment = Apartment(plan, cells, rooms, finishes, style, _lit(pieces, rooms, plan.height))
         scene = scene_of(apartment, source)
         far = _out_of_reach(apartment, scene)
         if not far:
@@ -88,33 +83,19 @@ def build(seed: int, source: str) -> tuple[Apartment, Scene]:
     raise WorldError(f"seed {seed} gave no apartment in {_ATTEMPTS} attempts, at last: {reason}; use another seed")
 
 
-def _lit(pieces: Sequence[Piece], rooms: Sequence[Room], finishes: Sequence[Finish], height: float) -> list[Piece]:
-    """The same pieces with ceiling lamps of a power that suits their rooms; `height` of the rooms in metres.
-
-    The light between walls is the power of the lamps over the absorption of the surfaces (the integrating sphere).
-    """
+def _lit(pieces: Sequence[Piece], rooms: Sequence[Room], height: float) -> list[Piece]:
+    """The same pieces with ceiling lamps of a power that suits the surface of their rooms of this `height` (m)."""
     shares, found = {}, []
     for room, count in Counter(piece.room for piece in pieces if piece.category == "ceiling lamp").items():
-        swallowed = _swallowed(rooms[room], finishes[room], height)
-        shares[room] = float(np.clip(swallowed / (_SURFACE * _ABSORPTION) / count, *_SHARES))
+        x0, y0, x1, y1 = rooms[room].rectangles.T
+        surface = 2 * rooms[room].area + float((2 * (x1 - x0 + y1 - y0)).sum()) * height
+        shares[room] = float(np.clip(surface / _SURFACE / count, *_SHARES))
     for piece in pieces:
         if piece.category == "ceiling lamp":
             lamps = tuple(replace(lamp, power=shares[piece.room] * lamp.power) for lamp in piece.model.lamps)
             piece = replace(piece, model=replace(piece.model, lamps=lamps))
         found.append(piece)
     return found
-
-
-def _swallowed(room: Room, finish: Finish, height: float) -> float:
-    """The absorption of a room's floor, walls and ceiling, as square metres of black."""
-    x0, y0, x1, y1 = room.rectangles.T
-    walls = float((2 * (x1 - x0 + y1 - y0)).sum()) * height
-    low, high = finish.tiled
-    tiled = (high - low) / height
-    surfaces = [(room.area, finish.floor), (room.area, finish.ceiling), ((1 - tiled) * walls, finish.wall)]
-    surfaces.append((tiled * walls, finish.tiles or finish.wall))
-    bare = sum(area * (1 - float(mean_colour(cover.material).mean())) for area, cover in surfaces)
-    return (1 - _FURNISHED) * bare + _FURNISHED * _DARK * (walls + 2 * room.area)
 
 
 def _out_of_reach(apartment: Apartment, scene: Scene) -> list[Piece]:
@@ -133,8 +114,6 @@ def scene_of(apartment: Apartment, source: str) -> Scene:
     plan = apartment.plan
     shell = building.shell(plan, apartment.cells, apartment.finishes)
     doors = building.doors_and_windows(plan, apartment.style, shell)
-    for piece in apartment.pieces:
-        shell[piece.room]["wall"] += _splashback(piece, plan, apartment.finishes[piece.room])
     things = [
         Thing(category, None, space.name, tuple(surfaces))
         for space, room in zip(plan.spaces, shell, strict=True)
@@ -158,18 +137,6 @@ def scene_of(apartment: Apartment, source: str) -> Scene:
         apartment.rooms, tuple(lamp for thing in things for lamp in thing.lamps), source=source,
         facts={"family": plan.family},
     )  # fmt: skip
-
-
-def _splashback(piece: Piece, plan: Plan, finish: Finish) -> tuple[Part, ...]:
-    """Tiles on the wall above a kitchen unit, up to a window if there is one; none above other pieces."""
-    if piece.category not in ("cabinet", "sink", "stove") or plan.spaces[piece.room].kind != "kitchen":
-        return ()
-    sills = [w.sill for w in plan.windows if overlaps(piece.box, from_rectangle(w.approach(0.4, 0.05)))[0, 0]]
-    top = min([1.45, *(sill - 0.02 for sill in sills)])
-    depth, width = piece.box[2:4]
-    mesh = box((-depth - GAP + 1e-3, -width - 2e-3, 0.86), (-depth - GAP + 0.013, width + 2e-3, top))
-    assert finish.tiles is not None  # as in every kitchen
-    return placed([finish.tiles(mesh)], float(piece.box[4]), (*piece.box[:2], 0.0))
 
 
 def _thing(piece: Piece, plan: Plan) -> Thing:

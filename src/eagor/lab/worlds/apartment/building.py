@@ -16,20 +16,18 @@ import numpy as np
 
 from eagor._srgb import to_coded, to_linear
 from eagor.lab.worlds.apartment import mesh as m
-from eagor.lab.worlds.apartment.mesh import Cover, Mesh, Part, bevelled, board, box, finish
+from eagor.lab.worlds.apartment.mesh import Cover, Mesh, Part, bevelled, box, finish
 from eagor.lab.worlds.apartment.plans import (
     HALF_WALL,
     LINING,
     OUTER_WALL,
     OUTSIDE,
     Boundary,
-    Doorway,
     Opening,
     Plan,
     Rectangle,
     owners,
     rectangles_of,
-    span,
 )
 from eagor.lab.worlds.scene import Lamp, Room
 
@@ -55,6 +53,11 @@ class Cells:
     air: np.ndarray
     hole: np.ndarray
     owner: np.ndarray
+
+
+def span(lines: np.ndarray, low: float, high: float) -> slice:
+    """The cells between two of the lines."""
+    return slice(*np.searchsorted(lines, [low - 1e-6, high - 1e-6]).tolist())
 
 
 def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
@@ -122,6 +125,12 @@ class WallFace:
     end: float
     side: int
 
+    @property
+    def angle(self) -> float:
+        """The direction into the room, radians."""
+        across = 0.0 if self.side > 0 else math.pi
+        return across if self.axis else math.copysign(math.pi / 2, self.side)
+
 
 def wall_faces(cells: Cells) -> list[WallFace]:
     """The stretches of wall that stand on the floor, without those inside doorways."""
@@ -184,10 +193,8 @@ def draw_finishes(plan: Plan, rng: np.random.Generator) -> tuple[Finish, ...]:
         if space.kind == "bathroom":
             tiles, floor, boards = finish("tile", None, rng), finish("tile", None, rng), None
             tiled = (0.0, plan.height) if rng.random() < 0.5 else (0.0, float(rng.choice([1.4, 2.0])))
-        elif space.kind == "kitchen":
-            tiles = finish("tile", None, rng)  # above the worktop
-            if not joined or rng.random() < 0.5:
-                floor = finish("tile", None, rng)
+        elif space.kind == "kitchen" and (not joined or rng.random() < 0.5):
+            floor = finish("tile", None, rng)
         elif space.kind == "bedroom" and rng.random() < 0.5 and not joined:
             floor = finish("carpet", None, rng)
         elif space.kind == "hall" and rng.random() < 0.3:
@@ -313,24 +320,20 @@ def draw_style(rng: np.random.Generator) -> Style:
 
 
 def doors_and_windows(plan: Plan, style: Style, rooms: Sequence[dict[str, list[Part]]]) -> list[Thing]:
-    """Doors and windows as things; where a doorway has no leaf, its casings go to the walls of `rooms` (`shell`)."""
+    """Doors and windows as things; the frame of a doorway without a leaf goes to the walls of `rooms` (`shell`)."""
     things: list[Thing] = []
     for doorway in plan.doorways:
         below, above = doorway.boundary.rooms
         home = above if doorway.side > 0 or below == OUTSIDE else below
-        lining = style.frame(_lining(doorway))
-        casings = {
-            room: style.frame(_arch(doorway, face, face + thickness, 0.01, 0.06))
-            for room, face, thickness in ((below, -HALF_WALL, -0.015), (above, HALF_WALL, 0.015))
-            if room != OUTSIDE
-        }
+        casings = ((below, -HALF_WALL, -0.015), (above, HALF_WALL, 0.015))
+        frame = style.frame(
+            _arch(doorway, *doorway.reach, LINING, 0.0),
+            *(_arch(doorway, face, face + thick, 0.01, 0.06) for room, face, thick in casings if room != OUTSIDE),
+        )
         if doorway.leaf is None:
-            rooms[home]["wall"].append(lining)
-            for room, casing in casings.items():
-                rooms[room]["wall"].append(casing)
+            rooms[home]["wall"].append(frame)
         else:
-            parts = (lining, *casings.values(), *_leaf(doorway, style))
-            things.append(Thing("door", style.colour, plan.spaces[home].name, parts))
+            things.append(Thing("door", style.colour, plan.spaces[home].name, (frame, *_leaf(doorway, style))))
     for window in plan.windows:
         room = plan.spaces[max(window.boundary.rooms)]
         things.append(Thing("window", None, room.name, (style.window(_window(window)),)))
@@ -342,11 +345,11 @@ def _bars(boundary: Boundary, *bars: tuple[float, ...]) -> Mesh:
     made = []
     for start, end, near, far, bottom, top in bars:
         x0, y0, x1, y1 = boundary.box(start, end, min(near, far), max(near, far))
-        made.append(board((x0, y0, bottom), (x1, y1, top)))
+        made.append(box((x0, y0, bottom), (x1, y1, top)))
     return m.merged(*made)
 
 
-def _arch(doorway: Doorway, near: float, far: float, inwards: float, outwards: float) -> Mesh:
+def _arch(doorway: Opening, near: float, far: float, inwards: float, outwards: float) -> Mesh:
     """Two posts and a lintel round a doorway, from `near` to `far` across; how far they reach into it and beyond it."""
     start, end, head = doorway.start, doorway.end, doorway.head
     return _bars(
@@ -357,34 +360,20 @@ def _arch(doorway: Doorway, near: float, far: float, inwards: float, outwards: f
     )
 
 
-def _lining(doorway: Doorway) -> Mesh:
-    """The boards inside the hole."""
-    return _arch(doorway, *doorway.reach, LINING, 0.0)
-
-
-def _leaf(doorway: Doorway, style: Style) -> tuple[Part, ...]:
+def _leaf(doorway: Opening, style: Style) -> tuple[Part, ...]:
     """The leaf in its place: open, or closed in the niche of the front door."""
-    width = doorway.end - doorway.start - 2 * LINING - 0.006
-    origin, far, beside = doorway.at(0.0, 0.0), doorway.at(1.0, 0.0), doorway.at(0.0, 1.0)
-    along, across = far - origin, beside - origin
-    left = along[0] * across[1] - along[1] * across[0] > 0  # the thickness lies to the left of the leaf's direction
-    shift = 0.0 if left else -_LEAF
-    top = doorway.head - LINING - 0.005
-    slab = [m.moved(bevelled((0.003, 0.0, 0.008), (width, _LEAF, top), 0.003, grain=2), (0.0, shift, 0.0))]
-    for i in range(style.panels):
-        low = 0.14 + i * (top - 0.28) / style.panels + 0.04
-        high = 0.14 + (i + 1) * (top - 0.28) / style.panels - 0.04
-        for y in (shift - 0.007, shift + _LEAF - 0.003):
-            slab.append(bevelled((0.12, y, low), (width - 0.12, y + 0.01, high), 0.004, grain=2))
-    handles = []
-    x = width - 0.06
-    for sign, face in ((-1, shift), (1, shift + _LEAF)):
-        near, far = sorted((face, face + sign * 0.006))
-        handles.append(box((x - 0.018, near, 0.92), (x + 0.018, far, 1.12)))
-        reach = face + sign * 0.045
-        handles.append(m.tube([(x, face, 1.03), (x, reach, 1.03), (x - 0.11, reach, 1.03)], 0.009, 6))
-    angle = math.atan2(along[1], along[0])
-    return m.placed([style.door(*slab), style.metal(*handles)], angle, (*origin, 0.0))
+    width, top = doorway.end - doorway.start - 2 * LINING - 0.006, doorway.head - LINING - 0.005
+    origin = doorway.at(0.0, 0.0)
+    along, across = doorway.at(1.0, 0.0) - origin, doorway.at(0.0, 1.0) - origin
+    near = 0.0 if along[0] * across[1] - along[1] * across[0] > 0 else -_LEAF  # its thickness lies towards the wall
+    far, tall, x = near + _LEAF, (top - 0.28) / max(style.panels, 1), width - 0.06
+    slab = [bevelled((0.003, near, 0.008), (width, far, top), 0.003, grain=2)]
+    for low in 0.18 + tall * np.arange(style.panels):
+        slab.append(bevelled((0.12, near - 0.007, low), (width - 0.12, far + 0.007, low + tall - 0.08), 0.004, grain=2))
+    plate = box((x - 0.018, near - 0.006, 0.92), (x + 0.018, far + 0.006, 1.12))
+    ends = near - 0.045, far + 0.045  # one bar through the leaf, bent on both sides
+    bar = m.tube([(x - 0.11, ends[0], 1.03), (x, ends[0], 1.03), (x, ends[1], 1.03), (x - 0.11, ends[1], 1.03)], 0.009)
+    return m.placed([style.door(*slab), style.metal(plate, bar)], math.atan2(along[1], along[0]), (*origin, 0.0))
 
 
 def _window(window: Opening) -> Mesh:
@@ -392,20 +381,12 @@ def _window(window: Opening) -> Mesh:
     start, end, low, high, thick = window.start, window.end, window.sill, window.head, 0.05
     outwards = -1 if window.boundary.rooms[0] == OUTSIDE else 1
     face = -outwards * HALF_WALL
-    near, far = sorted((face + outwards * 0.11, face + outwards * 0.17))
-    bars: list[tuple[float, ...]] = [
-        (start, start + thick, near, far, low, high),
-        (end - thick, end, near, far, low, high),
-        (start + thick, end - thick, near, far, low, low + thick),
-        (start + thick, end - thick, near, far, high - thick, high),
-    ]
-    count = 0 if end - start < 0.75 else 1 if end - start < 1.7 else 2
-    for i in range(count):
-        at = start + (i + 1) * (end - start) / (count + 1)
-        bars.append((at - 0.035, at + 0.035, near + 0.005, far - 0.005, low + thick, high - thick))
+    near, far = face + outwards * 0.11, face + outwards * 0.17
+    uprights = np.linspace(start + thick / 2, end - thick / 2, 2 + round((end - start) / 0.85))
+    bars = [(at - thick / 2, at + thick / 2, near, far, low, high) for at in uprights]
+    bars += [(start, end, near, far, z, z + thick) for z in (low, high - thick)]
     if high - low > 1.1:
-        at, middle = high - 0.42, (near + far) / 2
-        bars.append((start + thick, end - thick, middle - 0.015, middle + 0.015, at - 0.02, at + 0.02))
-    bars.append((start, end, face, face + outwards * 0.11, low, low + 0.022))  # the sill board
+        bars.append((start, end, near + outwards * 0.015, far - outwards * 0.015, high - 0.44, high - 0.4))
+    bars.append((start, end, face, near, low, low + 0.022))  # the sill board
     bars.append((start - 0.04, end + 0.04, face - outwards * 0.035, face, low - 0.01, low + 0.022))
     return _bars(window.boundary, *bars)

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from eagor.lab.worlds.apartment.building import WallFace
 from eagor.lab.worlds.apartment.furniture import KINDS, Model, build
 from eagor.lab.worlds.apartment.placement import (
     GAP,
@@ -24,7 +23,6 @@ from eagor.lab.worlds.apartment.placement import (
     best,
     candidates,
     from_rectangle,
-    on_face,
     relative,
     reversed_,
     untouched,
@@ -40,8 +38,8 @@ _ROWS = (
 # floor before it in metres.
 _MORE: dict[str, tuple[tuple[str, float, float, float], ...]] = {
     "living room": (
-        ("bookshelf", 0.8, 20, 0.6), ("dresser", 0.45, 30, 0.5), ("plant", 1.0, 11, 0.0), ("lamp", 0.8, 16, 0.0),
-        ("desk", 0.15, 60, 0.0),
+        ("sofa", 0.4, 25, 0.3), ("armchair", 0.6, 13, 0.2), ("bookshelf", 0.8, 20, 0.6), ("dresser", 0.45, 30, 0.5),
+        ("plant", 1.0, 11, 0.0), ("lamp", 0.8, 16, 0.0), ("desk", 0.15, 60, 0.0),
     ),
     "bedroom": (
         ("wardrobe", 0.95, 30, 0.6), ("dresser", 0.55, 30, 0.5), ("desk", 0.35, 60, 0.0), ("plant", 0.7, 12, 0.0),
@@ -56,11 +54,11 @@ _MORE: dict[str, tuple[tuple[str, float, float, float], ...]] = {
     "bathroom": (("plant", 0.35, 12, 0.0), ("dresser", 0.1, 30, 0.5)),
     "hall": (("dresser", 0.5, 30, 0.5), ("plant", 0.6, 6, 0.0), ("chair", 0.3, 30, 0.2), ("lamp", 0.15, 30, 0.0)),
 }  # fmt: skip
-_PAINTINGS = {  # the fewest and the most
-    "living room": (1, 3), "bedroom": (1, 2), "study": (0, 2), "dining room": (1, 2), "kitchen": (0, 1),
-    "hall": (0, 2), "bathroom": (0, 0),
+_DECORATED = {  # the fewest and the most paintings, and the chance of a rug
+    "living room": (1, 3, 0.85), "bedroom": (1, 2, 0.7), "study": (0, 2, 0.5), "dining room": (1, 2, 0.5),
+    "kitchen": (0, 1, 0.0), "hall": (0, 2, 0.4), "bathroom": (0, 0, 0.0),
 }  # fmt: skip
-_RUGS = {"living room": 0.85, "bedroom": 0.7, "study": 0.5, "dining room": 0.5, "hall": 0.4, "bathroom": 0.0}
+_CORNERS = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3, "armchair": 0.4}  # how much it likes them
 _TOPS = {"table": 0.6, "coffee table": 0.6, "desk": 0.6, "dresser": 0.8, "nightstand": 0.5}  # chance of an item on it
 _EYE_LEVEL = 1.52
 _LEAST_UNIQUE = 3
@@ -84,18 +82,6 @@ def furnish(f: Furnisher) -> list[Piece]:
     sizes = [(room, least, most) for least, most in ((4, 6), (2, 4)) for kind in order for room in places[kind]]
     if not any(dining(f, *size) for size in sizes):
         raise NoRoom("no place for a table with chairs")
-    for room in places["kitchen"]:  # one more small table, if there is space
-        if area[room] > 9.5 and not f.of("table", room) and rng.random() < 0.7:
-            dining(f, room, 2, 3)
-    for room in places["bedroom"]:
-        if area[room] > 11 and f.of("bed", room)[0].box[3] < 0.65 and rng.random() < 0.5:
-            sleeping(f, room)
-    for room in places["living room"]:
-        if area[room] > 17 and rng.random() < 0.5:  # a second sofa
-            sofa = f.make("sofa")
-            f.settle(sofa, room, f.along_walls(room, sofa.size, middle=0.3), front=0.3, reserve=False)
-        for _ in range(int(rng.integers(0, 3))):
-            easy_seat(f, room)
     for room in rng.permutation(len(kinds)).tolist():
         for category, chance, each, front in _MORE[kinds[room]]:
             for _ in range(max(1, int(area[room] / each))):
@@ -109,9 +95,10 @@ def furnish(f: Furnisher) -> list[Piece]:
         raise NoRoom(f"no place for {', '.join(missing)}")
     for room, kind in enumerate(kinds):
         ceiling_lamps(f, room)
-        if rng.random() < _RUGS.get(kind, 0.0):
+        fewest, most, covered = _DECORATED[kind]
+        if rng.random() < covered:
             rug(f, room)
-        for _ in range(int(rng.integers(_PAINTINGS[kind][0], _PAINTINGS[kind][1] + 1))):
+        for _ in range(int(rng.integers(fewest, most + 1))):
             painting(f, room)
     small_things(f)
     tell_apart(f)
@@ -122,14 +109,11 @@ def _one_more(f: Furnisher, room: int, category: str, front: float) -> None:
     """A further piece with `front` metres of free floor before it, if it fits."""
     if category == "desk":
         workplace(f, room)
-    elif category == "armchair":
-        easy_seat(f, room)
-    else:
-        made = f.make(category, f.habits["chair"] if category == "chair" else None)
-        corner = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3}.get(category, 0.0)
-        gap = 0.06 if category in ("plant", "lamp") else 0.02
-        sites = f.along_walls(room, made.size, corner=corner, middle=0.2, gap=gap, side=gap)
-        f.settle(made, room, sites, front=front)
+        return
+    made = f.make(category, f.habits["chair"] if category == "chair" else None)
+    gap, soft = 0.06 if category in ("plant", "lamp") else 0.02, category in ("sofa", "armchair")
+    sites = f.along_walls(room, made.size, corner=_CORNERS.get(category, 0.0), middle=0.2, gap=gap, side=gap)
+    f.settle(made, room, sites, front=front, reserve=not soft)
 
 
 def _at_least(f: Furnisher, category: str, count: int, rooms: list[int], front: float) -> None:
@@ -147,14 +131,21 @@ def _at_least(f: Furnisher, category: str, count: int, rooms: list[int], front: 
 def lounge(f: Furnisher, room: int) -> bool:
     """A television at a wall, a sofa that faces it, and mostly a coffee table between."""
     television, sofa, low_table = f.make("tv"), f.make("sofa"), f.make("coffee table")
-    seat, screen, gap = _facing_pairs(f, room, television.size, sofa.size)
+    walls = f.along_walls(room, television.size, middle=0.3, side=0.06)
+    walls = walls[f.stands(room, walls, television)]
+    gap = np.tile(np.linspace(1.6, 4.0, 49), len(walls))
+    screen = walls.repeat(49, axis=0)
+    seat = reversed_(advanced(screen, (television.size[0] + sofa.size[0]) / 2 + gap))
+    seat[:, 2:4] = sofa.size[:2] / 2
     between = before(seat, 0.5)
     between[:, :2] = (screen[:, :2] + seat[:, :2]) / 2
     between[:, 2], between[:, 3] = gap / 2 - 0.01, 0.55
-    good = f.stands(room, screen, television) & f.stands(room, seat, sofa) & f.open_before(room, between)
-    # A sofa stands at a wall, or far enough from it to walk behind.
+    # A sofa stands at a wall, which is best, or far enough from it to walk behind.
     behind, space = reversed_(seat), f.space[room]
-    good &= ~f.inside(space, before(behind, 0.12)) | f.inside(space, before(behind, 0.65))
+    at_wall = ~f.inside(space, before(behind, 0.06))
+    seat[:, 5] += f.rng.uniform(0, 0.5, len(seat)) + at_wall * (1.0 - 0.15 * np.abs(gap - 2.6))
+    good = f.stands(room, seat, sofa) & f.open_before(room, between)
+    good &= at_wall | f.inside(space, before(behind, 0.65))
     deep = low_table.size[0]
     for place in best(seat, good, 12):
         group = [(television, screen[place]), (sofa, seat[place])]
@@ -165,51 +156,6 @@ def lounge(f: Furnisher, room: int) -> bool:
             f.kept.append(between[place, :5])
             return True
     return False
-
-
-def _facing_pairs(
-    f: Furnisher, room: int, tv: np.ndarray, sofa: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Candidates for the sofa, the television's place before each ``(n, 5)``, the metres between them ``(n,)``."""
-    screens, seats, gaps = [np.zeros((0, 5))], [], [np.zeros(0)]
-    for face in f.faces:
-        free = face.end - face.start - tv[1] - 0.12
-        if face.room != room or free < 0:
-            continue
-        along = face.start + tv[1] / 2 + 0.06 + free * np.concatenate([[0.5], f.rng.random(11)])
-        options = [(f.rng.uniform(1.9, 2.9), 0.2) for _ in range(3)]
-        for other in f.faces:
-            if _opposite(face, other) and other.end - other.start > sofa[1]:
-                apart = abs(other.line - face.line) - tv[0] - sofa[0] - 2 * GAP - 0.02
-                if 1.6 <= apart <= 4.0:
-                    options.append((apart, 1.2 - 0.15 * abs(apart - 2.6)))
-        for distance, score in options:
-            screen = on_face(face, along, GAP, tv)
-            seat = reversed_(advanced(screen, tv[0] / 2 + distance + sofa[0] / 2))
-            seat[:, 2:4] = sofa[:2] / 2
-            screens.append(screen)
-            seats.append((seat, score + f.rng.uniform(0, 0.5, len(along)) + 0.3 * (np.arange(len(along)) == 0)))
-            gaps.append(np.full(len(along), distance))
-    return candidates(*seats), np.concatenate(screens), np.concatenate(gaps)
-
-
-def _opposite(face: WallFace, other: WallFace) -> bool:
-    """Whether two walls of a room face each other."""
-    facing = face.room == other.room and face.axis == other.axis and face.side == -other.side
-    apart, shared = (other.line - face.line) * face.side, min(face.end, other.end) - max(face.start, other.start)
-    return facing and apart > 0 and shared > 0
-
-
-def easy_seat(f: Furnisher, room: int) -> None:
-    """An armchair beside the coffee table, turned to it, or one at a wall."""
-    chair = f.make("armchair")
-    sites = [f.along_walls(room, chair.size, corner=0.4, side=0.1, gap=0.08)]
-    for low_table in f.of("coffee table", room):
-        turns = f.rng.uniform(0.9, 2.2, 20) * f.rng.choice([-1, 1], 20)
-        away = f.rng.uniform(0.25, 0.6, 20) + chair.size[0] / 2 + low_table.box[2:4].max()
-        boxes = advanced(np.array([relative(low_table.box, 0, 0, chair.size, turn) for turn in turns]), away)
-        sites.append(candidates((reversed_(boxes), 1.0 + f.rng.uniform(0, 0.5, 20))))
-    f.settle(chair, room, np.concatenate(sites), front=0.2, reserve=False)
 
 
 def dining(f: Furnisher, room: int, least: int, most: int) -> bool:
@@ -279,41 +225,31 @@ def sleeping(f: Furnisher, room: int) -> bool:
 
 def fit_kitchen(f: Furnisher, room: int) -> bool:
     """A row of units along one wall, as many as fit; the others stand elsewhere if there is room."""
-    start, first = f.mark(), f.make("cabinet")
-    units = {"sink": f.make("sink", "grey"), "stove": f.make("stove"), "refrigerator": f.make("refrigerator")}
-    cabinets = [first, *(f.make("cabinet", first.colour) for _ in range(2))]
+    start = f.mark()
+    units = {
+        name: f.make(name, "grey" if name == "sink" else None) for name in ("cabinet", "sink", "stove", "refrigerator")
+    }
     for row in map(str.split, _ROWS):
-        for cabinet in sorted(cabinets, key=lambda made: -made.size[1])[0 if "cabinet" in row else 2 :]:
-            every = units | {"cabinet": cabinet}
-            if _row(f, room, [every[name] for name in row]):
-                if all([_at_wall(f, room, made, 0.6) for name, made in every.items() if name not in row]):
-                    return True
-                f.back_to(start)
+        rest = [made for name, made in units.items() if name not in row]
+        if _row(f, room, [units[name] for name in row]) and all([_at_wall(f, room, made, 0.6) for made in rest]):
+            return True
+        f.back_to(start)
     return False
 
 
 def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
-    """Place units side by side, flush with each other, at the longest wall that is long enough."""
-    widths = np.array([model.size[1] for model in units]) + 0.004
-    starts = np.cumsum([0.0, *widths])
-    faces = [face for face in f.faces if face.room == room]
-    for face in sorted(faces, key=lambda face: face.start - face.end):
-        free = face.end - face.start - 2 * GAP - starts[-1]
-        if free < 0:
-            continue
-        for turned in f.rng.permutation(2):
-            for offset in (0.0, free, f.rng.uniform(0, free)):
-                middle = face.start + GAP + offset + starts[:-1] + widths / 2
-                if turned:  # the row in reverse order
-                    middle = face.start + face.end - middle
-                boxes = [on_face(face, middle[[i]], GAP, model.size) for i, model in enumerate(units)]
-                zone = before(np.concatenate(boxes), 0.7)
-                fit = all(_unit_fits(f, room, model, box) for model, box in zip(units, boxes, strict=True))
-                if not fit or not f.open_before(room, zone).all():
-                    continue
-                if f.set_down([(model, box[0]) for model, box in zip(units, boxes, strict=True)], room):
-                    f.kept.extend(zone)
-                    return True
+    """Place units side by side, flush with the wall, where there is room for all of them."""
+    widths, deepest = np.array([model.size[1] for model in units]) + 0.004, max(model.size[0] for model in units)
+    left = np.cumsum(widths) - widths / 2 - widths.sum() / 2
+    sites = f.along_walls(room, np.array([deepest, widths.sum()]), corner=0.5, side=GAP)
+    for site in sites[best(sites, np.ones(len(sites), dtype=bool), 30)]:
+        spots = zip(units, left, strict=True)
+        boxes = np.array([relative(site, (unit.size[0] - deepest) / 2, at, unit.size) for unit, at in spots])
+        zone, group = before(boxes, 0.7), list(zip(units, boxes, strict=True))
+        fit = all(_unit_fits(f, room, unit, box[None]) for unit, box in group)
+        if fit and f.open_before(room, zone).all() and f.set_down(group, room):
+            f.kept.extend(zone)
+            return True
     return False
 
 
@@ -365,25 +301,18 @@ def rug(f: Furnisher, room: int) -> None:
 
 
 def painting(f: Furnisher, room: int) -> None:
-    """A picture on a free patch of wall, best over a sofa, a bed or a low piece."""
+    """A picture on a free patch of wall, best over the middle of a sofa, a bed or a low piece."""
     made = f.make("painting")
-    depth, width, height = made.size
+    depth, _, height = made.size
     z = min(_EYE_LEVEL + 0.08, f.plan.height - height / 2 - 0.25)
-    low = [p.box for p in f.pieces if p.room == room and p.category in ("sofa", "bed", "dresser", "desk")]
-    found = []
-    for face in f.faces:
-        free = face.end - face.start - width - 0.3
-        if face.room != room or free < 0:
-            continue
-        along = face.start + 0.15 + width / 2 + free * np.concatenate([[0.5], f.rng.random(6)])
-        over = [  # above the middle of a low piece is best
-            box[face.axis] for box in low
-            if face.start + width / 2 < box[face.axis] < face.end - width / 2
-            and abs(box[1 - face.axis] - face.line) < box[2] + 0.15
-        ]  # fmt: skip
-        scores = f.rng.uniform(0, 1, len(along) + len(over)) + np.repeat([0.0, 1.0], [len(along), len(over)])
-        found.append((on_face(face, np.append(along, over), 0.0, made.size), scores))
-    sites = candidates(*found)
+    sites = f.along_walls(room, made.size, gap=0.0, side=0.15)
+    left = np.stack([-np.sin(sites[:, 4]), np.cos(sites[:, 4])], axis=1)
+    for piece in (piece for category in ("sofa", "bed", "dresser", "desk") for piece in f.of(category, room)):
+        over = sites[~untouched(before(sites, 0.3), [piece.box])]
+        way = left[~untouched(before(sites, 0.3), [piece.box])]
+        over[:, :2] += ((piece.box[:2] - over[:, :2]) * way).sum(axis=1, keepdims=True) * way
+        over[:, 5] += 1.0
+        sites, left = np.concatenate([sites, over]), np.concatenate([left, way])
     wide = advanced(sites, 0.18 - depth / 2)  # free air around and before it
     wide[:, 2], wide[:, 3] = 0.18, wide[:, 3] + 0.1
     good = f.fits(room, wide, (z - height / 2 - 0.04, z + height / 2 + 0.04), 0.0, kept=False)
@@ -391,8 +320,7 @@ def painting(f: Furnisher, room: int) -> None:
     good &= untouched(wide, [from_rectangle(d.approach(0.4, 0.1)) for d in f.plan.doorways])
     for box in sites[best(sites, good, 1), :5]:
         f.solid.append(np.array([*box, z - height / 2, z + height / 2]))
-        back = advanced(box, -depth / 2)[0, :2]
-        f.pieces.append(Piece(room, made, box, np.array([*back, z]), solid=False))
+        f.pieces.append(Piece(room, made, box, np.array([*advanced(box, -depth / 2)[0, :2], z]), solid=False))
 
 
 def small_things(f: Furnisher) -> None:
@@ -418,8 +346,7 @@ def small_things(f: Furnisher) -> None:
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
     """One lamp in the middle of each part of a room, two in a large or long one; `NoRoom` if none fits."""
-    made = f.make("ceiling lamp")
-    ceiling = f.plan.height
+    made, ceiling = f.make("ceiling lamp"), f.plan.height
     air = ceiling - made.height, ceiling
     for part, (x0, y0, x1, y1) in enumerate(f.rooms[room].rectangles):
         sides = np.array([x1 - x0, y1 - y0])
@@ -427,10 +354,9 @@ def ceiling_lamps(f: Furnisher, room: int) -> None:
             continue
         count = 2 if sides.prod() > 18 or sides.max() > max(4.5, 2.2 * sides.min()) else 1
         for i in range(count):
-            middle = np.array([x0 + x1, y0 + y1]) / 2
-            middle[sides.argmax()] += ((i + 0.5) / count - 0.5) * sides.max()
-            shifts = np.concatenate([[[0.0, 0.0]], f.rng.normal(0, 0.25, (30, 2)), f.rng.normal(0, 0.6, (60, 2))])
-            boxes = np.array([[*spot, made.size[0] / 2, made.size[1] / 2, 0.0] for spot in middle + shifts])
+            boxes = np.tile([(x0 + x1) / 2, (y0 + y1) / 2, made.size[0] / 2, made.size[1] / 2, 0.0], (91, 1))
+            boxes[:, sides.argmax()] += ((i + 0.5) / count - 0.5) * sides.max()
+            boxes[1:, :2] += f.rng.normal(0, 0.4, (90, 2))
             for box in boxes[f.fits(room, boxes, air, 0.05, kept=False)][:1]:
                 f.solid.append(np.array([*box, *air]))
                 f.record(made, room, box, ceiling)

@@ -11,13 +11,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from eagor._extras import need
-from eagor.lab.worlds.apartment.textures import REPEAT, material
+from eagor.lab.worlds.apartment.textures import KINDS, material
 from eagor.lab.worlds.scene import Material
+from eagor.sphere import rotation
 
 need("an apartment", "sim", "trimesh")
 import trimesh  # noqa: E402
@@ -78,8 +79,8 @@ class Cover:
 
 
 def finish(kind: str, colour: str | None, rng: np.random.Generator) -> Cover:
-    """What covers meshes with a material of a kind of `REPEAT`, in a tone of a named colour; None for its default."""
-    return Cover(material(kind, colour, rng), REPEAT[kind])
+    """What covers meshes with a material of a kind of `KINDS`, in a tone of a named colour; None for its default."""
+    return Cover(material(kind, colour, rng), KINDS[kind].repeat)
 
 
 def moved(mesh: Mesh, offset: Triple) -> Mesh:
@@ -92,6 +93,11 @@ def turned(mesh: Mesh, rotation: np.ndarray, about: Triple = (0.0, 0.0, 0.0)) ->
     centre = np.asarray(about, dtype=np.float64)
     vertices = (mesh.vertices - centre) @ np.asarray(rotation, dtype=np.float64).T + centre
     return replace(mesh, vertices=vertices.astype(np.float32))
+
+
+def leaning(mesh: Mesh, angle: float, about: Triple = (0.0, 0.0, 0.0)) -> Mesh:
+    """`mesh` turned by `angle` radians about an axis along y through a point; its top goes towards -x."""
+    return turned(mesh, rotation((0.0, 1.0, 0.0), -angle), about)
 
 
 def merged(*meshes: Mesh) -> Mesh:
@@ -163,13 +169,9 @@ def quad(corners: Sequence[Triple] | np.ndarray) -> Mesh:
 
 
 def box(low: Triple, high: Triple, grain: int | None = None) -> Mesh:
-    """A box between two corners ``(3,)``, 12 triangles; `grain` as in `planar_uv`."""
-    return solid(np.asarray(low) + CORNERS * np.subtract(high, low), _BOX.faces, grain)
-
-
-def board(low: Triple, high: Triple) -> Mesh:
-    """A box with the grain along its longest side."""
-    return box(low, high, int(np.argmax(np.subtract(high, low))))
+    """A box between two corners ``(3,)``, 12 triangles; the grain along the axis `grain`, or its longest side."""
+    size = np.subtract(high, low)
+    return solid(np.asarray(low) + CORNERS * size, _BOX.faces, int(size.argmax()) if grain is None else grain)
 
 
 def post(foot: Triple, top: Triple, foot_size: Triple, top_size: Triple) -> Mesh:
@@ -180,22 +182,21 @@ def post(foot: Triple, top: Triple, foot_size: Triple, top_size: Triple) -> Mesh
 
 
 @cache
-def _bevelled_cube() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corners ``(24, 3)`` of a cube, each three times; the triangles; and the ways out from there, to the faces."""
-    signs = np.repeat(2 * CORNERS - 1, 3, axis=0)
-    outward = np.tile(np.eye(3), (8, 1)) * signs
-    found = ConvexHull(2 * signs + outward)
-    a, b, c = np.moveaxis(found.points[found.simplices], 1, 0)
-    inside = (np.cross(b - a, c - a) * found.equations[:, :3]).sum(axis=1) < 0
-    return signs, np.where(inside[:, None], found.simplices[:, ::-1], found.simplices), outward
+def _bevelled_cube() -> tuple[np.ndarray, np.ndarray]:
+    """Corners ``(24, 3)`` of a cube, one on the edge of each face, as the face's axis and signs; and the triangles."""
+    signs, faces = np.repeat(2 * CORNERS - 1, 3, axis=0), np.tile(np.eye(3), (8, 1))
+    places = signs * (2 + faces)
+    hull = trimesh.convex.convex_hull(places)  # its vertices are in another order
+    order = np.linalg.norm(hull.vertices[:, None] - places, axis=2).argmin(axis=1)
+    return np.stack([signs, signs * faces]), order[hull.faces]
 
 
 def bevelled(low: Triple, high: Triple, radius: float, grain: int | None = None) -> Mesh:
-    """A box with edges cut off by `radius` (or half of the shortest side): 44 triangles."""
+    """A box with edges cut off by `radius` (or half of the shortest side): 44 triangles; `grain` as in `planar_uv`."""
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     half = (high - low) / 2
     radius = min(float(radius), 0.998 * float(half.min()))
-    signs, triangles, outward = _bevelled_cube()
+    (signs, outward), triangles = _bevelled_cube()
     return solid((low + high) / 2 + signs * (half - radius) + outward * radius, triangles, grain)
 
 
@@ -213,24 +214,6 @@ def cushion(low: Triple, high: Triple, power: float = 5.0) -> Mesh:
     return solid((low + high) / 2 + place * (high - low) / 2, triangles)
 
 
-def prism(outline: np.ndarray, low: float, high: float, grain: int | None = None) -> Mesh:
-    """A convex outline ``(n, 2)`` of x and y, counter-clockwise, from z = `low` to `high`."""
-    n = len(outline)
-    fan, k = np.array([[0, k, k + 1] for k in range(1, n - 1)]), np.arange(n)
-    walls = np.stack([k, (k + 1) % n, (k + 1) % n + n, k, (k + 1) % n + n, k + n], axis=1).reshape(-1, 3)
-    ends = [np.column_stack([outline, np.full(n, z)]) for z in (low, high)]
-    return solid(np.concatenate(ends), np.concatenate([fan[:, ::-1], fan + n, walls]), grain)
-
-
-def rounded_rectangle(width: float, depth: float, radius: float) -> np.ndarray:
-    """A counter-clockwise outline ``(20, 2)`` about the origin, `width` along its first coordinate."""
-    radius = min(radius, 0.499 * width, 0.499 * depth)
-    angle = np.concatenate([np.linspace(k, k + 1, 5) for k in range(4)]) * (math.pi / 2)
-    sign = np.repeat([[1, 1], [-1, 1], [-1, -1], [1, -1]], 5, axis=0)
-    middle = sign * [width / 2 - radius, depth / 2 - radius]
-    return middle + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-
-
 def lathe(profile: Sequence[Triple] | np.ndarray, sides: int = 20, stretch: Triple = (1.0, 1.0)) -> Mesh:
     """A shape turned about the z axis from `profile` ``(n, 2)`` of (r, z), drawn from its bottom upwards.
 
@@ -240,18 +223,56 @@ def lathe(profile: Sequence[Triple] | np.ndarray, sides: int = 20, stretch: Trip
     return solid(np.asarray(made.vertices) * [*stretch, 1.0], made.faces)
 
 
-def cylinder(centre: Triple, radius: float, height: float, sides: int) -> Mesh:
+def cylinder(centre: Triple, radius: float, height: float, sides: int = 16) -> Mesh:
     """An upright cylinder on `centre` ``(3,)``, the middle of its base."""
     return moved(lathe([(0, 0), (radius, 0), (radius, height), (0, height)], sides), centre)
 
 
-def tube(path: Sequence[Triple] | np.ndarray, radius: float | Sequence[float] | np.ndarray, sides: int = 8) -> Mesh:
-    """Round bars from point to point of `path` ``(n, 3)``; `radius`, one or one per point."""
-    path = np.asarray(path, dtype=np.float64)
-    radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), (len(path),))
-    bars = []
-    for a, b, first, last in zip(path, path[1:], radii, radii[1:], strict=False):
-        length = float(np.linalg.norm(b - a))
-        bar = lathe([(0, 0), (first, 0), (last, length), (0, length)], sides)
-        bars.append(moved(turned(bar, np.asarray(trimesh.geometry.align_vectors([0, 0, 1], b - a))[:3, :3]), a))
-    return merged(*bars)
+def tube(path: Sequence[Triple] | np.ndarray, radius: float, sides: int = 6) -> Mesh:
+    """Round bars from point to point of `path` ``(n, 3)``."""
+    bars = [trimesh.creation.cylinder(radius, sections=sides, segment=np.array(ends)) for ends in pairwise(path)]
+    return merged(*(solid(bar.vertices, bar.faces) for bar in bars))
+
+
+# --- common joinery ---------------------------------------------------------------------------------------------------
+
+
+def polar(radius: np.ndarray | float, azimuth: np.ndarray | float, z: np.ndarray | float) -> np.ndarray:
+    """Points ``(..., 3)`` at these distances from the z axis, azimuths (radians from +x) and heights."""
+    return np.stack(np.broadcast_arrays(radius * np.cos(azimuth), radius * np.sin(azimuth), z), axis=-1)
+
+
+def timber(colour: str, rng: np.random.Generator) -> Cover:
+    """The finish of wooden furniture: visible grain where it is a colour of wood, else mostly paint."""
+    grained = colour in ("brown", "beige") or (colour in ("black", "grey") and rng.random() < 0.5)
+    return finish("wood" if grained else "paint", colour, rng)
+
+
+def fittings(rng: np.random.Generator) -> Cover:
+    """The finish of handles and metal legs: steel or black."""
+    return finish("metal", None if rng.random() < 0.6 else "black", rng)
+
+
+def legs(x0: float, y0: float, x1: float, y1: float, height: float, size: float, foot: float | None = None) -> Mesh:
+    """Four square legs whose middles are the corners of a rectangle, metres; `size` at the top, `foot` at the floor."""
+    below, above = (foot or size,) * 2, (size, size)
+    return merged(*(post((x, y, 0), (x, y, height), below, above) for x in (x0, x1) for y in (y0, y1)))
+
+
+def front(x: float, y0: float, y1: float, z0: float, z1: float) -> Mesh:
+    """A door or the front of a drawer, its back at `x`, facing +x; the grain along its longer side."""
+    return bevelled((x, y0, z0), (x + 0.018, y1, z1), 0.004, 1 if y1 - y0 > z1 - z0 else 2)
+
+
+def pull(x: float, y: float, z: float, length: float, upright: bool = False) -> Mesh:
+    """A bar handle of `length`, centred at (y, z) on a front at `x` that faces +x."""
+    half = np.array([0.0, 0.0, length / 2] if upright else [0.0, length / 2, 0.0])
+    middle, out = np.array([x, y, z]), np.array([0.028, 0, 0])
+    return tube([middle - half, middle - half + out, middle + half + out, middle + half], 0.006, sides=5)
+
+
+def drawers(x: float, y0: float, y1: float, cuts: Sequence[float] | np.ndarray) -> tuple[list[Mesh], list[Mesh]]:
+    """Fronts with their backs at `x`, one from each of the heights `cuts` to the next, and their handles."""
+    fronts = [front(x, y0 + 0.006, y1 - 0.006, z0 + 0.004, z1 - 0.004) for z0, z1 in pairwise(cuts)]
+    length = min(0.3 * (y1 - y0), 0.18) + 0.04
+    return fronts, [pull(x + 0.018, (y0 + y1) / 2, (z0 + z1) / 2, length) for z0, z1 in pairwise(cuts)]

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from eagor.lab.worlds.apartment.building import Cells, WallFace, wall_faces
+from eagor.lab.worlds.apartment.building import Cells, wall_faces
 from eagor.lab.worlds.apartment.furniture import KINDS, Model, build
-from eagor.lab.worlds.apartment.plans import OUTSIDE, Doorway, Plan
+from eagor.lab.worlds.apartment.plans import OUTSIDE, Opening, Plan
 from eagor.lab.worlds.scene import Room
 from eagor.queries import Query
 
@@ -104,17 +104,7 @@ def reversed_(boxes: np.ndarray) -> np.ndarray:
     return back
 
 
-def on_face(face: WallFace, along: np.ndarray, away: float, size: np.ndarray) -> np.ndarray:
-    """Footprints ``(n, 5)`` of a `size`: middles `along` ``(n,)`` a wall, backs `away` metres from it."""
-    boxes = np.zeros((len(along), 5))
-    boxes[:, face.axis] = along
-    boxes[:, 1 - face.axis] = face.line + face.side * (away + size[0] / 2)
-    across = 0.0 if face.side > 0 else math.pi
-    boxes[:, 2:] = size[0] / 2, size[1] / 2, across if face.axis else math.copysign(math.pi / 2, face.side)
-    return boxes
-
-
-def leaf_footprint(doorway: Doorway) -> np.ndarray:
+def leaf_footprint(doorway: Opening) -> np.ndarray:
     """The open leaf with its handles."""
     length = doorway.end - doorway.start
     along = doorway.at(1.0, 0.0) - doorway.at(0.0, 0.0)
@@ -261,9 +251,10 @@ class Furnisher:
             if face.room != room or face.end - face.start - size[1] - 2 * side < 0:
                 continue
             first, last = face.start + side + size[1] / 2, face.end - side - size[1] / 2
-            along = np.concatenate([[first, last, (first + last) / 2], self.rng.uniform(first, last, 5)])
-            scores = self.rng.uniform(0, 0.5, len(along)) + np.array([corner, corner, middle, 0, 0, 0, 0, 0])
-            found.append((on_face(face, along, gap, size), scores))
+            boxes = np.tile([0.0, 0.0, size[0] / 2, size[1] / 2, face.angle], (8, 1))
+            boxes[:, face.axis] = [first, last, (first + last) / 2, *self.rng.uniform(first, last, 5)]
+            boxes[:, 1 - face.axis] = face.line + face.side * (gap + size[0] / 2)
+            found.append((boxes, self.rng.uniform(0, 0.5, 8) + np.array([corner, corner, middle, 0, 0, 0, 0, 0])))
         return candidates(*found)
 
     def in_room(self, room: int, size: np.ndarray, count: int) -> np.ndarray:

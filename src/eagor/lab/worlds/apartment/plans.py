@@ -1,8 +1,7 @@
 """Floor plans: a layout of one of the families, turned and mirrored, with doors and windows cut.
 
-A layout is drawn on the centre lines of the walls, in the rectangle from (0, 0), and is rejected if a room becomes too
-small or too large. An outer wall has its inner face at the same distance from the line as an inner wall, and grows
-outwards. Frame: x, y of the world, metres.
+A layout is drawn on the centre lines of the walls, from (0, 0), and is rejected if a room becomes too small or too
+large. An outer wall grows outwards from where an inner one would have its face. Frame: x, y of the world, metres.
 """
 
 from __future__ import annotations
@@ -21,12 +20,15 @@ HALF_WALL = 0.055  # half the thickness of an inner wall
 OUTER_WALL = 0.25
 LINING = 0.03  # thickness of a door's lining, within the hole
 NICHE = 0.06  # depth of the closed front door in its wall
-DOOR_HEAD = 2.08
+DOOR_HEAD, WINDOW_HEAD = 2.08, 2.15
 OUTSIDE = -1
-# Windows, metres: range of width, and the heights of sills to choose from.
-_WINDOWS: dict[str, tuple[float, float, list[float]]] = {
-    "bathroom": (0.5, 0.7, [1.45]), "living room": (1.2, 2.0, [0.45, 0.95]), "bedroom": (0.9, 1.5, [0.85, 0.95, 1.1]),
+SNAP = 20  # walls stand on twentieths of a metre
+# Windows: chance of one in the first outer wall and in each other; range of width, heights of sills to choose from (m).
+_WINDOWS: dict[str, tuple[float, float, float, float, list[float]]] = {
+    "bathroom": (0.6, 0.0, 0.5, 0.7, [1.45]), "hall": (0.3, 0.0, 0.9, 1.5, [0.95]),
+    "living room": (1.0, 0.65, 1.2, 2.0, [0.45, 0.95]), "kitchen": (1.0, 0.65, 0.9, 1.5, [1.2]),  # above the worktop
 }  # fmt: skip
+_OTHER_WINDOWS = (1.0, 0.65, 0.9, 1.5, [0.85, 0.95, 1.1])
 # Shortest side, and range of area in square metres, between centre lines.
 _SIZES = {
     "living room": (3.2, 13.0, 42.0), "bedroom": (2.6, 8.6, 20.0), "kitchen": (2.1, 5.6, 17.0),
@@ -36,155 +38,114 @@ _NET_AREA = (45.0, 110.0)
 # Range of a room's width in a row.
 _WIDTHS = {
     "living room": (4.0, 5.6), "bedroom": (3.0, 4.3), "kitchen": (2.6, 3.8), "bathroom": (1.75, 2.5),
-    "study": (2.3, 3.2), "dining room": (2.8, 3.6),
+    "study": (2.3, 3.2), "dining room": (2.8, 3.6), "hall": (1.8, 2.4),
 }  # fmt: skip
 
 # --- the families of floor plans --------------------------------------------------------------------------------------
 
 
-# Rooms, each of a kind and consisting of rectangles; doors and openings, both as pairs of indices of rooms. The front
-# door, which leads to `OUTSIDE`, comes first.
+# Rooms, each of a kind and its rectangles; doors and openings as pairs of rooms, first the front door (to `OUTSIDE`).
 Rooms = list[tuple[str, list[Rectangle]]]
 Pairs = list[tuple[int, int]]
 Layout = tuple[Rooms, Pairs, Pairs]
+Generator = np.random.Generator
 
 
-def corridor(rng: np.random.Generator) -> Layout:
+def corridor(rng: Generator) -> Layout:
     """Rooms on both sides of a corridor; often the living room closes its end over the full depth."""
-    front, passage, back = _draw(rng, 3.2, 4.3), _draw(rng, 1.2, 1.5), _draw(rng, 2.6, 3.7)
-    depth = front + passage + back
-    end = _draw(rng, 3.4, 4.4) if rng.random() < 0.55 else 0.0  # width of a living room over the full depth
-    near = ["bedroom", "bedroom"] if rng.random() < 0.6 else ["bedroom", "study"]
-    if not end:
+    front, passage, back = rng.uniform(3.2, 4.3), rng.uniform(1.2, 1.5), rng.uniform(2.6, 3.7)
+    depth, closed = front + passage + back, rng.random() < 0.55
+    near, far = ["bedroom", "bedroom" if rng.random() < 0.6 else "study"], ["kitchen", "bathroom"]
+    if not closed:
         near = ["living room", *near[: int(rng.integers(1, 3))]]
-    far = ["kitchen", "bathroom"]
     if rng.random() < 0.5:
         far.append("study" if "study" not in near else "bedroom")
     rng.shuffle(near)
     rng.shuffle(far)
     widths, others = _widths(rng, near), _widths(rng, far)
-    length = _snap((sum(widths) + sum(others)) / 2)
+    length = (sum(widths) + sum(others)) / 2
     rooms: Rooms = [("hall", [(0.0, front, length, front + passage)])]
-    for kinds, sizes, y0, y1 in ((near, widths, 0.0, front), (far, others, front + passage, depth)):
-        rooms += _row(kinds, [width * length / sum(sizes) for width in sizes], y0, y1)
-    if end:
-        rooms.append(("living room", [(length, 0.0, length + end, depth)]))
+    rooms += _row(near, widths * length / sum(widths), 0.0, front)
+    rooms += _row(far, others * length / sum(others), front + passage, depth)
+    if closed:
+        rooms.append(("living room", [(length, 0.0, length + rng.uniform(3.4, 4.4), depth)]))
     doors, openings = [(0, OUTSIDE), *((0, i) for i in range(1, len(rooms)))], []
-    if end and far[-1] == "kitchen":  # a kitchen next to the living room opens into it
+    if closed and far[-1] == "kitchen":  # a kitchen next to the living room opens into it
         kitchen, living = len(rooms) - 2, len(rooms) - 1
         (openings if rng.random() < 0.5 else doors).append((kitchen, living))
         doors.remove((0, kitchen))
     return rooms, doors, openings
 
 
-def open_plan(rng: np.random.Generator) -> Layout:
+def open_plan(rng: Generator) -> Layout:
     """Living, kitchen and dining in one L-shaped space; the other rooms stand in its inner corner."""
     private = ["bedroom", "bathroom"]
     if rng.random() < 0.75:
         private.append("bedroom" if rng.random() < 0.6 else "study")
     rng.shuffle(private)
-    widths = _widths(rng, private)
-    arm, block, strip = _draw(rng, 2.4, 3.3), _draw(rng, 2.7, 3.9), _draw(rng, 3.3, 4.4)
-    length, depth = _snap(arm + sum(widths)), strip + block
+    widths, arm, strip = _widths(rng, private), rng.uniform(2.4, 3.3), rng.uniform(3.3, 4.4)
+    length, depth = arm + sum(widths), strip + rng.uniform(2.7, 3.9)
     dining = rng.random() < 0.5
-    split = _snap(length - _draw(rng, 2.4, 3.2)) if dining else length
-    kitchen = strip + (_draw(rng, 0.0, 1.0) if rng.random() < 0.5 else 0.0)
-    living = [(0.0, 0.0, split, strip)]
-    if kitchen > strip + 0.3:
-        living.append((0.0, strip, arm, kitchen))
-    else:
-        kitchen = strip
-    rooms: Rooms = [("living room", living), ("kitchen", [(0.0, kitchen, arm, depth)])]
+    split = length - rng.uniform(2.4, 3.2) if dining else length
+    rooms: Rooms = [("living room", [(0.0, 0.0, split, strip)]), ("kitchen", [(0.0, strip, arm, depth)])]
     doors, openings = [(0, OUTSIDE)], [(0, 1)]
     if dining:
         rooms.append(("dining room", [(split, 0.0, length, strip)]))
         openings.append((0, 2))
-    for kind, ((x0, y0, x1, y1),) in _row(private, widths, strip, depth):
-        doors.append((2 if dining and arm + (x0 + x1) / 2 > split + 0.6 else 0, len(rooms)))
-        rooms.append((kind, [(_snap(x0 + arm), y0, _snap(x1 + arm), y1)]))
+    for kind, ((x0, y0, x1, y1),) in _row(private, widths, strip, depth, arm):
+        doors.append((2 if dining and (x0 + x1) / 2 > split + 0.6 else 0, len(rooms)))
+        rooms.append((kind, [(x0, y0, x1, y1)]))
     return rooms, doors, openings
 
 
-def central_hall(rng: np.random.Generator) -> Layout:
-    """Four wings turn like a pinwheel round a hall; one or two of them are divided."""
-    x1, right, y1, high = (_draw(rng, 2.6, 3.8) for _ in range(4))
-    across, along = _draw(rng, 1.8, 3.4), _draw(rng, 1.5, 2.6)
-    x2, y2 = _snap(x1 + across), _snap(y1 + along)
-    width, depth = _snap(x2 + right), _snap(y2 + high)
-    wings = [(0.0, 0.0, x2, y1), (x2, 0.0, width, y2), (x1, y2, width, depth), (0.0, y1, x1, depth)]
-    living = max(range(4), key=lambda i: (wings[i][2] - wings[i][0]) * (wings[i][3] - wings[i][1]))
-    rest = [i for i in range(4) if i != living]
-    rng.shuffle(rest)
-    divided, kitchen, bedroom = rest
-    rooms: Rooms = [("hall", [(x1, y1, x2, y2)]), ("living room", [wings[living]])]
-    rooms += [("kitchen", [wings[kitchen]]), ("bedroom", [wings[bedroom]])]
-    beside = {living: 1, kitchen: 2, bedroom: 3}[(divided - 1) % 4]  # the room in the wing before the divided one
-    inner, outer = _divided(rng, divided, wings[divided], (x1, y1, x2, y2))
-    second = "bedroom" if rng.random() < 0.5 else "study"
-    if rng.random() < 0.5:  # the bathroom at the hall, the other room reached from the next wing ...
-        rooms += [("bathroom", [inner]), (second, [outer])]
-        behind = beside
-    else:  # ... or a room at the hall, and a bathroom off that room
-        rooms += [(second, [inner]), ("bathroom", [outer])]
-        behind = 4 if rng.random() < 0.5 else beside
+def central_hall(rng: Generator) -> Layout:
+    """Four wings turn like a pinwheel round a hall; the first of them is divided."""
+    x1, right, y1, high = rng.uniform(2.6, 3.8, 4).tolist()
+    x2, y2 = x1 + rng.uniform(1.8, 3.4), y1 + rng.uniform(1.5, 2.6)
+    width, depth = x2 + right, y2 + high
+    wings = [(x2, 0.0, width, y2), (x1, y2, width, depth), (0.0, y1, x1, depth)]
+    living = max(range(3), key=lambda i: (wings[i][2] - wings[i][0]) * (wings[i][3] - wings[i][1]))
+    order = [living, *rng.permutation([i for i in range(3) if i != living]).tolist()]
+    rooms: Rooms = [("hall", [(x1, y1, x2, y2)])]
+    rooms += [(kind, [wings[i]]) for kind, i in zip(("living room", "kitchen", "bedroom"), order, strict=True)]
+    cut, beside = rng.uniform(max(1.7, x1 - 0.9), x2 - 1.7), 1 + order.index(2)  # the room next to the outer part
+    # A room reached from the wing beside it lies behind the bathroom, or the bathroom behind the room.
+    kinds = rng.permutation(["bathroom", "bedroom" if rng.random() < 0.5 else "study"]).tolist()
+    rooms += [(kinds[0], [(cut, 0.0, x2, y1)]), (kinds[1], [(0.0, 0.0, cut, y1)])]
+    behind = beside if kinds[0] == "bathroom" or rng.random() < 0.5 else 4
     return rooms, [(1, OUTSIDE), (0, 1), (0, 2), (0, 3), (0, 4), (behind, 5)], []
 
 
-def _divided(rng: np.random.Generator, wing: int, rectangle: Rectangle, hall: Rectangle) -> tuple[Rectangle, Rectangle]:
-    """A wing of the pinwheel cut in two: the part at the hall, and the part at the corner of the building."""
-    axis = wing % 2  # the axis along which it is cut
-    low, high, start, end = rectangle[axis], rectangle[axis + 2], hall[axis], hall[axis + 2]
-    least = 1.2 if axis else 1.7  # of the part at the hall, along that axis
-    if wing < 2:
-        cut = _draw(rng, max(low + 1.7, start - 0.9), end - least)
-    else:
-        cut = _draw(rng, start + least, min(high - 1.7, end + 0.9))
-    x0, y0, x1, y1 = rectangle
-    first, last = ((x0, y0, x1, cut), (x0, cut, x1, y1)) if axis else ((x0, y0, cut, y1), (cut, y0, x1, y1))
-    return (last, first) if wing < 2 else (first, last)
-
-
-def railroad(rng: np.random.Generator) -> Layout:
+def railroad(rng: Generator) -> Layout:
     """Rooms in a row, one through another; the bathroom stands beside a short passage."""
-    depth = _draw(rng, 3.8, 5.0)
-    day = ["living room", "kitchen"]
+    depth, passage = rng.uniform(3.8, 5.0), rng.uniform(1.2, 1.5)
+    day, night = ["living room", "kitchen"], ["bedroom"]
     if rng.random() < 0.4:
         day.insert(1, "dining room")
     elif rng.random() < 0.4:
         day.reverse()
-    night = ["bedroom"]
     if rng.random() < 0.7:
         night.append("bedroom" if rng.random() < 0.4 else "study")
-    passage, slot = _draw(rng, 1.2, 1.5), _draw(rng, 1.8, 2.4)
-    at_low = rng.random() < 0.5
-    rooms, doors, openings, x0 = [], [], [], 0.0
-    for place, kind in enumerate([*day, "hall", *night]):
-        wide = slot if kind == "hall" else _draw(rng, *_WIDTHS[kind])
-        if kind not in ("hall", "living room"):
-            wide = _snap(wide * 0.9)
-        x1, y0, y1 = _snap(x0 + wide), 0.0, depth
-        if kind == "hall":
-            y0, y1 = (0.0, passage) if at_low else (depth - passage, depth)
-        if place:
-            together = place < len(day)
-            (openings if together and rng.random() < 0.3 else doors).append((place - 1, place))
-        rooms.append((kind, [(x0, y0, x1, y1)]))
-        x0 = x1
-    hall = len(day)
-    ((x0, _, x1, _),) = rooms[hall][1]
+    kinds, hall = [*day, "hall", *night], len(day)
+    rooms = _row(kinds, 0.93 * _widths(rng, kinds), 0.0, depth)
+    doors, openings = [], []
+    for place in range(1, len(kinds)):
+        (openings if place < hall and rng.random() < 0.3 else doors).append((place - 1, place))
+    x0, _, x1, _ = rooms[hall][1][0]
+    cut = passage if rng.random() < 0.5 else depth - passage
+    strips = [(x0, 0.0, x1, cut), (x0, cut, x1, depth)]
+    rooms[hall] = ("hall", [strips.pop(0 if cut == passage else 1)])
     doors.append((hall, len(rooms)))
-    rooms.append(("bathroom", [(x0, passage, x1, depth) if at_low else (x0, 0.0, x1, _snap(depth - passage))]))
+    rooms.append(("bathroom", strips))
     return rooms, [(hall if rng.random() < 0.5 else 0, OUTSIDE), *doors], openings
 
 
-def studio(rng: np.random.Generator) -> Layout:
+def studio(rng: Generator) -> Layout:
     """One large space with a kitchen and a sleeping alcove open to it; only the bathroom is closed."""
-    x1, entry, bath = _draw(rng, 1.9, 2.5), _draw(rng, 1.6, 3.2), _draw(rng, 2.4, 3.2)
-    strip, alcove = _draw(rng, 3.4, 4.4), _draw(rng, 2.8, 3.4)
-    depth = _snap(max(strip + alcove, entry + bath))
-    kitchen, bed = _draw(rng, 2.1, 2.9), _draw(rng, 3.0, 3.8)
-    x2 = _snap(x1 + kitchen)
-    width = _snap(x2 + bed)
+    x1, entry, bath = rng.uniform(1.9, 2.5), rng.uniform(1.6, 3.2), rng.uniform(2.4, 3.2)
+    strip, alcove = rng.uniform(3.4, 4.4), rng.uniform(2.8, 3.4)
+    depth, x2 = max(strip + alcove, entry + bath), x1 + rng.uniform(2.1, 2.9)
+    width = x2 + rng.uniform(3.0, 3.8)
     rooms: Rooms = [
         ("living room", [(x1, 0.0, width, strip)]),
         ("bedroom", [(x2, strip, width, depth)]),
@@ -197,26 +158,17 @@ def studio(rng: np.random.Generator) -> Layout:
     return rooms, doors, openings
 
 
-FAMILIES: dict[str, Callable[[np.random.Generator], Layout]] = {
-    "corridor": corridor, "open plan": open_plan, "central hall": central_hall, "railroad": railroad, "studio": studio,
-}  # fmt: skip
+_DRAWN = (corridor, open_plan, central_hall, railroad, studio)
+FAMILIES: dict[str, Callable[[Generator], Layout]] = {draw.__name__.replace("_", " "): draw for draw in _DRAWN}
 
 
-def _draw(rng: np.random.Generator, low: float, high: float) -> float:
-    return _snap(rng.uniform(min(low, high), high))  # if nothing fits, the plan is rejected for its room sizes
+def _widths(rng: Generator, kinds: list[str]) -> np.ndarray:
+    return np.array([rng.uniform(*_WIDTHS[kind]) for kind in kinds])
 
 
-def _snap(metres: float) -> float:
-    return round(metres * 20) / 20
-
-
-def _widths(rng: np.random.Generator, kinds: list[str]) -> list[float]:
-    return [_draw(rng, *_WIDTHS[kind]) for kind in kinds]
-
-
-def _row(kinds: list[str], widths: list[float], y0: float, y1: float) -> Rooms:
-    """Rooms side by side along x from 0."""
-    ends = [_snap(x) for x in np.cumsum([0.0, *widths])]
+def _row(kinds: list[str], widths: np.ndarray, y0: float, y1: float, x0: float = 0.0) -> Rooms:
+    """Rooms side by side along x from `x0`."""
+    ends = [x0, *(x0 + np.cumsum(widths)).tolist()]
     return [(kind, [(ends[i], y0, ends[i + 1], y1)]) for i, kind in enumerate(kinds)]
 
 
@@ -248,13 +200,20 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Opening:
-    """A hole in a wall from `start` to `end` along its boundary and from `sill` to `head` in height."""
+    """A window or a doorway: a hole from `start` to `end` along its boundary and from `sill` to `head` in height.
+
+    `leaf`: the opening angle of a door's leaf in degrees, 0 for closed, or None without one. It hangs at the `start` or
+    the end of the hole (`hinge`), and opens to the low (-1) or high (1) `side`.
+    """
 
     boundary: Boundary
     start: float
     end: float
     sill: float
     head: float
+    leaf: float | None = None
+    hinge: bool = True
+    side: int = 1
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -273,25 +232,11 @@ class Opening:
         low, high = (0.0 if room == OUTSIDE else depth for room in self.boundary.rooms)
         return self.boundary.box(self.start - margin, self.end + margin, -low, high)
 
-
-@dataclass(frozen=True)
-class Doorway(Opening):
-    """A doorway. `leaf`: the opening angle of its leaf in degrees, 0 for closed, or None without a leaf.
-
-    The leaf hangs at the `start` or the end of the hole (`hinge`), and opens to the low (-1) or high (1) side.
-    """
-
-    leaf: float | None
-    hinge: bool
-    side: int
-
     @lazy
     def leaf_box(self) -> Rectangle | None:
         """Bounds of the open leaf on the floor; None without one, or if it is closed."""
-        if not self.leaf:
-            return None
         corners = np.array([self.at(along, across) for along in (0.0, self.end - self.start) for across in (0.0, 0.07)])
-        return (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
+        return (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()) if self.leaf else None
 
     def at(self, along: float, across: float) -> np.ndarray:
         """The point ``(2,)`` `along` the open leaf from its hinge, and `across` it towards the wall behind it."""
@@ -315,7 +260,7 @@ class Plan:
     spaces: tuple[Room, ...]
     walls: tuple[Boundary, ...]
     open_to: frozenset[tuple[int, int]]
-    doorways: tuple[Doorway, ...]
+    doorways: tuple[Opening, ...]
     windows: tuple[Opening, ...]
     height: float
 
@@ -326,7 +271,7 @@ class Plan:
         return width, depth
 
 
-def draw_plan(rng: np.random.Generator) -> Plan:
+def draw_plan(rng: Generator) -> Plan:
     """A floor plan of one of `FAMILIES`, mirrored and turned at random. Raises `WorldError` if none can be drawn."""
     family = list(FAMILIES)[rng.integers(len(FAMILIES))]
     for _ in range(400):
@@ -349,15 +294,15 @@ def draw_plan(rng: np.random.Generator) -> Plan:
     raise WorldError(f"no floor plan of the family {family!r} came out in 400 tries; use another seed")
 
 
-def _spaces(layout: Rooms, rng: np.random.Generator) -> tuple[Room, ...]:
+def _spaces(layout: Rooms, rng: Generator) -> tuple[Room, ...]:
     """The rooms of a layout, mirrored and with its axes exchanged at random; several of one kind are numbered."""
     mirrored, exchanged = rng.random(2) < 0.5, rng.random() < 0.5
-    ends = np.concatenate([rectangles for _, rectangles in layout])[:, 2:].max(axis=0)
-    kinds = [kind for kind, _ in layout]
+    snapped = [np.round(np.multiply(rectangles, SNAP)) / SNAP for _, rectangles in layout]
+    ends, kinds = np.concatenate(snapped)[:, 2:].max(axis=0), [kind for kind, _ in layout]
     spaces = []
-    for place, (kind, rectangles) in enumerate(layout):
+    for place, (kind, rectangles) in enumerate(zip(kinds, snapped, strict=True)):
         number = f" {kinds[: place + 1].count(kind)}" if kinds.count(kind) > 1 else ""
-        corners = np.reshape(rectangles, (-1, 2, 2))
+        corners = rectangles.reshape(-1, 2, 2)
         corners = np.sort(np.where(mirrored, ends - corners, corners), axis=1)
         turned = corners[..., ::-1] if exchanged else corners
         spaces.append(Room(kind + number, kind, np.round(turned.reshape(-1, 4), 4)))
@@ -370,9 +315,8 @@ def _sizes_fit(spaces: tuple[Room, ...]) -> bool:
         shortest, least, most = _SIZES[space.kind]
         sides = space.rectangles[:, 2:] - space.rectangles[:, :2]
         net += (sides - 2 * HALF_WALL).prod(axis=1).sum()
-        if not least <= space.area <= most or sides[0].min() < shortest - 1e-6:
-            return False
-        if space.kind != "hall" and sides[0].max() > 3.2 * sides[0].min():
+        long = space.kind != "hall" and sides[0].max() > 3.2 * sides[0].min()
+        if long or not least <= space.area <= most or sides[0].min() < shortest - 1e-6:
             return False
     return bool(_NET_AREA[0] <= net <= _NET_AREA[1])
 
@@ -389,35 +333,30 @@ def find_boundaries(spaces: tuple[Room, ...]) -> list[Boundary]:
         for line, low, high in zip(across, cells, cells[1:], strict=False):
             key = np.where(low != high, low * 16 + high, 0)[None]  # both rooms in one number
             for value, _, start, _, end in rectangles_of(key):
-                rooms = value // 16 - 1, value % 16 - 1
-                found.append(Boundary(axis, line, along[start], along[end], rooms))
+                found.append(Boundary(axis, line, along[start], along[end], (value // 16 - 1, value % 16 - 1)))
     return found
 
 
 def cut_doorways(
-    doors: Pairs, spaces: tuple[Room, ...], boundaries: list[Boundary], rng: np.random.Generator
-) -> list[Doorway] | None:
+    doors: Pairs, spaces: tuple[Room, ...], boundaries: list[Boundary], rng: Generator
+) -> list[Opening] | None:
     """A doorway for every pair of rooms in `doors`; None if one does not fit."""
-    doorways: list[Doorway] = []
+    doorways: list[Opening] = []
     for pair in doors:
         between = [b for b in boundaries if set(b.rooms) == set(pair)]
-        if not between:
+        tries = (_doorway(between[rng.integers(len(between))], spaces, rng) for _ in range(60 if between else 0))
+        fits = (door for door in tries if door is not None and all(_apart(door, other) for other in doorways))
+        doorway = next(fits, None)
+        if doorway is None:
             return None
-        for _ in range(60):
-            doorway = _doorway(between[rng.integers(len(between))], spaces, rng)
-            if doorway is not None and all(_apart(doorway, other) for other in doorways):
-                doorways.append(doorway)
-                break
-        else:
-            return None
+        doorways.append(doorway)
     return doorways
 
 
-def _doorway(boundary: Boundary, spaces: tuple[Room, ...], rng: np.random.Generator) -> Doorway | None:
+def _doorway(boundary: Boundary, spaces: tuple[Room, ...], rng: Generator) -> Opening | None:
     """One attempt at a doorway in a boundary."""
-    entrance = OUTSIDE in boundary.rooms
+    entrance, corner = OUTSIDE in boundary.rooms, HALF_WALL + 0.09
     width = round(float(rng.uniform(0.92, 1.0) if entrance else rng.uniform(0.8, 0.95)), 2) + 2 * LINING
-    corner = HALF_WALL + 0.09
     room = boundary.end - boundary.start - 2 * corner - width
     if room < 0:
         return None
@@ -426,20 +365,15 @@ def _doorway(boundary: Boundary, spaces: tuple[Room, ...], rng: np.random.Genera
     end = round(start + width, 3)
     hole = boundary, start, end, 0.0, DOOR_HEAD
     if entrance:
-        inner = -1 if boundary.rooms[0] != OUTSIDE else 1
-        return Doorway(*hole, 0.0, bool(rng.random() < 0.5), inner)
-    bare = Doorway(*hole, None, True, 1)
-    if rng.random() < 0.2:
-        return bare
-    ways = [(hinge, side) for hinge in (True, False) for side in (-1, 1)]
+        return Opening(*hole, 0.0, bool(rng.random() < 0.5), -1 if boundary.rooms[0] != OUTSIDE else 1)
+    ways = [(hinge, side) for hinge in (True, False) for side in (-1, 1)] if rng.random() < 0.8 else []
     rng.shuffle(ways)
     # A leaf opens into the room rather than into the hall, and leans against a wall.
     for hinge, side in sorted(ways, key=lambda way: spaces[boundary.rooms[max(way[1], 0)]].kind == "hall"):
         angle = _leaning(boundary, spaces[boundary.rooms[max(side, 0)]], start if hinge else end, width, hinge, side)
         if angle is not None:
-            turned = round(angle + float(rng.uniform(-3, 1)), 1)
-            return Doorway(*hole, turned, bool(hinge), int(side))
-    return bare
+            return Opening(*hole, round(angle + float(rng.uniform(-3, 1)), 1), bool(hinge), int(side))
+    return Opening(*hole)
 
 
 def _leaning(boundary: Boundary, space: Room, at: float, width: float, hinge: bool, side: int) -> float | None:
@@ -456,7 +390,7 @@ def _leaning(boundary: Boundary, space: Room, at: float, width: float, hinge: bo
     return None
 
 
-def _apart(a: Doorway, b: Doorway) -> bool:
+def _apart(a: Opening, b: Opening) -> bool:
     """Whether two doorways, the floor before them and their leaves keep clear of each other."""
     pairs = [(a.approach(0.1, 0.2), b.approach(0.1, 0.2)), (a.leaf_box, b.leaf_box)]
     pairs += [(one.leaf_box, other.approach(0.75, 0.02)) for one, other in ((a, b), (b, a))]
@@ -468,53 +402,37 @@ def _overlap(a: Rectangle, b: Rectangle) -> bool:
 
 
 def cut_windows(
-    spaces: tuple[Room, ...], boundaries: list[Boundary], doorways: list[Doorway], rng: np.random.Generator
+    spaces: tuple[Room, ...], boundaries: list[Boundary], doorways: list[Opening], rng: Generator
 ) -> list[Opening]:
     """Windows in the outer walls: wide ones in living rooms, small high ones in bathrooms."""
     windows: list[Opening] = []
     kept = [d.approach(0.3, 0.15) for d in doorways] + [d.leaf_box for d in doorways if d.leaf_box]
     for place, space in enumerate(spaces):
         outer = [b for b in boundaries if set(b.rooms) == {place, OUTSIDE}]
-        if space.kind in ("bathroom", "hall"):
-            outer = [b for b in outer if rng.random() < (0.6 if space.kind == "bathroom" else 0.3)][:1]
-        elif space.kind == "living room" and len(outer) > 1:  # one wall without windows, for the television
-            long = [b for b in outer if b.end - b.start > 2.4]
-            if long:
-                outer.remove(long[rng.integers(len(long))])
-        narrow, wide, sills = _WINDOWS.get(space.kind, _WINDOWS["bedroom"])
+        if space.kind == "living room" and len(outer) > 1:  # one long wall without windows, for the television
+            outer.remove(max(outer, key=lambda b: min(b.end - b.start, 2.5) + rng.random()))
+        first, others, narrow, wide, sills = _WINDOWS.get(space.kind, _OTHER_WINDOWS)
         for boundary in outer:
             free = boundary.end - boundary.start - 2 * HALF_WALL - 0.7
-            width = float(rng.uniform(narrow, wide))
-            sill = float(rng.choice(sills))
+            width, sill = round(min(float(rng.uniform(narrow, wide)), free), 2), float(rng.choice(sills))
+            if width < 0.5 or rng.random() >= (first if boundary is outer[0] else others):
+                continue
             count = 2 if space.kind == "living room" and free >= 2 * width + 0.8 else 1
-            if space.kind == "kitchen":
-                sill = 1.2  # above the worktop and the things on it
-            if boundary is not outer[0] and rng.random() < 0.35:
-                continue
-            width = round(min(width, free), 2)
-            if width < 0.5:
-                continue
-            part = free / count
             for i in range(count):
-                shift = float(rng.uniform(0.2, 0.8)) if count == 1 else 0.5
-                start = round(boundary.start + HALF_WALL + 0.35 + i * part + shift * max(part - width, 0.0), 3)
-                window = Opening(boundary, start, round(start + width, 3), sill, 2.15)
+                shift = i * free / count + rng.uniform(0.3, 0.7) * (free / count - width)
+                start = round(boundary.start + HALF_WALL + 0.35 + float(shift), 3)
+                window = Opening(boundary, start, round(start + width, 3), sill, WINDOW_HEAD)
                 if not any(_overlap(window.approach(0.3, 0.1), other) for other in kept):
                     windows.append(window)
     return windows
 
 
-def span(lines: np.ndarray, low: float, high: float) -> slice:
-    """The cells between two of the lines."""
-    return slice(*np.searchsorted(lines, [low - 1e-6, high - 1e-6]).tolist())
-
-
 def owners(spaces: tuple[Room, ...], xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
     """The room of each cell between lines along y at `xs` and along x at `ys`, `OUTSIDE` where there is none."""
-    owner = np.full((len(xs) - 1, len(ys) - 1), OUTSIDE)
+    middles = np.meshgrid((xs[1:] + xs[:-1]) / 2, (ys[1:] + ys[:-1]) / 2, indexing="ij")
+    owner = np.full(middles[0].shape, OUTSIDE)
     for place, space in enumerate(spaces):
-        for x0, y0, x1, y1 in space.rectangles:
-            owner[span(xs, x0, x1), span(ys, y0, y1)] = place
+        owner[space.contains(*middles)] = place
     return owner
 
 

@@ -12,19 +12,12 @@ follow it: ``habitat:SCENE?dataset=FILE&storey=2.9``.
   climbs, and ``voxel``, the height of voxels (metres, both 0.2 as in habitat-lab).
 
 A scene is the same for every seed. Its navigation mesh is ``<scene>.navmesh`` beside the file if that was made for the
-wanted body, else a new one.
+wanted body, else a new one. A mesh floats above the floor by up to a voxel, and Habitat's heights have no zero. So the
+floor is what the camera sees below points of the mesh.
 
-A mesh floats above the floor by up to a voxel, and Habitat's heights have no zero. So the floor is what the camera sees
-below points of the mesh. This also shows whether mesh and scene have the same way up.
-
-In this order, the named things of a scene are those of
-
-1. ``<scene>.semantic.json`` beside the scene's file, as `eagor.lab.worlds.glb.export_glb` writes it;
-2. Habitat's own semantic scene (HM3D, MP3D, Gibson, Replica);
-3. the nodes of the GLB file: category and colour are words of a node's name, as in `eagor.lab.worlds.glb`.
-
-Of Habitat's semantic scene, its ids decide which thing a pixel shows; otherwise it is the smallest box that contains
-the point.
+The named things of a scene are those of ``<scene>.semantic.json`` beside its file (`export_glb`), or of Habitat's own
+semantic scene (HM3D, MP3D, Gibson, Replica), or the nodes of the GLB file (`name_from_nodes`). Of the second, ids
+decide which thing a pixel shows; otherwise it is the smallest box that contains the point.
 """
 
 from __future__ import annotations
@@ -280,10 +273,9 @@ def things_of(
     for thing in getattr(semantic, "objects", None) or []:
         if thing is None or thing.category is None or (box := _bounds(thing)) is None:
             continue
-        category, region = read_category(str(thing.category.name())), thing.region
+        category = read_category(str(thing.category.name()))
         if category not in UNNAMED:
-            room = None if region is None or _bounds(region) is None else str(region.id)
-            found[int(thing.semantic_id)] = Instance(category, None, room, *box)
+            found[int(thing.semantic_id)] = Instance(category, None, None, *box)
     if len(found) > 2 and all((thing.low <= 0).all() and (thing.high >= 0).all() for thing in found.values()):
         seen = look()  # Habitat-Sim 0.3.4 extends the boxes of HM3D to the origin
         found = {key: _repaired(thing, *seen[key]) for key, thing in found.items() if key in seen}
@@ -294,7 +286,7 @@ def things_of(
         for thing in found.values():
             corners = frames.from_habitat(np.stack([thing.low, thing.high]))
             instances.append(replace(thing, low=corners.min(axis=0), high=corners.max(axis=0)))
-        return tuple(instances), _rooms(semantic, frames), index, "Habitat's semantic scene"
+        return tuple(instances), (), index, "Habitat's semantic scene"
     if file is not None and file.suffix.lower() in GLB:
         named = [thing for thing in import_glb(file).instances if thing.category not in UNNAMED]
         if named:
@@ -311,19 +303,8 @@ def _lowered(instances: Sequence[Instance], frames: Frames) -> tuple[Instance, .
     return tuple(replace(thing, low=thing.low - lift, high=thing.high - lift) for thing in instances)
 
 
-def _rooms(semantic: Any, frames: Frames) -> tuple[Room, ...]:
-    """The regions that have bounds (in HM3D none has), as rooms of one rectangle each."""
-    found = []
-    for region in getattr(semantic, "regions", None) or []:
-        if (box := _bounds(region)) is not None:
-            (x0, y0, _), (x1, y1, _) = frames.from_habitat(np.array(box))  # y turns round
-            kind = read_category(str(region.category.name())) if region.category is not None else "room"
-            found.append(Room(str(region.id), kind, np.array([[x0, y1, x1, y0]])))
-    return tuple(found)
-
-
 def _bounds(part: Any) -> Box | None:
-    """The bounds of an object or a region of Habitat's, None if it has none."""
+    """The bounds of an object of Habitat's, None if it has none."""
     low, high = np.array(part.aabb.min, dtype=np.float64), np.array(part.aabb.max, dtype=np.float64)
     return (low, high) if np.isfinite([low, high]).all() and (high > low).any() else None
 
