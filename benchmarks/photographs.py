@@ -11,7 +11,7 @@ photograph is turned by known rotations, 40 frames a second apart (--labels has 
 - large: as yaw, 5760 x 2880; jpeg: as tumble, JPEG at quality 50.
 - tilt: as yaw, the mount is tilted by 10 degrees and the poses do not say so.
 - drift: as yaw, the heading of the poses drifts by 1 degree a second; drift-told: the tracker is told so.
-- sight: as tumble, poses from the pictures alone (`eagor.media.rotation`).
+- sight: as tumble, poses from the pictures alone (`eagor.odometry.visual`).
 
 The reading of the detector (`DetectorModel`) is fitted on three photographs and used on the fourth, four times over
 (--folds 3: in three parts, each read with what the other two say); --model gives one instead. What was seen is kept in
@@ -51,7 +51,7 @@ from eagor.lab.agents.methods import NAMES, Estimator, TrackerEstimator, make_es
 from eagor.lab.eval.detector_fit import fitted_model
 from eagor.lab.eval.labelled_looks import LabelledLook
 from eagor.media.panorama import read_panorama, turn
-from eagor.media.rotation import VisualOdometer
+from eagor.odometry.visual import VisualOdometer
 from eagor.perception.coco import CLASSES, DETECTOR
 from eagor.perception.things import Thing, spread_evidence
 from eagor.sphere import angular_distance, direction, unit, world_R_body

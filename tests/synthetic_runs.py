@@ -78,7 +78,7 @@ def waypoint_episode(rng, apartment, number, methods, steps):
                 "azimuth_deg": wrapped(azimuth + side * error),
                 "elevation_deg": (elevation + rng.normal(size=steps)).tolist(),
                 "error_deg": error.tolist(),
-                "inside": None if inside is None else inside.tolist(),
+                "inside": [None] * steps if inside is None else inside.tolist(),
             },
         }
     truth = {"pose": poses, "azimuth_deg": azimuth.tolist(), "elevation_deg": elevation.tolist(), "range_m": ranges,
@@ -122,7 +122,7 @@ def navigation_unit(rng, apartment, number, name, stratum, hard):
     trace = {
         "pose": poses, "azimuth_deg": wrapped(azimuth + error), "elevation_deg": np.zeros(steps).tolist(),
         "true_azimuth_deg": azimuth.tolist(), "true_range_m": ranges, "error_deg": error.tolist(),
-        "visible": (rng.random(steps) < 0.6).tolist(), "inside": None if inside is None else inside.tolist(),
+        "visible": (rng.random(steps) < 0.6).tolist(), "inside": [None] * steps if inside is None else inside.tolist(),
     }  # fmt: skip
     made = record("navigation", f"{apartment}-{number}/{name}", 3.0, apartment, number)
     made["episode"]["stratum"] = stratum

@@ -13,7 +13,9 @@ from collections.abc import Mapping
 from numbers import Integral, Real
 from typing import Any, NoReturn
 
-from eagor.errors import EagorError, TimeError
+import numpy as np
+
+from eagor.errors import EagorError, ImageError, TimeError
 
 ROUNDING = 2  # columns by which a panorama may fail to be 2:1
 LATEST = 1e12  # seconds: a larger stamp counts milliseconds or less
@@ -83,6 +85,23 @@ def warn_unless_whole(picture: Any) -> None:
             UserWarning,
             stacklevel=4,
         )
+
+
+def checked_picture(image: Any, name: str = "the panorama", grid: Any = None) -> np.ndarray:
+    """`image`, checked to be uint8 ``(H, W, 3)``, and of the size of its `grid`, if given. Raises `ImageError`."""
+    image = np.asarray(image)
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
+        raise ImageError(
+            f"{name} is {image.dtype} of shape {image.shape}; wanted uint8 sRGB (H, W, 3). Files: "
+            "eagor.media.panorama.read_panorama"
+        )
+    if grid is not None and image.shape[:2] != grid.shape:
+        height, width = image.shape[:2]
+        raise ImageError(
+            f"{name} is {width} x {height}, its grid is for {grid.width} x {grid.height}; wanted the same size: the "
+            f"grid of this picture, such as grid.resized({height}, {width})"
+        )
+    return image
 
 
 _DEEPEST = 200  # nesting of lists that repr, copy and json can still recurse over

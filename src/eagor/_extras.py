@@ -14,8 +14,8 @@ from urllib.parse import unquote, urlsplit
 
 from eagor.errors import MissingExtraError
 
-# Extra: its packages and their oldest supported versions, as in pyproject.toml. Not embreex: there is no wheel
-# for Linux on ARM.
+# Extra: its packages and their oldest supported versions, as in pyproject.toml. Not embreex and
+# pycolmap: there are no wheels for Linux on ARM.
 EXTRAS = {
     "sim": {"gymnasium": "1.0", "jinja2": "3.1", "trimesh": "4.6", "onnxruntime": "1.20"},
     "report": {"jinja2": "3.1"},

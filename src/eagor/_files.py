@@ -123,6 +123,12 @@ def redacted(text: str) -> str:
     return _LOGIN.sub(_GONE, text)
 
 
+def natural(name: str) -> list[tuple[int, int, str]]:
+    """A key to sort names by, numbers in them by value."""
+    parts = enumerate(re.split(r"0*([0-9]+)", name))  # every other one is a number
+    return [(0, len(part), part) if at % 2 else (1, 0, part) for at, part in parts if part]
+
+
 def as_csv(rows: Iterable[Sequence[Any]], ending: str = "\n") -> str:
     """`rows` as CSV. Text that a spreadsheet would take for a formula gets an apostrophe before it."""
     text = io.StringIO(newline="")

@@ -117,7 +117,7 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
-    assert "tables.md is not a folder" in refused("report", place / "ours", "--out", tmp_path / "tables.md")
+    assert "tables.md is in the way" in refused("report", place / "ours", "--out", tmp_path / "tables.md")
 
 
 def numbers(records, monkeypatch):

@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.errors import PoseError
-from eagor.media.motion import MotionTrack, complementary, integrate, read_insta360
 from eagor.media.video import Video
+from eagor.odometry.imu import MotionTrack, read_insta360
 from eagor.sphere import world_R_body
 
 G = 9.80665
@@ -43,81 +43,63 @@ def imu(truth, times, bias=(0.0, 0.0, 0.0), shake=0.0, seed=0):
     return rates, truth.inv().apply(np.array([0, 0, G]) + pushed)
 
 
-def rows(times, values):
-    return np.concatenate([times[:, None], values], axis=1)
+def track_of(times, rates, felt=None):
+    rows = [None if values is None else np.concatenate([times[:, None], values], axis=1) for values in (rates, felt)]
+    return MotionTrack.of_imu(*rows, "test")
 
 
-# --- from a gyroscope to orientations --------------------------------------------------------------------------------
-
-
-def test_integration_is_exact_for_a_constant_rate():
-    rate = np.array([0.3, -1.2, 0.7])
-    turned = integrate(TIMES, np.broadcast_to(rate, (len(TIMES), 3)))
-    for k in (0, 1, 999, len(TIMES) - 1):
-        assert off(turned[k].as_matrix(), Rotation.from_rotvec(rate * TIMES[k]).as_matrix()) < 1e-6
-
-
-def test_integration_follows_a_tumbling_camera():
-    truth = tumbling(TIMES)
-    rates, _ = imu(truth, TIMES)
-    turned = truth[0] * integrate(TIMES, rates)
-    assert max(off(a, b) for a, b in zip(turned.as_matrix()[::50], truth.as_matrix()[::50], strict=True)) < 0.1
-
-
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_gravity_levels_what_the_gyroscope_tells(seed):
     truth = tumbling(TIMES, seed)
     rates, felt = imu(truth, TIMES, bias=np.radians([0.4, -0.5, 0.0]), shake=2.0, seed=seed)
-    track = MotionTrack.of_imu(rows(TIMES, rates), rows(TIMES, felt), "test")
-    alone = MotionTrack.of_imu(rows(TIMES, rates), None, "test")
+    track, alone = track_of(TIMES, rates, felt), track_of(TIMES, rates)
     at = np.arange(0.5, 19.5, 0.5)
-    true = [m for m in Slerp(TIMES, truth)(at).as_matrix()]
+    true = Slerp(TIMES, truth)(at).as_matrix()
     tilts = [tilt_off(track.world_R_body(t), m) for t, m in zip(at, true, strict=True)]
     assert max(tilts) < 3.0
     assert np.mean(tilts) < 1.5
     assert max(tilt_off(alone.world_R_body(t), m) for t, m in zip(at, true, strict=True)) > 5.0
-    # Without a bias about the vertical, the heading drifts by little; it is 0 at first.
-    assert track.world_R_body(0.0)[:, 0] @ [0, 1, 0] == pytest.approx(0, abs=1e-9)
+    assert track.world_R_body(0.0)[:, 0] @ [0, 1, 0] == pytest.approx(0, abs=1e-9), "the heading is 0 at first"
 
 
-def test_an_upside_down_camera_is_seen():
-    truth = Rotation.from_rotvec([[np.pi, 0, 0]] * 100)
-    times = np.arange(100) / 100
-    rates, felt = imu(truth, times)
-    track = MotionTrack.of_imu(rows(times, rates), rows(times, felt), "test")
-    assert off(track.world_R_body(0.5), truth[0].as_matrix()) < 0.01
-
-
-def test_complementary_leaves_level_orientations_alone():
-    truth = Rotation.from_rotvec(np.stack([0 * TIMES, 0 * TIMES, TIMES], axis=1))
-    _, felt = imu(truth, TIMES)
-    same = complementary(TIMES, truth, TIMES, felt)
-    assert np.degrees((same.inv() * truth).magnitude()).max() < 1e-6
+def test_turns_without_a_bias_are_followed_also_by_a_camera_that_is_upside_down():
+    for truth in (
+        Rotation.from_rotvec(np.outer(TIMES, [0.0, 0, 1.2])),
+        Rotation.from_rotvec([[np.pi, 0, 0]] * len(TIMES)),
+    ):
+        track = track_of(TIMES, *imu(truth, TIMES))
+        for k in (0, 999, len(TIMES) - 1):
+            assert off(track.world_R_body(TIMES[k]), truth[k].as_matrix()) < 0.01
 
 
 def test_between_samples_and_beyond_the_ends():
     track = MotionTrack(np.array([0.0, 1.0]), Rotation.from_rotvec([[0, 0, 0], [0, 0, 1.0]]), "test")
-    assert off(track.world_R_body(0.25), world_R_body(0.25)) < 1e-9
-    assert off(track.world_R_body(1.05), world_R_body(1.0)) < 1e-9
+    assert off(track.world_R_body(0.25), world_R_body(0.25)) < 1e-6
+    assert off(track.world_R_body(1.05), world_R_body(1.0)) < 1e-6
     for stamp in (-0.2, 1.2, float("nan")):
         with pytest.raises(PoseError, match=r"tells no orientation at .* it goes from 0.000 to 1.000 s"):
             track.world_R_body(stamp)
 
 
-# --- Insta360 --------------------------------------------------------------------------------------------------------
+# --- Insta360 ---
 
 # The IMU sits somehow in the camera: its axes in the body's.
 BODY_R_IMU = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+
+
+def written(tmp_path, truth, times, **how):
+    rates, felt = imu(truth, times)
+    path = clips.clip(tmp_path / "a.mp4")
+    samples = list(zip(times, felt / G @ BODY_R_IMU, rates @ BODY_R_IMU, strict=True))
+    path.write_bytes(path.read_bytes() + clips.trailer(samples, **how))
+    return path, rates, felt
 
 
 @pytest.mark.parametrize("raw", [False, True])
 def test_the_trailer_of_insta360(tmp_path, raw):
     times = np.arange(0, 3, 0.01)
     truth = tumbling(times, seed=3)
-    rates, felt = imu(truth, times)
-    samples = list(zip(times, felt / G @ BODY_R_IMU, rates @ BODY_R_IMU, strict=True))
-    path = clips.clip(tmp_path / "a.mp4")
-    path.write_bytes(path.read_bytes() + clips.trailer(samples, camera="Insta360 X9", first=5000, raw=raw))
+    path, rates, felt = written(tmp_path, truth, times, camera="Insta360 X9", first=5000, raw=raw)
     with path.open("rb") as file:
         read = read_insta360(file)
     assert read.camera == "Insta360 X9"
@@ -139,10 +121,7 @@ def test_the_trailer_of_insta360(tmp_path, raw):
 def test_turns_of_a_level_insta360(tmp_path):
     times = np.arange(0, 3, 0.01)
     truth = Rotation.from_rotvec(np.stack([0 * times, 0 * times, 2 * np.sin(times)], axis=1))
-    rates, felt = imu(truth, times)
-    path = clips.clip(tmp_path / "a.mp4")
-    samples = list(zip(times, felt / G @ BODY_R_IMU, rates @ BODY_R_IMU, strict=True))
-    path.write_bytes(path.read_bytes() + clips.trailer(samples))
+    path, _, _ = written(tmp_path, truth, times)
     for stamp in (0.5, 1.5, 2.5):
         assert off(Video(path).motion.world_R_body(stamp), world_R_body(2 * np.sin(stamp))) < 0.1
 

@@ -17,10 +17,10 @@ from eagor.media.camera_sources import open_footage
 from eagor.media.odometry import GivenPoses, open_poses
 from eagor.media.panorama import Picture, cut
 from eagor.media.panorama import turn as turned
-from eagor.media.pose_axes import AXES, settled, with_axes
-from eagor.media.pose_files import FramePose, Poses, read_poses
 from eagor.media.posed_frames import PosedFrames
-from eagor.media.times import times_of
+from eagor.odometry.axes import AXES, settled, with_axes
+from eagor.odometry.files import FramePose, Poses, read_poses
+from eagor.odometry.times import times_of
 from eagor.sphere import world_R_body
 
 BEGIN = 1_650_000_000.0

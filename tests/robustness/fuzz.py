@@ -48,10 +48,10 @@ from eagor.media.bag_sources import BagCamera, BagPoses  # noqa: E402
 from eagor.media.bags import MOTION, PICTURES, Bag  # noqa: E402
 from eagor.media.intrinsics import intrinsics_from_exif, read_camera  # noqa: E402
 from eagor.media.panorama import read_photograph  # noqa: E402
-from eagor.media.pose_axes import AXES, settled  # noqa: E402
-from eagor.media.pose_files import interpolated, pair, read_poses, usable  # noqa: E402
 from eagor.media.rigs import read_rig  # noqa: E402
 from eagor.media.video import Video  # noqa: E402
+from eagor.odometry.axes import AXES, settled  # noqa: E402
+from eagor.odometry.files import interpolated, pair, read_poses, usable  # noqa: E402
 from eagor.perception.endpoint import EndpointPerception  # noqa: E402
 from eagor.perception.vlm.answers import parse_boxes, parse_presence  # noqa: E402
 from eagor.perception.vlm.projection import box_detections  # noqa: E402

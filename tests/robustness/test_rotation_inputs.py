@@ -8,7 +8,7 @@ from moving_rooms import PatternRoom
 
 from eagor.errors import ImageError, MissingExtraError
 from eagor.grids import PerspectiveGrid
-from eagor.media.rotation import VisualOdometer
+from eagor.odometry.visual import VisualOdometer
 from eagor.sphere import world_R_body
 
 pytest.importorskip("cv2")
@@ -39,7 +39,7 @@ def test_tiny_and_blank_pictures_hold_the_rotation(shape, level):
         turned = odometer.add(picture)
         assert np.array_equal(turned.world_R_body, np.eye(3))
         assert turned.matches == 0
-        assert math.isfinite(turned.spread)
+        assert math.isfinite(turned.std)
 
 
 def test_sizes_may_change_from_picture_to_picture():
@@ -92,4 +92,4 @@ def test_tiny_and_blank_ordinary_pictures_hold_the_rotation(shape):
     for number in range(3):
         turned = odometer.add(np.zeros((*shape, 3), np.uint8), number / 10, grid)
         assert turned.matches == 0
-        assert math.isfinite(turned.spread)
+        assert math.isfinite(turned.std)

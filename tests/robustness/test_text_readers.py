@@ -17,7 +17,7 @@ from eagor.evidence import Evidence
 from eagor.lab.eval import log
 from eagor.lab.eval.labelled_looks import read_truth
 from eagor.lab.eval.predictions import predicted
-from eagor.media.pose_files import read_poses
+from eagor.odometry.files import read_poses
 from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibrated, read_labelled
 from eagor.perception.onnx.labels import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
@@ -220,28 +220,6 @@ def test_predictions(folder, blob):
 
 
 QUATERNIONS = "stamp,qw,qx,qy,qz\n"
-
-
-@pytest.mark.parametrize(
-    "head", ["stamp,qw,qx,qy,qz,x,y,z", "roll_deg,stamp,pitch_deg,yaw_deg", "stamp,qw,qx,qy,qz,frame"]
-)
-def test_poses_that_are_read_at_once_are_those_of_each_line(tmp_path, monkeypatch, head):
-    rng, file = np.random.default_rng(0), tmp_path / "poses.csv"
-    lines = [head]
-    for number in range(50):
-        turn = rng.normal(size=4)
-        turn /= np.linalg.norm(turn)
-        cells = dict(zip(("qw", "qx", "qy", "qz"), turn, strict=True))
-        cells |= {name: rng.uniform(-80, 80) for name in ("x", "y", "z", "yaw_deg", "pitch_deg", "roll_deg")}
-        cells |= {"stamp": number / 3, "frame": f"a_{number}.png" if number % 3 else ""}
-        lines.append(", ".join(str(cells[name]) for name in head.split(",")))
-    file.write_text("\n".join(lines))
-    found = read_poses(file)
-    monkeypatch.setattr("eagor.media.pose_files._at_once", lambda *_: None)
-    for one, other in zip(found, read_poses(file), strict=True):
-        assert (one.stamp, one.frame) == (other.stamp, other.frame)
-        np.testing.assert_allclose(one.world_R_body, other.world_R_body, atol=1e-15)
-        assert np.array_equal(one.position, other.position) if "x" in head.split(",") else one.position is None
 
 
 @pytest.mark.parametrize(("told", "meant", "asked"), [

@@ -159,8 +159,8 @@ def _finish(options: Calibrate, result: dict[str, Any], out: Path, lines: list[s
 
 def _poses(path: str) -> Callable[[float], Pose]:
     """The camera's pose at any stamp, from a file of poses."""
-    from eagor.media.pose_axes import settled
-    from eagor.media.pose_files import BEYOND, interpolated, read_poses, usable
+    from eagor.odometry.axes import settled
+    from eagor.odometry.files import BEYOND, interpolated, read_poses, usable
 
     poses = usable(settled(read_poses(path), "auto", path, None, terminal.log), path)
     first, last, pose = poses[0].stamp, poses[-1].stamp, interpolated(poses)

@@ -32,7 +32,7 @@ from eagor.live.events import (
     Trouble,
 )
 from eagor.media import Pose
-from eagor.media.clocks import RelatedClock
+from eagor.odometry.clocks import ClockSync
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["LiveCore", "LoopSettings", "RecentPoses", "deviation", "warm"]
@@ -172,8 +172,8 @@ class LiveCore:
 
     def __init__(self, settings: LoopSettings) -> None:
         self.config, self.queries, self.has_poses = settings.config, settings.queries, settings.poses
-        self._camera = RelatedClock("camera", settings.latency, SLOWEST)
-        self._odometry = RelatedClock("odometry")
+        self._camera = ClockSync("camera", settings.latency, SLOWEST)
+        self._odometry = ClockSync("odometry")
         self._tracker = DirectionTracker(settings.config)
         self._recent = RecentPoses(settings.acceleration)
         self._extrapolates, self._exact = settings.poses and settings.extrapolate, settings.exact
@@ -338,7 +338,7 @@ class LiveCore:
         return next((ours for its, ours in reversed(list(self._pictures)) if its == stamp), None)
 
     @staticmethod
-    def _related(clock: RelatedClock, stamp: float, arrival: float) -> tuple[float | None, str | None]:
+    def _related(clock: ClockSync, stamp: float, arrival: float) -> tuple[float | None, str | None]:
         try:
             return clock.take(stamp, arrival)
         except TimeError as error:

@@ -38,7 +38,7 @@ from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.media.camera_sources import open_source
 from eagor.media.odometry import poses_for
 from eagor.media.posed_frames import PosedFrame, PosedFrames, prefetched
-from eagor.media.rotation import VisualOdometer
+from eagor.odometry.visual import VisualOdometer
 from eagor.perception import Perception, as_perception
 from eagor.perception.recordings import RecordedLooks
 from eagor.tracking import TrackerConfig

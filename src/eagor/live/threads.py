@@ -22,7 +22,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.live.events import Event, PoseCame, PosesLost, Trouble
 from eagor.live.inference import Failed, Inference, InferenceWorker, Looked, UnusableError
 from eagor.media import Frame, Pose
-from eagor.media.rotation import VisualOdometer
+from eagor.odometry.visual import VisualOdometer
 from eagor.sphere import heading
 
 __all__ = [
@@ -382,7 +382,7 @@ def poses_seen(odometer: VisualOdometer, picture: Picture, now: Callable[[], flo
         return
     if turned.lost:
         yield PosesLost(now(), "a picture does not fit to those before it: the belief starts anew")
-    pose = Pose(picture.stamp, np.asarray(turned.world_R_body), spread=turned.spread)
+    pose = Pose(picture.stamp, np.asarray(turned.world_R_body), spread=turned.std)
     yield PoseCame(now(), pose, of_picture=True)
 
 

@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.odometry import Pose, PoseSource
 
 __all__ = ["CameraSource", "Frame", "Pose", "PoseSource", "check_camera"]
 
@@ -38,20 +39,6 @@ class Frame:
     lens: int = 0
     unseen: np.ndarray | None = None
     problem: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """Where the body is: `stamp` in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None.
-
-    The world has z up (REP-103), and does not jump while the body moves (REP-105: ``odom``). `spread`: standard
-    deviation of the error of the orientation, radians per axis, where it is known.
-    """
-
-    stamp: float
-    world_R_body: np.ndarray
-    position: np.ndarray | None = None
-    spread: float = 0.0
 
 
 @runtime_checkable
@@ -90,15 +77,6 @@ class CameraSource(Protocol):
     def close(self) -> None:
         """Let go of the device. A thread that waits for a frame comes back. May be called twice."""
         ...
-
-
-@runtime_checkable
-class PoseSource(Protocol):
-    """Odometry: poses in order of time, at any rate, on the clock of the frames. Otherwise as `CameraSource`."""
-
-    def __iter__(self) -> Iterator[Pose]: ...
-
-    def close(self) -> None: ...
 
 
 def check_camera(camera: CameraSource, frames: int = 3) -> None:

@@ -38,8 +38,8 @@ from eagor.media.panorama import (
 )
 from eagor.media.rig_videos import StitchedVideo
 from eagor.media.stitching import PanoramaBuilder, sizes_of
-from eagor.media.times import times_of
 from eagor.media.video import plays
+from eagor.odometry.times import times_of
 
 __all__ = [
     "LEAST_ROWS", "VIDEOS", "BagFrames", "Footage", "FrameCheck", "ImageFrames", "LensPictures", "Read", "ShapeError",
@@ -293,7 +293,7 @@ def is_video(places: Sequence[Path], rig: bool = False) -> bool:
 def images(places: Sequence[Path], rate: float | None, check: FrameCheck, rig: Rig | None = None) -> ImageFrames:
     """The pictures in `places` (one folder, or image files), sorted by name; numbers in names sort by value.
 
-    Without a `rate` they were taken at the times that their names are (`eagor.media.times`: 12.350.png), or else one
+    Without a `rate` they were taken at the times that their names are (`eagor.odometry.times`: 12.350.png), or else one
     per second. With a `rig` they are pictures of its lenses, as `LensPictures` reads them; of one for several pictures,
     a folder for each. Raises `ImageError` for anything else.
     """

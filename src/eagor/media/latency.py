@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.errors import PoseError
 from eagor.media import Frame, Pose
-from eagor.media.rotation import VisualOdometer
+from eagor.odometry.visual import VisualOdometer
 
 __all__ = ["Latency", "Steps", "check_turning", "latency_between", "steps_of"]
 

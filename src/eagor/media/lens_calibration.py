@@ -19,12 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from eagor.cameras import Lens, Rig
 from eagor.errors import ImageError
-from eagor.media.consensus import part_of_sphere
 from eagor.media.defects import BLACK
-from eagor.media.features import FIELD, Features, features_of, match
 from eagor.media.panorama import checked_picture
 from eagor.media.stitching import Stitcher, sizes_of
-from eagor.media.two_views import turn_between
+from eagor.odometry.features import FIELD, Features, Views, match
+from eagor.odometry.two_views import bin_index, estimate_relative_rotation
 from eagor.sphere import world_R_body
 
 __all__ = ["Calibrated", "calibrate", "first_rig", "overlap_of"]
@@ -181,7 +180,7 @@ def _placed(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> Rig:
     for fov in FIELDS:
         lenses = [replace(lens, focal=(lens.radius / (fov / 2),) * 2) for lens in rig.lenses]
         rays = [lens.unproject(*pairs[:, side, 2:].T) for side, lens in enumerate(lenses)]
-        turn = turn_between(*rays, moves=False) if len(pairs) else None
+        turn = estimate_relative_rotation(*rays, moves=False) if len(pairs) else None
         if turn is not None and (count := int(turn.inliers.sum())) > most:
             back = replace(lenses[1], body_R_lens=turn.old_R_new @ lenses[1].body_R_lens)
             best, most = Rig(rig.sizes, (lenses[0], back)), count
@@ -194,9 +193,8 @@ def _chained(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> np.ndarray:
     for number, (one, other) in enumerate(pairwise(joined), 2):
         pairs = one.matched(other)
         pairs = pairs[:: max(1, math.ceil(len(pairs) / FOR_TURNS))]
-        turn = (
-            turn_between(*(_rays(rig, pairs[:, side], still) for side in (0, 1)), moves=False) if len(pairs) else None
-        )
+        rays = [_rays(rig, pairs[:, side], still) for side in (0, 1)] if len(pairs) else []
+        turn = estimate_relative_rotation(*rays, moves=False) if rays else None
         if turn is None:
             raise ImageError(
                 f"picture {number} cannot be related to the one before: were they taken at the same place, in the "
@@ -217,7 +215,7 @@ def _sightings(rig: Rig, moments: Sequence[Sequence[np.ndarray]], on_step: Calla
     for moment, pictures in enumerate(moments):
         found.append([])
         for index, lens in enumerate(rig.lenses):
-            features = features_of(stitcher.alone(index, *pictures)[0], size)
+            features = Views.of(stitcher.alone(index, *pictures)[0], size=size).features
             x, y, depth = lens.project(features.directions)
             points = np.stack([np.full(len(x), moment), np.full(len(x), index), x, y], axis=1)
             found[-1].append(Sightings(points[depth > RIM], features.descriptors[depth > RIM]))
@@ -283,7 +281,7 @@ class _Fit:
         priors = [(CENTRE, CENTRE, FOCAL, *curve, TILT, TILT, TILT) for curve in curves]
         deviations = np.concatenate([*priors, np.full(size - own, TURN)])
         still = np.eye(3)[None].repeat(len(turns), 0)
-        parts = np.unique(part_of_sphere(_rays(start, used.reshape(-1, 4), still))).size * len(start.lenses)
+        parts = np.unique(bin_index(_rays(start, used.reshape(-1, 4), still))).size * len(start.lenses)
         share = min(1.0, parts * (len(turns) if turned else 1) / len(used))
 
         def residuals(x: np.ndarray, scale: np.ndarray) -> np.ndarray:

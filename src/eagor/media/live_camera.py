@@ -20,10 +20,10 @@ from eagor._files import redacted
 from eagor.cameras import Rig
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.media import Frame
-from eagor.media.clocks import StreamClock
 from eagor.media.intrinsics import Camera
 from eagor.media.stitching import PanoramaBuilder
 from eagor.media.video import to_rgb
+from eagor.odometry.clocks import StreamClock
 
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame

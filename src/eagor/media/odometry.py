@@ -22,12 +22,12 @@ from eagor.media import CameraSource, Pose, PoseSource
 from eagor.media.bag_sources import BagPoses, bag_odometry
 from eagor.media.footage import Footage, ImageFrames
 from eagor.media.panorama import Picture
-from eagor.media.pose_axes import settled
-from eagor.media.pose_files import BEYOND, FramePose, Poses, interpolated, pair, read_poses, usable
+from eagor.odometry.axes import settled
+from eagor.odometry.files import BEYOND, FramePose, Poses, interpolated, pair, read_poses, usable
 
 if TYPE_CHECKING:
-    from eagor.media.motion import MotionTrack
-    from eagor.media.rotation import VisualOdometer
+    from eagor.odometry.imu import MotionTrack
+    from eagor.odometry.visual import VisualOdometer
 
 __all__ = ["GivenPoses", "MotionPoses", "open_poses", "poses_for", "poses_in_words"]
 
@@ -84,7 +84,7 @@ def open_poses(
 
     "auto": a bag's odometry or a video's IMU, where `source` has them, else what the pictures themselves tell (rotation
     only); "level": the same for a camera that keeps its pictures level; "still"; a file, whose `axes` are as of
-    `eagor.media.pose_axes.settled`; ``ros:/odom``, a topic of ROS 2 or of a bag; ``go2``, a robot's odometry, over the
+    `eagor.odometry.axes.settled`; ``ros:/odom``, a topic of ROS 2 or of a bag; ``go2``, a robot's odometry, over the
     DDS `domain` and network `interface`; or what another package brings. A file of poses is compared with the pictures,
     and where these are image files, tells when they were taken: `source` gives them at these times from then on. `say`
     is told what is found out about a file (default: what is wrong is a `UserWarning`).
@@ -104,7 +104,7 @@ def open_poses(
         return own
     if text in BY_SIGHT:
         need("the rotation from pictures", "photos", "cv2")
-        from eagor.media.rotation import VisualOdometer
+        from eagor.odometry.visual import VisualOdometer
 
         return VisualOdometer(level=text == "level")
     if text == "still":

@@ -23,8 +23,9 @@ from typing import IO
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from eagor._checks import is_twice_as_wide
+from eagor._checks import checked_picture, is_twice_as_wide
 from eagor._extras import need, opencv
+from eagor._files import natural
 from eagor._srgb import to_coded
 from eagor.cameras import Sampler
 from eagor.errors import ImageError, MissingExtraError
@@ -260,23 +261,6 @@ def _grid_of(image: np.ndarray) -> ErpGrid:
     return ErpGrid(*image.shape[:2])
 
 
-def checked_picture(image: np.ndarray, name: str = "the panorama", grid: PerspectiveGrid | None = None) -> np.ndarray:
-    """`image`, checked to be uint8 ``(H, W, 3)``, and of the size of `grid`, if given. Raises `ImageError`."""
-    image = np.asarray(image)
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
-        raise ImageError(
-            f"{name} is {image.dtype} of shape {image.shape}; wanted uint8 sRGB (H, W, 3). Files: "
-            "eagor.media.panorama.read_panorama"
-        )
-    if grid is not None and image.shape[:2] != grid.shape:
-        height, width = image.shape[:2]
-        raise ImageError(
-            f"{name} is {width} x {height}, its grid is for {grid.width} x {grid.height}; wanted the same size: the "
-            f"grid of this picture, such as grid.resized({height}, {width})"
-        )
-    return image
-
-
 def is_whole(panorama: np.ndarray) -> bool:
     """Whether its aspect ratio is 2:1, up to the rounding of a resized picture."""
     return is_twice_as_wide(*panorama.shape[:2])
@@ -386,12 +370,6 @@ def pictures_in(folder: Path) -> tuple[Path, ...]:
 def in_order(paths: Sequence[Path]) -> tuple[Path, ...]:
     """`paths` sorted by name; numbers in names sort by value."""
     return tuple(sorted(paths, key=lambda path: (natural(path.name), str(path))))
-
-
-def natural(name: str) -> list[tuple[int, int, str]]:
-    """A key to sort names by, numbers in them by value."""
-    parts = enumerate(re.split(r"0*([0-9]+)", name))  # every other one is a number
-    return [(0, len(part), part) if at % 2 else (1, 0, part) for at, part in parts if part]
 
 
 def read_photograph(path: str | os.PathLike[str], warn: bool = True, force: bool = False) -> Picture:

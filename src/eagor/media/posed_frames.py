@@ -19,8 +19,8 @@ from eagor.errors import EagorError, PoseError
 from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.media.footage import Footage
 from eagor.media.odometry import GivenPoses, MotionPoses
-from eagor.media.pose_files import BEYOND, between
-from eagor.media.rotation import VisualOdometer
+from eagor.odometry.files import BEYOND, interpolated
+from eagor.odometry.visual import VisualOdometer
 
 __all__ = ["PosedFrame", "PosedFrames", "prefetched"]
 
@@ -101,7 +101,7 @@ class PosedFrames:
             if frame.picture is not None:
                 with suppress(EagorError):  # the perception meets it again, and says so
                     turned = odometer.add(frame.picture, None if frame.grid is None else frame.stamp, frame.grid)
-                    pose, spread = upright @ turned.world_R_body, turned.spread
+                    pose, spread = upright @ turned.world_R_body, turned.std
                     lost, met = turned.lost and met, True
             yield PosedFrame(frame, Pose(frame.stamp, pose, spread=spread), lost=lost)
 
@@ -140,7 +140,8 @@ class PosedFrames:
                 if hole <= LONGEST:
                     self._say(f"warning: {frame.name}: {name} has no pose for {hole:.2f} s about it")
             used, posed_at = used + 1, stamp
-            yield PosedFrame(frame, Pose(stamp, *between(last, ahead, stamp)), tuple(before))
+            at = interpolated([each for each in (last, ahead) if each is not None])
+            yield PosedFrame(frame, Pose(stamp, *at(stamp)), tuple(before))
             before.clear()
         if within and used:
             self.left_out.append(

@@ -23,7 +23,7 @@ from eagor.errors import EagorError, FormatError, ImageError, TimeError
 from eagor.media import Frame
 from eagor.media.intrinsics import intrinsics_from_tags
 from eagor.media.metadata import EXPORT, Projection, of_video
-from eagor.media.motion import MotionTrack, read_insta360
+from eagor.odometry.imu import MotionTrack, read_insta360
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -81,7 +81,7 @@ class Video:
 
     `path`; `shape`: rows and columns of the pictures; `duration`: seconds, or None; `frame_rate`: mean, or None;
     `count`: about how many pictures will come, or None; `facts`: sentences about what the file says of itself;
-    `motion`: None, or the rotations that its motion track tells (`eagor.media.motion.MotionTrack`); `level_R_body`:
+    `motion`: None, or the rotations that its motion track tells (`eagor.odometry.imu.MotionTrack`); `level_R_body`:
     None, or the rotation ``(3, 3)`` that makes its pictures level, as the file says; `unseen`: None, or the mask of
     `shape` of what no picture shows; `hint`: what the file says of an ordinary lens, for pictures of `shape`.
 

@@ -22,7 +22,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import are_fractions, is_beside
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
-from eagor.media.pose_files import FramePose
+from eagor.odometry.files import FramePose
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
 from eagor.perception.things import Boxes, Seen, combined, labels_of
 from eagor.perception.words import fitting, plain, same_name

@@ -72,8 +72,8 @@ class FloorMap:
     def __init__(self) -> None:
         self.origin = np.zeros(2)
         self.state = np.zeros((0, 0), dtype=np.int8)
-        self.nearest, self.miss_cost, self.coverage = (np.zeros((0, 0)) for _ in range(3))
-        self.blocked_count, self.visit_count = (np.zeros((0, 0), dtype=np.int32) for _ in range(2))
+        self.nearest, self.miss_cost, self.coverage, self.visit_count = (np.zeros((0, 0)) for _ in range(4))
+        self.blocked_count = np.zeros((0, 0), dtype=np.int32)
 
     def cells(self, points: np.ndarray) -> np.ndarray:
         """Rows and columns ``(..., 2)`` of points ``(..., 2)``."""

@@ -40,6 +40,7 @@ RANGE = 5.0  # metres along the estimate to the assumed goal, where the distance
 TOUCH = 0.07  # a step that falls short by more than this share collided
 TOUCHED = 0.1  # metres to each side of the way on which it was blocked: there it would be, too
 FELT = 0.3  # the same of a body that sees no floor
+KEPT, AROUND = 0.9, 2  # share of a visit that counts at the next plan, and the cells about the body that it counts for
 
 
 def learn(known: FloorMap, before: np.ndarray, intended: np.ndarray, here: np.ndarray, step: float, wide: float) -> int:
@@ -89,10 +90,14 @@ class Policy:
         goal = here + RANGE * way
         known.cover(np.minimum(here, goal) - 1.0, np.maximum(here, goal) + 1.0)
         if self._last is not None:
+            passed = self._last[0] + np.linspace(0, 1, 5)[:, None] * (here - self._last[0])
+            known.blocked_count[tuple(known.cells(passed).T)] = 0
             learn(known, *self._last, here, self.step, FELT)
-        known.visit_count[tuple(known.cells(here))] += 1
         line = known.cells(here + np.arange(0.0, RANGE, CELL / 2)[:, None] * way)
         if known.blocked_count[tuple(line.T)].any():
+            known.visit_count = KEPT * known.visit_count  # its own trail would wall it in for good
+            row, column = known.cells(here)
+            known.visit_count[row - AROUND : row + AROUND + 1, column - AROUND : column + AROUND + 1] += 1
             row, column = known.cells(goal)
             way = Ways(known, 0.0, here).first((int(row), int(column)))
         self._last = here, self.step * way / np.hypot(*way)

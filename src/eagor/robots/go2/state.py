@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from eagor._extras import need
 from eagor.errors import DeviceError, FormatError
-from eagor.media.clocks import RelatedClock
+from eagor.odometry.clocks import ClockSync
 from eagor.robots.dds import Link, raw
 
 need("Unitree's messages", "robot", "cyclonedds")
@@ -167,7 +167,7 @@ class Go2State:
     ) -> None:
         if source not in SOURCES:
             raise DeviceError(f"there is no odometry {source!r} of a Go2; wanted one of {', '.join(SOURCES)}")
-        self.topic, self.clock = SOURCES[source], RelatedClock("Go2")
+        self.topic, self.clock = SOURCES[source], ClockSync("Go2")
         self.count, self.bytes = 0, 0
         self.newest: BodyState | None = None
         self._link, self._received, self._turn = link, received, threading.Lock()

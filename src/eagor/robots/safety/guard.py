@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
 from eagor.errors import DeviceError, EagorError
-from eagor.media.clocks import Lateness
+from eagor.odometry.clocks import LatencyFilter
 from eagor.robots.dds import Link
 from eagor.robots.go2.sport import ALLOWED, OK, AvoidClient, SportClient, hear_commands, in_words
 from eagor.robots.go2.state import MODES, BodyState, Go2Low, Go2State
@@ -243,7 +243,7 @@ class GateProcess:
         self._acknowledged = 0
         self._robot: RobotState | None = None
         self._mode: int | None = None
-        self._lateness = Lateness()
+        self._lateness = LatencyFilter()
         self._link = link = Link(settings["domain"], settings["interface"])
         self._other = -math.inf, ""  # when somebody else commanded it, and what
         # A robot that avoids obstacles may command its own walking.

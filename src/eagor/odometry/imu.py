@@ -1,15 +1,14 @@
-"""The camera's rotation over time, from the motion track of a video: its gyroscope and accelerometer.
+"""The camera's rotation over time from the gyroscope and the accelerometer in a video.
 
 A gyroscope alone drifts. Gravity, as the accelerometer feels it, corrects roll and pitch; the heading has no such
-reference and drifts with the gyroscope's bias. The whole track is known, so the correction looks both ways in time:
-`complementary` is the complementary filter (W. T. Higgins, IEEE Trans. AES 11, 1975; R. Mahony et al., IEEE Trans.
-Automatic Control 53, 2008) without its delay.
+reference and drifts with the gyroscope's bias. The whole track is known, so the correction looks both ways in time: a
+complementary filter (W. T. Higgins, IEEE Trans. AES 11, 1975) without its delay.
 
 What is read is the trailer that Insta360 cameras append to their videos. Its format is not published by its maker; this
-follows public descriptions (ExifTool's tag tables and the project telemetry-parser): the file's last 72 bytes are 32 of
-padding, the trailer's length, its version and a magic text; before them lie records, each followed by its format, id
-and length. (The package telemetry-parser itself takes 2 GB for ten minutes at 1 kHz, and a damaged file ends the
-process.)
+follows public descriptions (ExifTool's tag tables and the project telemetry-parser), little-endian: the file's last 72
+bytes are 32 of padding, the trailer's length, its version and a magic text; before them lie records, each followed by
+its format, id and length. (The package telemetry-parser takes 2 GB for ten minutes at 1 kHz, and a damaged file ends
+the process.)
 """
 
 from __future__ import annotations
@@ -21,13 +20,12 @@ from dataclasses import dataclass, field
 from typing import BinaryIO
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from eagor._values import lazy
 from eagor.errors import FormatError, PoseError
-from eagor.sphere import interpolate_rotation
 
-__all__ = ["MotionTrack", "Trailer", "complementary", "integrate", "read_insta360"]
+__all__ = ["MotionTrack", "Trailer", "read_insta360"]
 
 MARGIN = 0.1  # seconds beyond the ends of the track in which its first or last orientation holds
 # Seconds over which accelerations are averaged: longer than a step or a swing of the arm (1 to 2 s), so that they
@@ -58,15 +56,19 @@ class MotionTrack:
     rotations: Rotation = field(repr=False)
     source: str = ""
 
-    @lazy
+    @property
     def start(self) -> float:
         """The first stamp."""
         return float(self.stamps[0])
 
-    @lazy
+    @property
     def end(self) -> float:
         """The last stamp."""
         return float(self.stamps[-1])
+
+    @lazy
+    def _between(self) -> Slerp:
+        return Slerp(self.stamps, self.rotations)
 
     def world_R_body(self, stamp: float) -> np.ndarray:
         """The pose ``(3, 3)`` at `stamp`, on the shortest turn between the samples around it.
@@ -79,12 +81,7 @@ class MotionTrack:
                 f"{self.start:.3f} to {self.end:.3f} s. Take pictures from within these times, or "
                 "give the poses in another way"
             )
-        after = int(np.searchsorted(self.stamps, stamp))
-        if after == 0 or after == len(self.stamps):
-            return self.rotations[min(after, len(self.stamps) - 1)].as_matrix()
-        share = (stamp - self.stamps[after - 1]) / (self.stamps[after] - self.stamps[after - 1])
-        start, end = self.rotations[after - 1 : after + 1].as_matrix()
-        return interpolate_rotation(start, end, float(share))
+        return self._between(min(max(stamp, self.start), self.end)).as_matrix()
 
     @classmethod
     def of_imu(cls, gyro: np.ndarray, acceleration: np.ndarray | None, source: str) -> MotionTrack:
@@ -97,64 +94,40 @@ class MotionTrack:
         gyro = gyro[np.linalg.norm(gyro[:, 1:], axis=1) < FASTEST]
         if not 2 <= len(gyro) <= LONGEST:
             raise FormatError(f"{source} holds {len(gyro)} gyroscope samples; wanted 2 to {LONGEST}")
-        turned = integrate(gyro[:, 0], gyro[:, 1:])
+        stamps, rates = gyro[:, 0], gyro[:, 1:]
+        # The products of all turns up to each sample are made by doubling (Hillis & Steele, Comm. ACM 29, 1986).
+        steps = np.diff(stamps)[:, None] * (rates[1:] + rates[:-1]) / 2
+        turned, reach = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), steps])), 1
+        while reach < len(stamps):
+            turned = Rotation.concatenate([turned[:reach], turned[:-reach] * turned[reach:]])
+            reach *= 2
         felt = np.zeros((0, 4)) if acceleration is None else _in_order(acceleration)
         size = np.linalg.norm(felt[:, 1:], axis=1)
         felt = felt[(size > GRAVITY[0]) & (size < GRAVITY[1])]
         if len(felt):
-            turned = complementary(gyro[:, 0], turned, felt[:, 0], felt[:, 1:])
+            turned = _levelled(stamps, turned, felt[:, 0], felt[:, 1:])
         forward = turned.apply([1.0, 0.0, 0.0])[0]
-        heading = np.arctan2(forward[1], forward[0])
-        turned = Rotation.from_rotvec([0.0, 0.0, -heading]) * turned
-        return cls(gyro[:, 0], turned, source)
+        return cls(stamps, Rotation.from_rotvec([0.0, 0.0, -np.arctan2(forward[1], forward[0])]) * turned, source)
 
 
-def integrate(stamps: np.ndarray, rates: np.ndarray) -> Rotation:
-    """Orientations (N) from angular rates ``(N, 3)`` (radians per second, body frame) at `stamps` ``(N,)``.
-
-    The rate of each interval is the mean of its ends. The first orientation is the identity. The products of all
-    turns up to each sample are made by doubling (W. D. Hillis and G. L. Steele, Comm. ACM 29, 1986).
-    """
-    steps = np.diff(stamps)[:, None] * (rates[1:] + rates[:-1]) / 2
-    total = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), steps]))
-    reach = 1
-    while reach < len(stamps):
-        joined = total[:-reach] * total[reach:]
-        total = Rotation.concatenate([total[:reach], joined])
-        reach *= 2
-    return total
-
-
-def complementary(stamps: np.ndarray, turned: Rotation, times: np.ndarray, felt: np.ndarray) -> Rotation:
+def _levelled(stamps: np.ndarray, turned: Rotation, times: np.ndarray, felt: np.ndarray) -> Rotation:
     """`turned` (N, at `stamps`) corrected so that gravity, `felt` ``(M, 3)`` at `times`, points up on average.
 
     What is felt is brought to the axes of `turned`, where gravity changes as slowly as the gyroscope drifts, and
     averaged over `SMOOTHING`. Each orientation is then turned by the least angle that brings it to z.
     """
     nearest = np.clip(np.searchsorted(stamps, times), 0, len(stamps) - 1)
-    up = Rotation.from_quat(turned.as_quat()[nearest]).apply(felt)
-    up = _smoothed(times, up, stamps)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    return _to_z(up) * turned
-
-
-def _smoothed(times: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """The mean of `values` ``(M, 3)`` within `SMOOTHING` / 2 of each time `at`; where there is none, a near one."""
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])
-    low = np.searchsorted(times, at - SMOOTHING / 2)
-    high = np.searchsorted(times, at + SMOOTHING / 2, side="right")
-    empty = high <= low
-    low = np.where(empty, np.clip(low, 0, len(times) - 1), low)
-    high = np.where(empty, low + 1, high)
-    return (sums[high] - sums[low]) / (high - low)[:, None]
-
-
-def _to_z(up: np.ndarray) -> Rotation:
-    """The least turns that bring unit vectors ``(N, 3)`` to z; by half a turn about x where they point down."""
-    x, y, z = up.T
-    quaternion = np.stack([y, -x, np.zeros_like(x), 1 + z], axis=1)  # axis: up x (0, 0, 1)
-    quaternion[1 + z < 1e-12] = (1.0, 0.0, 0.0, 0.0)
-    return Rotation.from_quat(quaternion)
+    sums = np.concatenate(
+        [np.zeros((1, 3)), np.cumsum(Rotation.from_quat(turned.as_quat()[nearest]).apply(felt), axis=0)]
+    )
+    low = np.searchsorted(times, stamps - SMOOTHING / 2)
+    high = np.searchsorted(times, stamps + SMOOTHING / 2, side="right")
+    low = np.where(high <= low, np.clip(low, 0, len(times) - 1), low)  # where nothing was felt, a near time counts
+    up = sums[np.maximum(high, low + 1)] - sums[low]
+    x, y, z = (up / np.linalg.norm(up, axis=1, keepdims=True)).T
+    least = np.stack([y, -x, np.zeros_like(x), 1 + z], axis=1)  # about the axis up x (0, 0, 1)
+    least[1 + z < 1e-12] = (1.0, 0.0, 0.0, 0.0)  # it points down
+    return Rotation.from_quat(least) * turned
 
 
 def _in_order(samples: np.ndarray) -> np.ndarray:
@@ -187,20 +160,15 @@ class Trailer:
         """
         if len(self.gyro) < 2:
             return None
-        imu_R_body = _upright(np.sum(self.acceleration[:, 1:], axis=0))
+        up = np.sum(self.acceleration[:, 1:], axis=0)
+        axis = int(np.abs(up).argmax())
+        z, x = np.eye(3)[axis] * np.sign(up[axis] or 1.0), np.eye(3)[(axis + 1) % 3]
+        imu_R_body = np.stack([x, np.cross(z, x), z], axis=1)
         gyro, felt = (
             np.concatenate([table[:, :1], table[:, 1:] @ imu_R_body], axis=1)
             for table in (self.gyro, self.acceleration)
         )
         return MotionTrack.of_imu(gyro, felt, "Insta360 gyroscope")
-
-
-def _upright(up: np.ndarray) -> np.ndarray:
-    """imu_R_body ``(3, 3)``: z is the IMU's axis nearest to `up`, with its sign; x is the axis after it."""
-    axis = int(np.abs(up).argmax())
-    z = np.eye(3)[axis] * np.sign(up[axis] or 1.0)
-    x = np.eye(3)[(axis + 1) % 3]
-    return np.stack([x, np.cross(z, x), z], axis=1)
 
 
 def read_insta360(file: BinaryIO) -> Trailer | None:
@@ -215,55 +183,45 @@ def read_insta360(file: BinaryIO) -> Trailer | None:
     length = struct.unpack_from("<I", ending, 32)[0]
     if not ENDING <= length <= size:
         raise FormatError(f"has a damaged Insta360 trailer: it claims {length} bytes, in a file of {size}")
-    records = {}
-    for kind, start, count in _records(file, size, size - length):
+    records, at = {}, size - ENDING
+    while at - 6 >= size - length:  # the last one first
+        file.seek(at - 6)
+        _, kind, count = struct.unpack("<BBI", file.read(6))
+        at -= 6 + count
+        if at < size - length:
+            break
         if kind in (ABOUT, IMU) and kind not in records and count <= LARGEST:
-            file.seek(start)
+            file.seek(at)
             records[kind] = file.read(count)
     about = dict(_fields(records.get(ABOUT, b"")))
-    camera = about.get(CAMERA_NAME, b"")
+    camera = about.get(CAMERA_NAME)
     name = camera.decode("utf-8", "replace") if isinstance(camera, bytes) else ""
-    return Trailer(name, *_imu(records.get(IMU, b""), about))
+    return Trailer(name, *_samples(records.get(IMU, b""), about))
 
 
-def _records(file: BinaryIO, size: int, begin: int) -> Iterator[tuple[int, int, int]]:
-    """Id, start and length of each record, the last one first."""
-    at = size - ENDING
-    while at - 6 >= begin:
-        file.seek(at - 6)
-        _, kind, length = struct.unpack("<BBI", file.read(6))
-        start = at - 6 - length
-        if start < begin:
-            return
-        yield kind, start, length
-        at = start
-
-
-def _imu(data: bytes, about: dict[int, int | bytes]) -> tuple[np.ndarray, np.ndarray]:
+def _samples(data: bytes, about: dict[int, int | bytes]) -> tuple[np.ndarray, np.ndarray]:
     """Gyroscope and accelerometer, ``(N, 4)`` each, with times from the first picture."""
     raw = about.get(RAW, 0) == 1
     kind = np.dtype([("t", "<u8"), ("v", "<u2" if raw else "<f8", 6)])
     table = np.frombuffer(data, kind, len(data) // kind.itemsize)
-    table = table[(np.abs(table["v"].astype(np.float64)) < ABSURD).all(axis=1)]  # NaN fails the comparison
     values = table["v"].astype(np.float64)
-    g, turn = G, 1.0
+    sound = (np.abs(values) < ABSURD).all(axis=1)  # NaN fails the comparison
+    values, g, turn = values[sound], G, 1.0
     if raw:  # 16 bits for the whole range
         ranges = dict(_fields(about.get(RANGES, b"")))
         most = [ranges.get(field) for field in (1, 2)]
         acceleration, rate = (m if isinstance(m, int) and m else n for m, n in zip(most, (16, 2000), strict=True))
         values, g, turn = (values - 32768) / 32768, G * acceleration, np.radians(rate)
-    first = about.get(FIRST, 0)
-    later = about.get(LATER) if about.get(HAS_LATER) == 1 else None  # milliseconds from the pictures to the IMU
+    first, later = about.get(FIRST), about.get(LATER) if about.get(HAS_LATER) == 1 else None
     shift = struct.unpack("<d", later)[0] if isinstance(later, bytes) and len(later) == 8 else 0.0
-    times = (table["t"].astype(np.float64) - (first if isinstance(first, int) else 0)) / (1e6 if raw else 1e3)
-    times = (times - (shift / 1e3 if np.isfinite(shift) else 0.0))[:, None]
+    times = (table["t"][sound].astype(np.float64) - (first if isinstance(first, int) else 0)) / (1e6 if raw else 1e3)
+    times = (times - (shift / 1e3 if np.isfinite(shift) else 0.0))[:, None]  # milliseconds from the pictures to the IMU
     return np.concatenate([times, values[:, 3:] * turn], axis=1), np.concatenate([times, values[:, :3] * g], axis=1)
 
 
 def _fields(data: int | bytes) -> Iterator[tuple[int, int | bytes]]:
     """The fields of a message (Protocol Buffers, "Encoding"): numbers as int, all else as bytes. Ends where damaged."""
-    data = data if isinstance(data, bytes) else b""
-    at = 0
+    data, at = data if isinstance(data, bytes) else b"", 0
     while at < len(data):
         tag, at = _varint(data, at)
         kind = tag & 7

@@ -9,18 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from itertools import islice
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eagor.conventions import HABITAT_R_BODY, OPTICAL_R_BODY
 from eagor.errors import EagorError, PoseError
-from eagor.media.footage import Read
-from eagor.media.panorama import Picture, shrunk
-from eagor.media.pose_files import FramePose, Poses
+from eagor.odometry.files import FramePose, Poses
 
 __all__ = ["AXES", "settled", "with_axes"]
 
@@ -34,7 +31,7 @@ LEAST, MOST = math.radians(5), math.radians(60)  # of a turn between two picture
 # Pairs that tell how the camera turns, those that are compared at most, pictures that are looked through for them, and
 # seconds after which two are compared although the poses hardly turn.
 PAIRS, TRIED, LOOKED, APART = 6, 9, 400, 1.0
-ROWS = 256  # of panoramas that are compared: two of 64 rows still tell their turn to half a degree
+SIZE = 256  # pixels of views of panoramas that are compared: half as many still tell their turn to half a degree
 FITS, DIFFERS = 0.3, 0.6  # of the squares: what is left over of turns that fit, and of others
 # Poses contradict where most turns differ from those of the pictures by half, and by these degrees; what is wrong with
 # them fits where it leaves less. Of a camera that walks, one pair in ten may be off by 20 degrees: without a reason,
@@ -42,6 +39,8 @@ FITS, DIFFERS = 0.3, 0.6  # of the squares: what is left over of turns that fit,
 OFF, CLOSE, MANY = math.radians(8), math.radians(3), 4
 LEVEL = 0.7  # cosine: a camera whose up is mostly this near to the world's
 STILL = 0.05  # metres: a camera that moves no farther stands
+
+Read = Callable[[], Any]  # gives a picture: an object with `picture`, and the `grid` of an ordinary one
 
 
 def with_axes(poses: Poses, axes: str) -> Poses:
@@ -54,17 +53,14 @@ def with_axes(poses: Poses, axes: str) -> Poses:
     body_R_pose = AXES[axes][0]
     turns = np.array([pose.world_R_body for pose in poses]) @ body_R_pose.T
     up = turns[:, :, 2].mean(axis=0)
-    if up[2] > LEVEL:
-        level = np.eye(3)
-    elif (body_R_pose @ up)[2] > LEVEL or np.linalg.norm(up) < 0.5:
-        level = body_R_pose
-    else:
-        level = Rotation.align_vectors([[0.0, 0, 1]], [up])[0].as_matrix()
-    made = (
+    level = np.eye(3)
+    if up[2] <= LEVEL:
+        first_camera = (body_R_pose @ up)[2] > LEVEL or np.linalg.norm(up) < 0.5
+        level = body_R_pose if first_camera else Rotation.align_vectors([[0.0, 0, 1]], [up])[0].as_matrix()
+    return poses.made(
         FramePose(pose.stamp, level @ turn, None if pose.position is None else level @ pose.position, pose.frame)
         for pose, turn in zip(poses, turns, strict=True)
     )
-    return poses.made(made)
 
 
 def settled(
@@ -81,7 +77,7 @@ def settled(
     """
     if axes == "body":
         return poses
-    given, pairs = axes != "auto", list[Pair]()
+    given, pairs = axes != "auto", list[_Pair]()
     with suppress(EagorError):  # who looks at the frames meets it again, and says so
         pairs += () if frames is None else _pairs(frames(), poses)
     if not given and poses.axes in AXES:
@@ -99,58 +95,39 @@ def settled(
     return with_axes(poses, axes)
 
 
-def _found(poses: Poses, pairs: Sequence[Pair], name: str, say: Callable[[str], object]) -> str:
+def _found(poses: Poses, pairs: Sequence[_Pair], name: str, say: Callable[[str], object]) -> str:
     """The axes of a file that does not tell them. Raises `PoseError` where it has to."""
-    odd = _is_odd(poses)
+    some = poses[:: 1 + len(poses) // 1000]
+    turns = np.array([pose.world_R_body for pose in some])
+    bent = Rotation.from_matrix(turns[0].T @ turns).as_rotvec()
+    squares, turned = (bent**2).sum(axis=0), np.linalg.norm(bent, axis=1).max() > LEAST
+    places = np.array([pose.position for pose in poses if pose.position is not None and pose.near]).reshape(-1, 3)
+    gone = np.ptp(places, axis=0) if len(places) else np.zeros(3)  # along each axis of its world
+    # With our axes a camera would hardly turn about its vertical, or lie on its side or back, or fly up.
+    odd = (turned and squares[2] < 0.5 * squares.sum()) or turns[:, 2, 2].mean() < 0.5
+    odd = bool(odd or gone[2] > max(STILL, LEVEL * float(np.linalg.norm(gone))))
     if not odd and poses.axes == "body?":
         return "body"
     found = _fitting(pairs)
-    if found is None and (odd or not _tells(poses)) and poses.axes != "body?":
-        raise PoseError(
-            f"{name} does not tell the axes of its poses, and the pictures do not show how they turn: wanted --axes "
-            f"{', '.join(f'{each} ({words})' for each, (_, words) in AXES.items())}"
-        )
-    if found is None and odd:
+    if found is None and poses.axes != "body?":
+        # It tells axes at all if it turned, or does not move, or has a heading.
+        if odd or not (turned or gone.max() <= STILL or _angle(turns[0]) > LEAST):
+            raise PoseError(
+                f"{name} does not tell the axes of its poses, and the pictures do not show how they turn: wanted "
+                f"--axes {', '.join(f'{each} ({words})' for each, (_, words) in AXES.items())}"
+            )
+    elif found is None:
         say(
             f"warning: {name}: the camera turns or leans as if its axes were others than x ahead, y left, z up, as "
             "those of SLAM (optical: x right, y down, z ahead). They are read as they stand; --axes optical reads them "
             "so, and --axes body says that nothing is wrong"
         )
-    if found not in (None, "body"):
+    elif found != "body":
         say(f"{name}: its axes are {AXES[found][1]}, as the pictures turn (--axes {found}); --axes body: as they stand")
     return found or "body"
 
 
-def _relative(poses: Sequence[FramePose]) -> np.ndarray:
-    """Rotation vectors ``(n, 3)`` from the first pose to some others, in its axes."""
-    turns = np.array([pose.world_R_body for pose in poses[:: 1 + len(poses) // 1000]])
-    return Rotation.from_matrix(turns[0].T @ turns).as_rotvec()
-
-
-def _is_odd(poses: Sequence[FramePose]) -> bool:
-    """Whether a camera with our axes would hardly turn about its vertical, lie on its side or back, or fly up."""
-    bent, gone = _relative(poses), _gone(poses)
-    squares = (bent**2).sum(axis=0)
-    turned = np.linalg.norm(bent, axis=1).max() > LEAST
-    ups = np.array([pose.world_R_body[2, 2] for pose in poses[:: 1 + len(poses) // 1000]])
-    rises = gone[2] > max(STILL, LEVEL * float(np.linalg.norm(gone)))
-    return bool((turned and squares[2] < 0.5 * squares.sum()) or ups.mean() < 0.5 or rises)
-
-
-def _gone(poses: Sequence[FramePose]) -> np.ndarray:
-    """How far it went along each axis of its world ``(3,)``, metres."""
-    places = np.array([pose.position for pose in poses if pose.position is not None and pose.near]).reshape(-1, 3)
-    return np.ptp(places, axis=0) if len(places) else np.zeros(3)
-
-
-def _tells(poses: Sequence[FramePose]) -> bool:
-    """Whether how it turns and stands tells axes at all: it turned, or does not move, or has a heading."""
-    bent, moved = _relative(poses), float(_gone(poses).max()) > STILL
-    turned = np.linalg.norm(bent, axis=1).max() > LEAST
-    return bool(turned or not moved or np.arccos(np.clip((np.trace(poses[0].world_R_body) - 1) / 2, -1, 1)) > LEAST)
-
-
-class Pair(NamedTuple):
+class _Pair(NamedTuple):
     """Two poses of a file ``(3, 3)`` at their stamps, and the turn ``(3, 3)`` of the pictures that were taken there."""
 
     stamps: tuple[float, float]
@@ -158,69 +135,47 @@ class Pair(NamedTuple):
     after: np.ndarray
     seen: np.ndarray
 
-    @property
-    def turn(self) -> np.ndarray:
-        """How the pose turns ``(3, 3)``, in its axes."""
-        return self.before.T @ self.after
 
-
-def _pairs(frames: Iterable[tuple[FramePose, Read | None]], poses: Sequence[FramePose]) -> Iterator[Pair]:
+def _pairs(frames: Iterable[tuple[FramePose, Read | None]], poses: Sequence[FramePose]) -> Iterator[_Pair]:
     """Pairs of pictures between which the camera turns, by its poses or by the pictures themselves."""
-    from eagor._extras import need
-    from eagor.media.features import lens_of
-    from eagor.media.rotation import VisualOdometer
+    from eagor.odometry.features import Views, match
+    from eagor.odometry.two_views import estimate_relative_rotation
 
-    try:
-        need("the rotation from pictures", "photos", "cv2")
-    except EagorError:
-        return
     last, found, tried, apart = None, 0, 0, min(APART, (poses[-1].stamp - poses[0].stamp) / PAIRS)
-    for pose, read in islice((each for each in frames if each[1] is not None), LOOKED):
+    for pose, read in islice(((pose, read) for pose, read in frames if read is not None), LOOKED):
         if found >= PAIRS or tried >= TRIED:
             return
         far = 0.0 if last is None else _angle(last[0].world_R_body.T @ pose.world_R_body)
         if last is not None and far < LEAST and pose.stamp - last[0].stamp < apart:
             continue
-        try:
-            assert read is not None
-            picture = _small(read())
-            if last is not None and lens_of(picture.grid) != lens_of(last[1].grid):
-                continue
+        with suppress(EagorError):  # who looks at it meets it again, and says so
+            frame = read()
+            views = Views.of(frame.picture, frame.grid, SIZE)
             if last is not None and far < MOST:
                 tried += 1
-                odometer = VisualOdometer()
-                odometer.add(last[1].picture, 0.0, last[1].grid)
-                seen = odometer.add(picture.picture, 1.0, picture.grid)
-                if seen.lost or not seen.matches:  # too far apart, perhaps
+                a, b = match(here := last[1].features, there := views.features)
+                area = views.area
+                turn = estimate_relative_rotation(here.directions[a], there.directions[b], area=area)
+                if turn is None:  # too far apart, perhaps
                     apart /= 2
-                elif max(far, _angle(seen.world_R_body)) < LEAST:  # what stands may stand for long
+                elif max(far, _angle(turn.old_R_new)) < LEAST:  # what stands may stand for long
                     apart *= 2
                 else:
                     found += 1
-                    stamps = last[0].stamp, pose.stamp
-                    yield Pair(stamps, last[0].world_R_body, pose.world_R_body, seen.world_R_body)
-        except EagorError:  # who looks at it meets it again, and says so
-            continue
-        last = pose, picture
-
-
-def _small(picture: Picture) -> Picture:
-    """A panorama with few rows: it is compared sooner."""
-    return picture if picture.grid is not None else replace(picture, picture=shrunk(picture.picture, ROWS))
+                    yield _Pair((last[0].stamp, pose.stamp), last[0].world_R_body, pose.world_R_body, turn.old_R_new)
+            last = pose, views
 
 
 def _angle(rotation: np.ndarray) -> float:
     return float(Rotation.from_matrix(rotation).magnitude())
 
 
-def _fitting(pairs: Sequence[Pair]) -> str | None:
+def _fitting(pairs: Sequence[_Pair]) -> str | None:
     """The one convention in which the turns of the poses are those of the pictures."""
     if not pairs:
         return None
-    told, seen = (
-        Rotation.from_matrix(np.array(turns)).as_rotvec()
-        for turns in zip(*((each.turn, each.seen) for each in pairs), strict=True)
-    )
+    told = Rotation.from_matrix([pair.before.T @ pair.after for pair in pairs]).as_rotvec()
+    seen = Rotation.from_matrix([pair.seen for pair in pairs]).as_rotvec()
     left = {
         axes: float(((seen - told @ body_R_pose.T) ** 2).sum() / (told**2).sum())
         for axes, (body_R_pose, _) in AXES.items()
@@ -229,42 +184,42 @@ def _fitting(pairs: Sequence[Pair]) -> str | None:
     return best if left[best] < FITS and left[other] > DIFFERS else None
 
 
-def _contradiction(pairs: Sequence[Pair], axes: str) -> tuple[str, bool] | None:
+def _contradiction(pairs: Sequence[_Pair], axes: str) -> tuple[str, bool] | None:
     """Where poses with these axes contradict the pictures, in words, and whether it is known why."""
     if not pairs:
         return None
+    before, after, seen = (np.array(each) for each in list(zip(*pairs, strict=True))[1:])
 
-    def turns(turn: Callable[[Pair], np.ndarray], axes: str = axes) -> np.ndarray:
-        body_R_pose = AXES[axes][0]
-        return np.array([body_R_pose @ turn(pair) @ body_R_pose.T for pair in pairs])
+    def turns(relative: np.ndarray, axes: str = axes) -> np.ndarray:
+        return AXES[axes][0] @ relative @ AXES[axes][0].T
 
     def off(turned: np.ndarray) -> np.ndarray:
         return Rotation.from_matrix(turned.transpose(0, 2, 1) @ seen).magnitude()
 
-    seen, told = np.array([pair.seen for pair in pairs]), turns(lambda pair: pair.turn)
+    relative = before.transpose(0, 2, 1) @ after
+    told = turns(relative)
     size = np.maximum(Rotation.from_matrix(told).magnitude(), Rotation.from_matrix(seen).magnitude())
-    wrong = off(told) > np.maximum(OFF, size / 2)
-    if wrong.mean() < 0.75:
+    if (off(told) > np.maximum(OFF, size / 2)).mean() < 0.75:
         return None
     worst = int(np.argmax(off(told)))
     begin, end = pairs[worst].stamps
-    text = f"from {begin:.10g} to {end:.10g} s the camera turns {_in_words(told[worst])} by its poses, and "
-    text += f"{_in_words(seen[worst])} by what it shows"
+    text = (
+        f"from {begin:.10g} to {end:.10g} s the camera turns {_in_words(told[worst])} by its poses, and "
+        f"{_in_words(seen[worst])} by what it shows"
+    )
     mirror = np.diag([1.0, -1, 1])
-    reasons = {
-        "the other way round. Wanted are rotations of the camera in the world (world_R_body), with yaw positive to the "
-        "left: transpose them, or change the sign of the yaw": (
-            turns(lambda pair: pair.before @ pair.after.T), mirror @ told @ mirror,
-        ),
-        "57 times as far: its angles are radians. Name the columns yaw_rad,pitch_rad,roll_rad": (
-            Rotation.from_rotvec(np.degrees(Rotation.from_matrix(told).as_rotvec())).as_matrix(),
-        ),
-    }  # fmt: skip
-    for other, (_, words) in AXES.items():
-        reasons[f"its axes are {words}: --axes {other}"] = (turns(lambda pair: pair.turn, other),)
-    left = {reason: min(float(np.median(off(each))) for each in fits) for reason, fits in reasons.items()}
-    best = min(left, key=left.__getitem__)
-    if left[best] < max(CLOSE, 0.4 * float(np.median(size))):
+    inverted = "the other way round. Wanted are rotations of the camera in the world (world_R_body), with yaw positive "
+    inverted += "to the left: transpose them, or change the sign of the yaw"
+    radians = "57 times as far: its angles are radians. Name the columns yaw_rad,pitch_rad,roll_rad"
+    larger = Rotation.from_rotvec(np.degrees(Rotation.from_matrix(told).as_rotvec())).as_matrix()
+    reasons = [
+        (inverted, turns(before @ after.transpose(0, 2, 1))),
+        (inverted, mirror @ told @ mirror),
+        (radians, larger),
+    ]
+    reasons += [(f"its axes are {words}: --axes {other}", turns(relative, other)) for other, (_, words) in AXES.items()]
+    left, best = min((float(np.median(off(fits))), reason) for reason, fits in reasons)
+    if left < max(CLOSE, 0.4 * float(np.median(size))):
         return f"{text}: {best}", True
     if len(pairs) < MANY:
         return None

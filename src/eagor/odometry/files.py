@@ -1,0 +1,433 @@
+"""Poses from a file, in the forms in which programs write them.
+
+Ours is CSV. The first line names the columns, in any order; other columns are ignored:
+
+- ``stamp``: seconds, on the clock of the frames, increasing. Counts of milli-, micro- or nanoseconds since 1970 are
+  read as such, others where the name says so (``stamp_ms``).
+- the orientation ``world_R_body`` (REP-103: x forward, y left, z up), either as the unit quaternion ``qw,qx,qy,qz`` or
+  as ``yaw_deg,pitch_deg,roll_deg`` (or ``_rad``): yaw to the left, then pitch (positive: nose DOWN), then roll.
+- ``x,y,z`` (optional): position in metres in the world frame.
+- ``frame`` (optional): the image captured in this pose; empty for odometry between the frames.
+
+Blank lines, and lines that begin with ``#``, are skipped. Others:
+
+- tables with other names, also in a comment, with commas, semicolons, tabs or blanks between (EuRoC's ``#timestamp
+  [ns],p_RS_R_x [m],...``); TUM and ORB-SLAM: eight numbers with blanks between, stamp, x, y, z, qx, qy, qz, qw;
+- COLMAP's ``images.txt``: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from the world to the camera;
+- nerfstudio's and Instant NGP's ``transforms.json``: file_path and transform_matrix, from the camera to the world.
+
+Which axes they have: `eagor.odometry.axes`.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path, PurePath
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from eagor._checks import LATEST, checked_stamp, parsed
+from eagor._files import natural, read_file
+from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
+from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
+from eagor.odometry.times import UNITS, times_of, unit_of
+from eagor.sphere import interpolate_rotation
+from eagor.tracking.poses import FARTHEST
+
+__all__ = ["BEYOND", "FramePose", "Poses", "interpolated", "pair", "read_poses", "usable"]
+
+QUATERNION, ANGLES, POSITION = ("qw", "qx", "qy", "qz"), ("yaw_deg", "pitch_deg", "roll_deg"), ("x", "y", "z")
+HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
+# Columns as others call them, in small letters and without units in brackets; our own names count first.
+_PLACE = r"(?:t|p_rs_r_|p_|pos_|pos\.|position_|(?:.*[./])?position[./])"
+_TURN = r"(?:q_rs_|q_|quat_|orientation_|(?:.*[./])?orientation[./])"
+ALIASES = {
+    "stamp": r"(?:__|%)?(?:stamp|timestamp|time|t)(?:_(?P<unit>s|sec|ms|msec|us|usec|ns|nsec))?",
+    **{axis: _PLACE + axis for axis in "xyz"},
+    **{f"q{axis}": _TURN + axis for axis in "wxyz"},
+    **{angle: angle.replace("deg", "rad") for angle in ANGLES},
+}
+_UNIT = re.compile(r"[\[(]\s*(\w*)[^\])]*[\])]\s*$")
+TUM, EUROC = ["stamp", "x", "y", "z", "qx", "qy", "qz", "qw"], ["stamp", "x", "y", "z", "qw", "qx", "qy", "qz"]
+EUROC_COLUMNS = 17  # with velocities and biases
+COUNTS = ((1e4, ("milliseconds", "ms")), (1e7, ("microseconds", "us")), (math.inf, ("nanoseconds", "ns")))
+APART = 10.0  # seconds between poses from which on they are rather counts of something shorter
+MUCH = 1e100  # of anything: products of more have no end
+NORM = 0.01  # by which the length of a quaternion may differ from 1: printed with three digits
+BEYOND = 0.05  # seconds: what lies so far outside of the poses still takes the nearest one
+
+
+class FramePose(NamedTuple):
+    """One line: stamp in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None, frame's name."""
+
+    stamp: float
+    world_R_body: np.ndarray
+    position: np.ndarray | None
+    frame: str | None
+
+    @property
+    def near(self) -> bool:
+        """Whether the position can be one: a lost estimate of a robot's place often ends in numbers without end."""
+        return self.position is None or bool((np.abs(self.position) <= FARTHEST).all())
+
+
+class Poses(tuple[FramePose, ...]):
+    """The poses of a file. `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours.
+
+    `form`: that of another program, in words. `partial`: it may lack pictures.
+    """
+
+    axes = form = ""
+    partial = False
+
+    def made(self, poses: Iterable[FramePose]) -> Poses:
+        """Others of the same file."""
+        found = Poses(poses)
+        found.__dict__.update(self.__dict__)
+        return found
+
+
+def read_poses(path: str | Path) -> Poses:
+    """The poses in the file, sorted by time (format: this module's text).
+
+    Raises `FormatError` for a violation of the format, `RotationError` for a quaternion that is not of unit length,
+    `TimeError` if the stamps do not increase; each error names the file and the line. Stamps that are hardly seconds,
+    and quaternions in another order, are a `UserWarning`.
+    """
+    try:
+        data = read_file(path)
+        text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
+    except (OSError, ValueError) as error:  # UnicodeDecodeError, and null characters in the path
+        raise FormatError(f"{path} cannot be read as text ({error}); give a CSV file of poses: {HEADERS}") from error
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    try:
+        poses = _nerfstudio(text) if text.lstrip().startswith("{") else _colmap(lines) or _of_table(lines)
+    except EagorError as error:
+        raise type(error)(f"{path}{error}") from error
+    for warning in () if poses.form else _oddities(poses):
+        warnings.warn(f"{path}: {warning}", UserWarning, stacklevel=2)
+    return poses
+
+
+# --- tables ---
+
+
+def _of_table(lines: Sequence[str]) -> Poses:
+    """The poses of a table; errors begin with what comes after the file's name."""
+    told = [number for number, line in enumerate(lines) if line.strip()]
+    at = next((number for number in told if not lines[number].lstrip().startswith("#")), None)
+    if at is None:
+        raise FormatError(f" is empty; wanted a line with the names of the columns: {HEADERS}")
+    mark = next((mark for mark in ",;\t" if mark in lines[at]), None)
+    fields = _split(lines[at], mark)
+    begin, unit, degree, ours = at + 1, 0.0, 1.0, False
+    if not all(map(_is_number, fields[:7])) or len(fields) < 2:
+        names, unit, degree, ours = _named(fields)
+    else:  # no names, or in the comment above
+        above = next((lines[number].strip().lstrip("#").strip() for number in reversed(told) if number < at), "")
+        names, unit, degree, ours = _named(_split(above, next((each for each in ",;\t" if each in above), None)))
+        begin = at
+        if len(names) != len(fields) or "stamp" not in names:
+            names, unit, ours = _unnamed(fields, mark), 0.0, False
+    try:
+        _check_header(names)
+    except FormatError as error:
+        raise FormatError(f", line {at + 1}: {error}") from error
+    rows = list(_rows(lines, begin, mark, len(names)))
+    if not rows:
+        raise FormatError(f" has a header but no poses; wanted one line per frame: {HEADERS}")
+    numbers = {name: _numbers(name, [(line, row[names.index(name)]) for line, row in rows])
+               for name in ("stamp", *QUATERNION, *ANGLES, *POSITION) if name in names}  # fmt: skip
+    stamps = numbers["stamp"] / (unit or unit_of(numbers["stamp"][0]))
+    for index in np.flatnonzero(~((np.diff(stamps, prepend=-math.inf) > 0) & (np.abs(stamps) <= LATEST)))[:1]:
+        try:
+            text = f"stamp {checked_stamp(float(stamps[index])):.6f} comes after {stamps[index - 1]:.6f}; wanted"
+            text += " increasing stamps. Sort the lines by stamp, and split the file where the clock was reset"
+            raise TimeError(text)
+        except TimeError as error:
+            raise TimeError(f", line {rows[index][0]}: {error}") from error
+    if "qw" in names:
+        wxyz = np.stack([numbers[name] for name in QUATERNION], axis=1)
+        with np.errstate(over="ignore"):
+            lengths = np.sqrt((wxyz**2).sum(axis=1))
+        for index in np.flatnonzero(~(np.abs(lengths - 1) <= NORM))[:1]:
+            raise RotationError(
+                f", line {rows[index][0]}: qw,qx,qy,qz = {', '.join(f'{v:g}' for v in wxyz[index])} is not a rotation: "
+                f"its length is {lengths[index]:.3g}, wanted 1. Normalise it; the scalar part comes first"
+            )
+        turns = rotation_from_wxyz(wxyz / lengths[:, None])
+    else:
+        angles = np.stack([numbers[name] for name in ANGLES], axis=1) * degree
+        turns = Rotation.from_euler("ZYX", np.fmod(angles, 360), degrees=True).as_matrix()
+    places = np.stack([numbers[name] for name in POSITION], axis=1) if "x" in names else [None] * len(rows)
+    frames = [row[names.index("frame")] or None for _, row in rows] if "frame" in names else [None] * len(rows)
+    poses = Poses(map(FramePose, stamps.tolist(), turns, places, frames))
+    poses.axes = ("body?" if ours else "") if "qw" in names else "body"
+    return poses
+
+
+def _split(line: str, mark: str | None) -> list[str]:
+    if mark == ",":
+        try:
+            return next(csv.reader([line], strict=True), [])
+        except csv.Error:
+            pass
+    return line.split(mark)
+
+
+def _rows(lines: Sequence[str], begin: int, mark: str | None, count: int) -> Iterator[tuple[int, list[str]]]:
+    """Number and fields of each line from `begin` on that is neither blank nor a comment. Raises `FormatError`."""
+    reader = csv.reader((f"{line}\n" for line in lines[begin:]), strict=True) if mark == "," else None
+    number = begin
+    try:
+        for fields in reader if reader is not None else (line.split(mark) for line in lines[begin:]):
+            number = number + 1 if reader is None else begin + reader.line_num
+            if not any(map(str.strip, fields)) or fields[0].lstrip().startswith("#"):
+                continue
+            if len(fields) != count:
+                found = f"has {len(fields)} fields where the header has {count}"
+                raise FormatError(f", line {number}: {found}; cut off, or a comma too many?")
+            yield number, [field.strip() for field in fields]
+    except csv.Error as error:
+        line = begin + (reader.line_num if reader is not None else 0)
+        raise FormatError(f", line {line}: is not CSV ({error}); wanted {HEADERS}") from error
+
+
+def _numbers(name: str, cells: Sequence[tuple[int, str]]) -> np.ndarray:
+    """The numbers ``(n,)`` in a column, of which the lines are given. Raises `FormatError`."""
+    with suppress(ValueError):
+        values = np.array([float(text) for _, text in cells])
+        if np.isfinite(values).all() and not any("_" in text for _, text in cells):  # Python would take 1_0 for 10
+            return values
+    for line, text in cells:
+        if not _is_number(text) or "_" in text:
+            raise FormatError(f", line {line}: {name} is {_cut(repr(text))}; wanted a number")
+        if not math.isfinite(float(text)):
+            what = "wanted a finite number. Leave out lines without a known pose"
+            raise FormatError(f", line {line}: {name} is {_cut(text)}; {what}")
+    raise AssertionError("one of them is no number")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _named(fields: Sequence[str]) -> tuple[list[str], float, float, bool]:
+    """Our names of columns, the unit of the stamps (0: not told), that of the angles, whether the names are ours."""
+    bare = [_UNIT.sub("", field).strip().lower() for field in fields]
+    names, unit, degree = list(bare), 0.0, 1.0
+    for name, form in ALIASES.items():
+        found = [number for number, each in enumerate(bare) if re.fullmatch(form, each)]
+        if name not in bare and len(found) == 1:
+            names[found[0]] = name
+            degree = math.degrees(1) if name in ANGLES else degree
+        if name == "stamp" and names.count(name) == 1:
+            at = names.index(name)
+            match, bracket = re.fullmatch(form, bare[at]), _UNIT.search(fields[at])
+            unit = UNITS.get((match["unit"] if match else None) or (bracket[1].lower() if bracket else ""), 0.0)
+    return names, unit, degree, all(each in bare for each in names)
+
+
+def _unnamed(fields: Sequence[str], mark: str | None) -> list[str]:
+    if mark == "," and len(fields) >= EUROC_COLUMNS:
+        return [*EUROC, *(f"column {k}" for k in range(len(EUROC), len(fields)))]
+    if mark is None and len(fields) == len(TUM):
+        return TUM
+    if len(fields) == 12:
+        raise FormatError(": twelve numbers a line are KITTI's poses, which have no times; wanted a column stamp")
+    raise FormatError(
+        f": {len(fields)} numbers a line, and no names of columns; wanted a first line of names (with a # or without), "
+        "or TUM's eight numbers with blanks between: stamp x y z qx qy qz qw"
+    )
+
+
+def _check_header(names: Sequence[str]) -> None:
+    """Raise `FormatError` unless there is a stamp and exactly one form of orientation, each column once."""
+    twice = sorted({n for n in ("stamp", *QUATERNION, *ANGLES, *POSITION, "frame") if names.count(n) > 1})
+    if twice:
+        raise FormatError(f"the column {twice[0]!r} appears twice")
+    groups = {group: [n for n in group if n in names] for group in (QUATERNION, ANGLES, POSITION)}
+    for group, found in groups.items():
+        if found and len(found) < len(group):
+            raise FormatError(f"has {', '.join(found)} but not {', '.join(n for n in group if n not in found)}")
+    if "stamp" not in names or bool(groups[QUATERNION]) == bool(groups[ANGLES]):
+        hint = " (fields must be separated by commas)" if len(names) == 1 else ""
+        hint += "; yaw in degrees or radians? Name it yaw_deg or yaw_rad" if "yaw" in names else ""
+        raise FormatError(f"the columns are {_cut(', '.join(names))}{hint}; wanted {HEADERS}")
+
+
+def _oddities(poses: Poses) -> Iterator[str]:
+    """What is said of poses whose numbers may mean something else.
+
+    Quaternions seem to be in another order than their columns say where the camera is upside down in every line, or
+    leans by more than 60 degrees in some, and would in none if the scalar part were in the last column of the four, or
+    if the columns qx, qy, qz, qw held w, x, y, z.
+    """
+    stamps = np.array([pose.stamp for pose in poses])
+    apart = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    if apart >= APART:
+        what, short = next(names for most, names in COUNTS if apart < most)
+        yield f"its poses are {apart:g} s apart. Are the stamps {what}? Then call that column stamp_{short}"
+    if poses.axes == "body":
+        return
+    some = poses[:: 1 + len(poses) // 1000]
+    w, x, y, z = wxyz_from_rotation(np.array([pose.world_R_body for pose in some])).T ** 2
+    up, last, first = 1 - 2 * (x + y), 1 - 2 * (w + x), 1 - 2 * (y + z)
+    if (up < 0).all() or ((up < 0.5).any() and ((last > 0.5).all() or (first > 0.5).all())):
+        yield (
+            "the camera is upside down, or leans as no robot does. xyzw? The scalar part is qw, which messages of ROS "
+            "have last; nothing is wrong if the camera hangs upside down, or tumbles"
+        )
+
+
+# --- poses of pictures, without times ---
+
+
+def _colmap(lines: Sequence[str]) -> Poses | None:
+    """The pictures of COLMAP's images.txt; None if it is another file."""
+    rows = [line.split(maxsplit=9) for line in lines if not line.lstrip().startswith("#")]
+    rows = [row for row in rows if len(row) == 10 and not all(map(_is_number, row[9].split()))]
+    if not rows or not all(map(_is_number, rows[0][:9])) or "," in "".join(rows[0][:9]):
+        return None
+    try:
+        table = np.array([[float(field) for field in row[1:8]] for row in rows])
+        if not (np.abs(table) < MUCH).all():
+            raise ValueError("a number without end")
+        turns = np.swapaxes(rotation_from_wxyz(table[:, :4]), -1, -2)
+    except (ValueError, EagorError) as error:
+        raise FormatError(f" COLMAP's images.txt has a line that cannot be: {str(error)[:300]}") from error
+    places = -np.einsum("nij,nj->ni", turns, table[:, 4:])
+    return _placed([row[9].strip() for row in rows], turns, places, "optical", "COLMAP's images.txt")
+
+
+def _nerfstudio(text: str) -> Poses:
+    """The pictures of a transforms.json. Raises `FormatError`."""
+    try:
+        found: Any = parsed(text)
+        names = [str(frame["file_path"]) for frame in found["frames"]]
+        matrices = np.array([frame["transform_matrix"] for frame in found["frames"]], dtype=np.float64)
+        if matrices.ndim != 3 or matrices.shape[1] not in (3, 4) or matrices.shape[2] != 4:
+            raise ValueError(f"the matrices have the shape {matrices.shape}")
+        if not (np.abs(matrices) < MUCH).all():  # of some, no decomposition ends
+            raise ValueError("a matrix has a number without end")
+        left, lengths, right = np.linalg.svd(matrices[:, :3, :3])
+        if not (np.allclose(lengths, 1, atol=0.01) and (np.linalg.det(left @ right) > 0).all()):
+            raise ValueError("a matrix is no rotation")
+    except (ValueError, TypeError, KeyError, OverflowError, np.linalg.LinAlgError) as error:
+        raise FormatError(
+            f" is JSON, but no transforms.json of nerfstudio: frames with file_path and transform_matrix ({error})"
+        ) from error
+    return _placed(names, left @ right, matrices[:, :3, 3], "opengl", "a transforms.json")
+
+
+def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: str, form: str) -> Poses:
+    """Pictures by name in order of the names, one a second where these are no times."""
+    order = sorted(range(len(names)), key=lambda k: natural(_base(names[k])))
+    stamps = times_of([PurePath(_base(name)).stem for name in names])
+    if stamps is not None and len(set(stamps)) == len(stamps):
+        order.sort(key=stamps.__getitem__)
+        stamps = sorted(stamps)
+    else:
+        stamps = [float(k) for k in range(len(names))]
+    poses = Poses(FramePose(at, turns[k], places[k], names[k]) for at, k in zip(stamps, order, strict=True))
+    poses.axes, poses.form, poses.partial = axes, form, True
+    return poses
+
+
+# --- at a time, and with pictures ---
+
+
+def usable(poses: Sequence[FramePose], name: str | Path) -> Sequence[FramePose]:
+    """Those that are `near`; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
+    near = tuple(pose for pose in poses if pose.near)
+    if len(near) == len(poses):
+        return poses
+    first = next(pose for pose in poses if not pose.near)
+    text = (
+        f"{name}: the position at {first.stamp:.10g} s is {np.asarray(first.position).tolist()}; wanted metres, each "
+        f"within {FARTHEST:g} of the origin"
+    )
+    if not near:
+        raise PoseError(f"{text}. So are all others: are they metres?")
+    warnings.warn(f"{text}. Left out: {len(poses) - len(near)} of {len(poses)} poses", UserWarning, stacklevel=2)
+    return near
+
+
+def interpolated(poses: Sequence[Any]) -> Callable[[float], tuple[np.ndarray, np.ndarray | None]]:
+    """Orientation ``(3, 3)`` and position ``(3,)`` at any time, between `poses`; before and after them, the nearest."""
+    stamps = np.array([pose.stamp for pose in poses])
+
+    def at(stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
+        after = int(np.searchsorted(stamps, stamp))
+        if after in (0, len(stamps)):
+            nearest = poses[min(after, len(stamps) - 1)]
+            return nearest.world_R_body, nearest.position
+        a, b = poses[after - 1], poses[after]
+        share = float((stamp - a.stamp) / (b.stamp - a.stamp))
+        place = None if a.position is None or b.position is None else a.position + share * (b.position - a.position)
+        return interpolate_rotation(a.world_R_body, b.world_R_body, share), place
+
+    return at
+
+
+def pair(
+    poses: Sequence[FramePose], images: Sequence[Path], name: str | Path = "the pose file"
+) -> tuple[tuple[FramePose, Path | None], ...]:
+    """Each pose with its image, sorted by time: by file name if the file has names, else in order.
+
+    Poses of other images are kept as odometry. Raises `PoseError` for an image with no pose or with two, and for
+    different numbers of poses and images without names.
+    """
+    if all(pose.frame is None for pose in poses):
+        if len(poses) != len(images):
+            raise PoseError(
+                f"{name} has {len(poses)} poses for {len(images)} frames; without a column 'frame' they are paired in "
+                "order. Add that column with the file names, or give as many poses as frames"
+            )
+        return tuple(zip(poses, images, strict=True))
+    by_name, by_stem = {image.name: image for image in images}, {image.stem: image for image in images}
+    if len(by_name) < len(images):
+        twice = sorted(n for n in by_name if sum(image.name == n for image in images) > 1)
+        raise PoseError(f"two frames are called {twice[0]}; rename one, because poses refer to frames by name")
+    told = [_base(pose.frame) if pose.frame else "" for pose in poses]  # nerfstudio may leave out the ending
+    pairs = tuple((pose, by_name.get(each) or by_stem.get(each)) for pose, each in zip(poses, told, strict=True))
+    used = [image.name for _, image in pairs if image is not None]
+    missing = [n for n in by_name if n not in {*used}]
+    if missing and used and getattr(poses, "partial", False):
+        text = f"{name} has no pose for {_some(missing)}, {len(missing)} of {len(images)} pictures: left out"
+        warnings.warn(text, UserWarning, stacklevel=2)
+    elif missing:
+        raise PoseError(
+            f"{name} has no pose for {_some(missing)}: its column 'frame' must name each image. "
+            "Add a line for it, or leave that image out"
+        )
+    if len(used) > len({*used}):
+        twice = sorted({n for n in used if used.count(n) > 1})
+        raise PoseError(f"{name} has several poses for {_some(twice)}; leave 'frame' empty on all lines but one")
+    return pairs
+
+
+def _base(path: str) -> str:
+    """The last part of a path, of Windows too."""
+    return path.replace("\\", "/").rstrip("/").rpartition("/")[2]
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= 200 else text[:197] + "..."
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first few names."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + more
