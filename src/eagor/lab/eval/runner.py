@@ -268,7 +268,7 @@ class _Process:
         except WorkerEnded:
             code = self._worker.close(PATIENCE)
             if code == -signal.SIGTERM:
-                time.sleep(0.2)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
+                time.sleep(2.0)  # who ends a worker so ends us too, as a rule: then the unit has had no attempt
             raise WorkerDiedError(f"signal {-code}" if code < 0 else f"exit code {code}") from None
 
 
@@ -351,6 +351,8 @@ def _together(queue: Queue, hire: Callable[[], Any], count: int) -> Generator[tu
     team: list[Any] = []
 
     def hired() -> Any:
+        if queue.closed:  # it died with the run
+            raise WorkerDiedError("the run has ended")
         team.append(worker := hire())
         if queue.closed:  # it came too late to be closed with the others
             worker.close(0.0)
