@@ -195,8 +195,9 @@ class Walk:
         self.names = tuple(sorted(str(name) for name in self.place.nameable().values()))
         self.clock, self.closed, self.poses = WalkClock(), threading.Event(), _Poses(self)
         self.grid = ErpGrid(rows or MOVING_ROWS, 2 * (rows or MOVING_ROWS))
-        drive = drive or ("tour" if seed == TOUR_SEED else "policy")
-        self.query, self.walker = self._tour() if drive == "tour" and seed == TOUR_SEED else self._episode(drive)
+        toured = seed == TOUR_SEED and bool(self._named(TOUR_QUERY))  # apartments of another version have another one
+        drive = drive or ("tour" if toured else "policy")
+        self.query, self.walker = self._tour() if drive == "tour" and toured else self._episode(drive)
         self._lock = threading.Lock()  # the person steers from another thread than time passes in
         # The first picture takes seconds, for its light.
         self.place.renderer.panorama(self.walker.position, np.eye(3), 32, range=False, ids=False)
