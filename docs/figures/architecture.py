@@ -39,7 +39,7 @@ FLOORS = {
     "belief": ("belief",),
     "evidence": ("evidence",),
     "harmonics": ("harmonics", "conventions", "thumbnail"),
-    "sphere": ("grids", "lenses", "sphere"),
+    "sphere": ("cameras", "grids", "sphere"),
     "helpers": ("plugins", "queries", "errors"),
 }
 SAID = {

@@ -134,7 +134,7 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told(monkeypatc
     ("sim --interface wlan77 --camera none", "there is no network interface 'wlan77'"),
     ("sim --world moon", "there is no world 'moon'"), ("sim --target elephant", "names nothing known here"),
     ("sim --rows 33", "rows = 33; wanted an even number"), ("sim --speed 9", "--speed 9: wanted 0 to 3"),
-    ("walk", "unknown command 'walk'; wanted"),
+    ("walk", "Unrecognized options: walk"),
 ])  # fmt: skip
 def test_wrong_usage_is_one_line(words, said):
     done = eagor("robot", *words.split())

@@ -330,7 +330,7 @@ def _walk(options: RobotRun, steps: Iterator[Step], summary: Summary, place: Pla
         told = mode, command.doing, why[0].partition(":")[0][:16]  # no numbers, which change all the time
         if told != said and (now - spoke >= QUIET or mode in LOUD):
             said, spoke = told, now
-            terminal.log(f"{now - begun:6.2f} s  {mode.value}, {command.doing}: {'; '.join(why)}")
+            terminal.log(f"{now - begun:6.2f} s  {mode}, {command.doing}: {'; '.join(why)}")
         if not lost and (faults := [each.text for each in step.answer.faults if each.part == "recording"]):
             lost = True
             terminal.warning(faults[0])

@@ -58,9 +58,7 @@ class RerunLog:
         self.path = Path(path)
         if self.path.suffix != ".rrd":
             raise EagorError(f"{path} does not end in .rrd; name a file such as run.rrd")
-        import rerun
-
-        self._rerun: Any = rerun
+        self._rerun = rerun = _rerun()
         self._log: Any = rerun.RecordingStream("eagor", send_properties=False)
         try:
             with open(self.path, "wb"):
@@ -294,10 +292,15 @@ def _vertices() -> np.ndarray:
     return direction(*np.broadcast_arrays(azimuth, elevation)).reshape(-1, 3)
 
 
-def _ball() -> Any:
-    """The ball around the camera. Its colours come with each panorama; without normals nothing shades them."""
+def _rerun() -> Any:
     import rerun
 
+    return rerun
+
+
+def _ball() -> Any:
+    """The ball around the camera. Its colours come with each panorama; without normals nothing shades them."""
+    rerun = _rerun()
     wide = BALL.width + 1
     corner = (np.arange(BALL.height - 1)[:, None] * wide + np.arange(BALL.width)[None, :]).reshape(-1)
     triangles = np.concatenate(

@@ -11,6 +11,7 @@ import io
 import os
 import shutil
 import sqlite3
+import sys
 import struct
 import tempfile
 import weakref
@@ -272,6 +273,6 @@ class SqliteFile:
     def _opened(self) -> sqlite3.Connection:
         """To be read, by whatever thread; larger rows are refused by SQLite itself."""
         database = sqlite3.connect(f"{self._place.as_uri()}?{self._how}", uri=True, check_same_thread=False)
-        if hasattr(database, "setlimit"):  # since Python 3.11
+        if sys.version_info >= (3, 11):
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST)
         return database

@@ -33,6 +33,8 @@ class Mode(str, Enum):
     STANDING = "standing"  # the robot stands; nothing is sent
     LATCHED = "latched"  # the emergency stop was pressed: only a reset leads out
 
+    __str__ = str.__str__
+
 
 class Stop(NamedTuple):
     """Send StopMove. `number` counts them, so that an acknowledgement can be told from an older one."""
