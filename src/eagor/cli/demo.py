@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -107,7 +108,7 @@ def _read(path: Path) -> np.ndarray:
     try:
         return FrameCheck(say=terminal.log).read(path).picture
     except ShapeError as error:
-        raise ShapeError(f"{str(error).partition(';')[0]}; wanted a whole panorama: pad it to 2:1 first") from None
+        raise ShapeError(f"{re.split('[;.] ', str(error))[0]}; wanted a whole panorama: pad it to 2:1 first") from None
 
 
 def _print(above: list[str], below: list[str], report: Path) -> None:
