@@ -57,7 +57,7 @@ def test_two_eyes_are_refused_until_the_layout_is_told(tmp_path, name, kind):
         camera = open_source(str(path), camera=Camera(eyes=layout))
         frame = next(iter(camera))
         assert frame.picture.shape[:2] == camera.grid.shape
-        assert (camera.unseen is None) == ("vr180" not in layout)
+        assert (frame.unseen is None) == ("vr180" not in layout)
         shown = resized(frame.picture, (256, 512)).astype(int)
         assert np.abs(shown - LEFT)[:, HALF].mean() < 12
 
