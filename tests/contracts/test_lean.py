@@ -161,7 +161,7 @@ def answers(run):
 
 
 def test_the_base_is_what_was_promised():
-    promised = {"numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich", "msgspec"}
+    promised = {"numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich", "msgspec", "tomli"}
     assert {name_of(line) for line in PROJECT["dependencies"]} == promised
 
 

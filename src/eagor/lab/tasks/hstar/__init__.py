@@ -38,6 +38,12 @@ from eagor.media.panorama import checked_picture, read_image
 from eagor.perception.vlm import IMAGE
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 
+__all__ = [
+    "HFOV_DEG", "PITCH_TOLERANCE", "YAW_TOLERANCE", "Action", "Episode", "Reply", "View", "Window", "box_points",
+    "headings_of", "inside", "level_of", "normalised", "open_panorama", "parse_action", "read_action", "render_view",
+    "submit_succeeds", "succeeded", "system_text", "turn_text", "visible_share", "window_of", "without_cross",
+]  # fmt: skip
+
 Kind = Literal["hos", "hps"]
 Scoring = Literal["official", "strict"]
 SCORINGS: tuple[Scoring, ...] = get_args(Scoring)

@@ -28,6 +28,11 @@ import numpy as np
 from eagor._checks import parsed, shown
 from eagor.errors import FormatError
 
+__all__ = [
+    "SIZE", "SKILLS", "MapScore", "cells", "direction_label", "extracted", "is_tied", "layout_of", "map_text",
+    "mistake", "named", "products", "ranked", "read_map", "score", "score_map", "steps", "swapped", "tags", "turned",
+]  # fmt: skip
+
 SIZE = 10  # rows and columns of a layout
 Cell = tuple[int, int]
 Layout = Mapping[str, Sequence[Sequence[int]]]
