@@ -135,7 +135,7 @@ def test_a_walk_is_watched_asked_and_paused(studio: Studio) -> None:
         "document.querySelector('.sentence').textContent.includes('Looking for “unicorn”')"
     )  # until it is refused
     page.until("document.querySelector('[role=alert]')?.textContent.includes('unicorn')")
-    page.until("window.eagorStudio.store.direction && window.eagorStudio.store.scene.query === 'purple sofa'")
+    page.until("window.eagorStudio.store.direction && window.eagorStudio.store.scene.query === 'orange sofa'")
     page.get_by_role("button", name="Close").click()
     page.get_by_role("button", name="Pause").click()
     page.until("window.eagorStudio.store.panorama.image.width === 2048")

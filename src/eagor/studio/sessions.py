@@ -30,7 +30,7 @@ from eagor.studio.uploads import BYTES, PIXELS, Uploads
 __all__ = ["FIRST_SEED", "Page", "RunReader", "SessionManager", "Settings", "StreamHandle"]
 
 STREAM, RUNS = "eagor.studio.stream:serve", "eagor.studio.runs:serve"
-OFFERED = (11, 3, 8, 12, 17, 602)  # apartments: the first has the tour (`eagor.lab.tasks.sim.walk`)
+OFFERED = (5, 3, 8, 12, 17, 602)  # apartments: the first has the tour (`eagor.lab.tasks.sim.walk`)
 FIRST_SEED, LAST_SEED = OFFERED[0], 9999
 WAITING = 32  # scenes, problems and words that wait for a page; older ones are dropped
 MOST = 6  # streams at a time
