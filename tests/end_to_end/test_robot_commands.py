@@ -42,12 +42,12 @@ def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, c
     domain = free_domain()
     words = f"-m eagor robot sim --domain {domain} --rows 16 --seed 7 --json --target".split()
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
-    with subprocess.Popen([sys.executable, *words, "green sofa"], **pipes) as process:
+    with subprocess.Popen([sys.executable, *words, "purple sofa"], **pipes) as process:
         try:
             said = json.loads(process.stdout.readline())
             assert said["domain"] == domain
-            assert said["targets"][0]["name"] == "green sofa"
-            assert said["things"]["green sofa"] == 1
+            assert said["targets"][0]["name"] == "purple sofa"
+            assert said["things"]["purple sofa"] == 1
             assert "rt/x3/image/compressed" in said["topics"]
             done = check(domain, "--json", "--seconds", 2)
             report = json.loads(done.stdout)
@@ -164,7 +164,7 @@ def test_the_page_about_the_go2_runs_as_written(tmp_path, monkeypatch):
     with subprocess.Popen([sys.executable, "-m", *start], **pipes) as robot:
         try:
             said = list(takewhile(lambda line: line != "end it with Ctrl-C\n", robot.stdout))
-            assert any("green sofa" in line for line in said)
+            assert any("purple sofa" in line for line in said)
             done = run([sys.executable, "-m", *look])
             busy = "processor" in done.stdout  # this machine, not the robot
             assert done.returncode == (1 if busy else 0), (done.stdout, done.stderr)

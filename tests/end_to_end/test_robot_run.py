@@ -47,7 +47,7 @@ def test_a_simulated_robot_walks_to_the_sofa_though_the_disk_is_full(tmp_path):
 
 @pytest.mark.slow
 def test_a_dry_run_moves_nothing():
-    words = command("black sofa", "--sim", "--seconds", "6", "--json")
+    words = command("purple sofa", "--sim", "--seconds", "6", "--json")
     done = subprocess.run(words, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "dry run: nothing is commanded" in done.stderr
@@ -58,7 +58,7 @@ def test_a_dry_run_moves_nothing():
 @contextmanager
 def walking(*words):
     """The command in a session of its own, its robot on the way, and what it says of that, line by line."""
-    words = command("black sofa", "--sim", "--arm", *(words or ("--stay", "--seconds", "600")))
+    words = command("purple sofa", "--sim", "--arm", *(words or ("--stay", "--seconds", "600")))
     child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
     try:
         heard(child.stderr, " armed, ")
