@@ -33,8 +33,7 @@ def command(*words):
 
 
 def test_a_simulated_robot_walks_to_the_sofa_though_the_disk_is_full(tmp_path):
-    start = ("--start", "2.05", "6.2", "30")  # two metres from it, which is 60 degrees to the left
-    with walking(*start, "--seconds", "240", "--record", str(tmp_path / "walk"), "--json") as child:
+    with walking("--seconds", "240", "--record", str(tmp_path / "walk"), "--json") as child:
         resource.prlimit(child.pid, resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
         out, err = child.communicate(timeout=300)
     assert child.returncode == 3, err

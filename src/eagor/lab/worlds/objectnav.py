@@ -25,21 +25,26 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
+from eagor._checks import parsed, shown
 from eagor._files import written
 from eagor.conventions import (
+    from_gltf,
+    pose_from_habitat,
     pose_to_habitat,
+    rotation_from_xyzw,
     to_gltf,
     xyzw_from_rotation,
 )
-from eagor.errors import StorageError, WorldError
+from eagor.errors import EagorError, StorageError, WorldError
 from eagor.lab.worlds.glb import ON_MESH, STAGE, export_glb
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.habitat import CPU, Source, mesh_settings, read_category, run_apart, simulator_of
+from eagor.lab.worlds.navmesh import NavMesh
 from eagor.lab.worlds.render import Renderer
 from eagor.lab.worlds.scene import STRUCTURE, Scene
 from eagor.sphere import world_R_body
@@ -105,14 +110,86 @@ def spelt(category: str) -> str:
     return "tv_monitor" if category == "tv" else category.replace(" ", "_")
 
 
+def check_scene(episode: Episode, scene: Scene, ground: NavMesh) -> None:
+    """Raise `WorldError` if the episode was made for another scene than this one or an import of its export.
+
+    Also if it was made for a body of another radius, which takes other paths. Episodes of others are not marked.
+    """
+    origin = episode.origin
+    if origin is None:
+        return
+    if origin.scene_hash not in (scene.hash, scene.facts.get("exported hash")):
+        raise WorldError(
+            f"episode {episode.identifier!r} was made for the scene {origin.scene_hash} ({origin.version}), this one "
+            f"is {scene.hash} ({scene.source}); use the version that it was made with, or make episodes anew"
+        )
+    if abs(origin.radius - ground.radius) > 1e-6:
+        raise WorldError(
+            f"episode {episode.identifier!r} was made for a body of radius {origin.radius:g} m, but the ground plan "
+            f"for {ground.radius:g} m; its starts and goals may be out of reach: use the same radius"
+        )
+
+
 # --- the files --------------------------------------------------------------------------------------------------------
+
+_Finite = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+_Triple = tuple[_Finite, _Finite, _Finite]
+
+
+class _State(msgspec.Struct):
+    position: _Triple
+
+
+class _View(msgspec.Struct):
+    agent_state: _State
+
+
+class _Goal(msgspec.Struct):
+    """What we read of a goal in `goals_by_category`."""
+
+    position: _Triple
+    object_id: int | str
+    object_category: str
+    view_points: list[_View]
+
+    def goal(self) -> Goal:
+        views = np.array([view.agent_state.position for view in self.view_points]).reshape(-1, 3)
+        place = from_gltf(np.array(self.position))
+        return Goal(read_category(self.object_category), self.object_id, place, from_gltf(views))
 
 
 class _Info(msgspec.Struct, omit_defaults=True):
-    geodesic_distance: float | None = None
-    euclidean_distance: float | None = None
+    geodesic_distance: _Finite | None = None
+    euclidean_distance: _Finite | None = None
     closest_goal_object_id: int | str | None = None
     eagor: Origin | None = None
+
+
+class _Episode(msgspec.Struct):
+    """What we read of an episode."""
+
+    scene_id: str
+    start_position: _Triple
+    start_rotation: tuple[_Finite, _Finite, _Finite, _Finite]
+    object_category: str
+    episode_id: str | int | None = None
+    scene_dataset_config: str | None = None
+    info: _Info | None = None
+
+    def episode(self, index: int) -> Episode:
+        """The `index`-th of its file. Raises `EagorError` for a quaternion of length zero."""
+        info = self.info or _Info()
+        return Episode(
+            self.scene_id, read_category(self.object_category), from_gltf(np.array(self.start_position)),
+            pose_from_habitat(rotation_from_xyzw(np.array(self.start_rotation))),
+            str(index if self.episode_id is None else self.episode_id), info.geodesic_distance,
+            info.euclidean_distance, info.closest_goal_object_id, info.eagor, self.scene_dataset_config or "default",
+        )  # fmt: skip
+
+
+class _File(msgspec.Struct):
+    episodes: list[_Episode]
+    goals_by_category: dict[str, list[_Goal]] = {}
 
 
 def _goal_entry(goal: Goal) -> dict[str, Any]:
@@ -162,6 +239,56 @@ def write_episodes(folder: Path | str, split: str, scenes: Sequence[SceneEpisode
         content = {"episodes": [_episode_entry(each) for each in scene.episodes], "goals_by_category": goals}
         write(folder / "content" / f"{file.partition('.')[0]}.json.gz", content)
     return write(folder / f"{split}.json.gz", {"episodes": []})
+
+
+def read_episodes(path: Path | str) -> tuple[SceneEpisodes, ...]:
+    """The episodes in `<split>.json.gz` and its content files, by scene, or in a content file alone.
+
+    Raises `WorldError` if a file is missing, truncated, not JSON, lacks a key, or holds numbers that are not finite.
+    """
+    path = Path(path)
+    found = _scenes_in(path) or [
+        each for file in sorted((path.parent / "content").glob("*.json.gz")) for each in _scenes_in(file)
+    ]
+    if not found:
+        raise WorldError(f"{path} has no episodes, nor has any file in {path.parent / 'content'}; wanted at least one")
+    return tuple(found)
+
+
+def _scenes_in(path: Path) -> list[SceneEpisodes]:
+    """The episodes of a file by scene."""
+    try:
+        size = path.stat().st_size
+        most = max(1 << 24, 100 * size)  # text packs to a tenth, a bomb to a thousandth
+        with gzip.open(path) as file:
+            text = file.read(most + 1)
+        if len(text) > most:
+            raise ValueError(f"it holds more than {most} bytes, packed in {size}")
+        content = msgspec.convert(parsed(text, strict=True), _File)
+    except (EOFError, zlib.error) as error:
+        raise WorldError(f"{path} is cut off or corrupt ({error}); copy or write it again") from error
+    except (OSError, ValueError) as error:  # OSError also if it is not gzipped
+        raise WorldError(
+            f"{path} cannot be read: {str(error)[:300]}; wanted ObjectNav episodes as of HM3D v1 or v2, gzipped JSON"
+        ) from error
+    by_scene: dict[str, list[Episode]] = {}
+    for index, entry in enumerate(content.episodes):
+        try:
+            by_scene.setdefault(entry.scene_id, []).append(entry.episode(index))
+        except EagorError as error:
+            raise WorldError(f"{path}, episode {index}: {error}") from error
+    found = []
+    for scene, episodes in by_scene.items():
+        goals: dict[str, tuple[Goal, ...]] = {}
+        for key, entries in content.goals_by_category.items():
+            if len(by_scene) == 1 or key.startswith(_key(scene, "")):  # those of a file with one scene belong to it
+                for goal in (entry.goal() for entry in entries):
+                    goals[goal.category] = (*goals.get(goal.category, ()), goal)
+        for index, episode in enumerate(episodes):
+            if episode.category not in goals:
+                raise WorldError(f"{path}, episode {index} of {shown(scene)}: its category has no goals")
+        found.append(SceneEpisodes(tuple(episodes), goals))
+    return found
 
 
 def _key(scene: str, category: str) -> str:
