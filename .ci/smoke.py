@@ -40,7 +40,7 @@ def smoke(folder: Path) -> None:
     assert main([*run, "--perception", "truth", "--out", str(folder / "waypoint")]) == 0
     assert main(["bench", "report", str(folder / "waypoint")]) == 0
     with ContractServer(reddish) as server:
-        look = load(f"endpoint:qwen@{server.url}?pixels=6272&seam=no")
+        look = load(f"endpoint:qwen@{server.url}?pixels=6272&seam=false")
         tracker = eagor.DirectionTracker(eagor.TrackerConfig())
         tracker.add_pose(0.0, np.eye(3))
         tracker.observe(look(np.full((56, 112, 3), 128, np.uint8), "red chair", stamp=0.0))
