@@ -179,7 +179,7 @@ class ChatClient:
                 if not theirs:  # the client adds account data of OpenAI from the environment for every server
                     for name in {name for name in request.headers if not _SENT.match(name)}:
                         del request.headers[name]
-                request.headers |= {"authorization": f"Bearer {key}", "accept-encoding": "identity"}
+                request.headers.update({"authorization": f"Bearer {key}", "accept-encoding": "identity"})
                 try:
                     return await asyncio.wait_for(self._whole(request, **how), options.timeout)
                 except asyncio.TimeoutError as error:
