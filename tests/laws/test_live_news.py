@@ -71,12 +71,13 @@ def test_no_fault_is_hidden(there):
         assert open_ or not wrong
 
 
-def test_the_newest_picture_of_each_lens_waits_and_a_quick_one_pushes_out_no_other():
-    waiting = NewestPicture()
-    for stamp, lens in ((1.0, 0), (1.1, 1), (1.2, 0), (1.3, 0)):
-        waiting.give(Picture(stamp, stamp, np.zeros((1, 1, 3), np.uint8), lens=lens))
-    first = waiting.take()
-    waiting.give(Picture(1.4, 1.4, np.zeros((1, 1, 3), np.uint8)))
-    taken = [first, waiting.take(), waiting.take()]
-    assert [(each.stamp, each.lens) for each in taken] == [(1.3, 0), (1.1, 1), (1.4, 0)]
+def test_only_the_newest_picture_waits():
+    waiting, taken = NewestPicture(), []
+    for stamps in ((1.0, 1.1, 1.2), (1.3,)):
+        for stamp in stamps:
+            waiting.give(Picture(stamp, stamp, np.zeros((1, 1, 3), np.uint8)))
+        taken.append(waiting.take())
+    waiting.end()
+    assert [each.stamp for each in taken] == [1.2, 1.3]
+    assert waiting.take() is None
     assert waiting.skipped == 2

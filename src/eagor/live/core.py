@@ -180,7 +180,7 @@ class LiveCore:
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
         self._spreads: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # of poses, by stamp
         self._pose = -math.inf
-        self._images: dict[int, tuple[float, float]] = {}  # by lens: the newest stamp, and seconds from the one before
+        self._image, self._interval = -math.inf, 0.0  # stamp of the newest picture, and seconds from the one before
         self._first = math.inf  # stamp of the first pose
         self._beats: deque[float] = deque(maxlen=BEATS)  # seconds between poses
         self._looks: dict[str, float] = {}
@@ -249,8 +249,9 @@ class LiveCore:
                 self._say("camera", f"{event.name} is left out: {event.problem}", event.arrival)
             stamp -= self._later()
             self._pictures.append((event.stamp, stamp))
-            newest, interval = self._images.get(event.lens, (stamp, 0.0))
-            self._images[event.lens] = max(newest, stamp), stamp - newest if stamp > newest else interval
+            if stamp > self._image:
+                self._interval = stamp - self._image if math.isfinite(self._image) else 0.0
+                self._image = stamp
 
     def _later(self) -> float:
         """Seconds by which even the quickest picture comes later than the quickest pose of the same robot's clock."""
@@ -390,7 +391,7 @@ class LiveCore:
                     now, query, estimate,
                     pose_age=now - self._pose if self.has_poses else None,
                     look_age=now - self._looks.get(query, -math.inf),
-                    image_age=now - min((stamp for stamp, _ in self._images.values()), default=-math.inf),
+                    image_age=now - self._image,
                     faults=faults,
                 )
             )  # fmt: skip
@@ -438,11 +439,9 @@ class LiveCore:
         """What is wrong at this time: what was reported, what is overdue, what has just happened."""
         begun = now if self._begun is None else self._begun
         found = list(self._faults.values())
-        for lens, (image, interval) in (self._images or {0: (-math.inf, 0.0)}).items():
-            stale = max(STALE_IMAGE, INTERVALS * interval)
-            if now - image > stale and now - begun > stale:
-                what = "picture" if len(self._images) < 2 else f"picture of camera {lens + 1}"
-                found.append(_overdue("camera", what, now, image, begun))
+        stale = max(STALE_IMAGE, INTERVALS * self._interval)
+        if now - self._image > stale and now - begun > stale:
+            found.append(_overdue("camera", "picture", now, self._image, begun))
         held = max(HELD, INTERVALS * median(self._beats)) if self._beats else HELD
         if self.has_poses and now - self._pose > held and (math.isfinite(self._pose) or now - begun > STARTING):
             fault, age = _overdue("poses", "pose", now, self._pose, begun), now - self._pose

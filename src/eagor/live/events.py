@@ -19,7 +19,7 @@ from eagor.errors import GridError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.media import Pose
-from eagor.tracking import TurningCamera, TurningRig
+from eagor.tracking import TurningCamera
 from eagor.tracking.estimate import Estimate, plain_number
 
 __all__ = [
@@ -49,8 +49,8 @@ class Answer:
 
     `estimate`: in the body frame of that time. `pose_age`: seconds since the newest pose was true; None if the camera
     is taken to stand still, infinite before the first pose. `look_age`: seconds since the newest evidence about this
-    query was captured, `image_age`: since the newest picture was, of several cameras that of the one which is silent
-    longest; infinite before any. `faults`: what is wrong now, longest first; empty if all is well.
+    query was captured, `image_age`: since the newest picture was; infinite before any. `faults`: what is wrong now,
+    longest first; empty if all is well.
     """
 
     stamp: float
@@ -88,8 +88,8 @@ class Answer:
 class FrameCame:
     """A picture; `stamp`: its capture. The core needs no `picture` ``(H, W, 3)``; a recording does.
 
-    `grid`: its pixels, if an ordinary camera took it; None for a panorama. `lens`: which of several took it. `problem`:
-    why there is no picture. `looked`: whether the perception looks at it, if that is known.
+    `grid`: its pixels, if an ordinary camera took it; None for a panorama. `problem`: why there is no picture.
+    `looked`: whether the perception looks at it, if that is known.
     """
 
     arrival: float
@@ -97,7 +97,6 @@ class FrameCame:
     name: str
     picture: np.ndarray | None = field(default=None, repr=False)
     grid: PerspectiveGrid | None = field(default=None, repr=False)
-    lens: int = 0
     problem: str = ""
     looked: bool = True
 
@@ -215,19 +214,18 @@ class NextLooks:
     """A sink of the loop that tells where to look next for the thing of one query: a camera can turn one way only.
 
     It is computed anew with a new look, at most every `APART` seconds, and stands in the world until then. A panorama
-    sees all, so that there is nothing to tell. Of several cameras it is the turn of the body for all together. `of` is
-    for one thread, which may be another than the loop's.
+    sees all, so that there is nothing to tell. `of` is for one thread, which may be another than the loop's.
     """
 
     def __init__(self) -> None:
-        self._grids: dict[int, PerspectiveGrid] = {}  # by lens
+        self._grid: PerspectiveGrid | None = None
         self._query, self._looked, self._when = "", -math.inf, -math.inf  # of what was computed last
         self._toward: np.ndarray | None = None  # world axes
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
         if isinstance(event, FrameCame):
-            self._grids = {} if event.grid is None else {**self._grids, event.lens: event.grid}
+            self._grid = event.grid
         elif isinstance(event, PosesLost):
             self._query = ""
 
@@ -237,21 +235,17 @@ class NextLooks:
     def of(self, answer: Answer) -> np.ndarray | None:
         """The direction ``(3,)``, in the body frame of the answer, to which the camera's axis should turn.
 
-        Of several cameras: the body's x axis. None before the first look, for panoramas, and for a field that
-        `TurningCamera` refuses.
+        None before the first look, for panoramas, and for a field that `TurningCamera` refuses.
         """
-        estimate, grids = answer.estimate, [*self._grids.values()]
+        estimate, grid = answer.estimate, self._grid
         looked = estimate.stamp - estimate.age  # when the newest evidence in it was captured
-        if not grids or not math.isfinite(looked):
+        if grid is None or not math.isfinite(looked):
             return None
         news = looked > self._looked + 1e-6 and estimate.stamp >= self._when + APART
         if answer.query != self._query or news:
             self._query, self._looked, self._when = answer.query, looked, estimate.stamp
             try:
-                if len(grids) > 1:
-                    found = estimate.next_look(TurningRig(grids))
-                else:
-                    found = estimate.next_look(TurningCamera.of_view(grids[0]), body_R_view=grids[0].body_R_view)
+                found = estimate.next_look(TurningCamera.of_view(grid), body_R_view=grid.body_R_view)
             except GridError:
                 self._toward = None
             else:

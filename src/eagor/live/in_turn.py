@@ -55,7 +55,7 @@ def answers_in_turn(
         ahead = () if after is None or after.lost else after.poses[:1]
         for pose in (*poses, None, *ahead):
             if pose is None:
-                shown = frame.name, frame.picture, frame.grid, frame.lens, frame.problem, posed.looked
+                shown = frame.name, frame.picture, frame.grid, frame.problem, posed.looked
                 take(FrameCame(stamp, stamp, *shown))
             elif pose.stamp > fed:
                 take(PoseCame(pose.stamp, replace(pose, spread=0.0)))

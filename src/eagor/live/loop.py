@@ -12,8 +12,6 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask
@@ -204,7 +202,7 @@ class Loop:
         self._refused: set[str] = set()
         self._slip, self._now = 0.0, -math.inf
         self._problem: str | None = None  # what the camera says of itself
-        self._frozen: dict[int, tuple[FrozenCamera, str]] = {}  # by lens, and what was said of it last
+        self._frozen, self._froze = FrozenCamera(self.core.orientation), ""  # and what was said of it last
 
     def _readers(
         self, reopen: Callable[[], CameraSource] | None, poses: Any
@@ -435,25 +433,20 @@ class Loop:
         frame, told = item
         self._last_frame = self.clock.now()
         shown = frame.picture if self._sinks else None  # who else would hold on to it?
-        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown, frame.grid, frame.lens, frame.problem))
+        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown, frame.grid, frame.problem))
         if frame.picture is None:
             return
         if self.live:
-            self._check_frozen(frame.lens, frame.picture, frame.stamp)
-        picture = Picture(frame.stamp, told, frame.picture, frame.grid, frame.lens, frame.unseen)
+            before, self._froze = self._froze, self._frozen.take(frame.picture, frame.stamp)
+            if self._froze != before:
+                self._post(Trouble(self._last_frame, "camera", self._froze, "frozen"))
+        picture = Picture(frame.stamp, told, frame.picture, frame.grid, frame.unseen)
         if self._seer is not None:
             self._seer.pictures.give(picture)
         assert self._perception is not None
         self._perception.pictures.give(picture)
         if self._on_demand:
             self._perception.pictures.wait(ON_DEMAND)
-
-    def _check_frozen(self, lens: int, picture: np.ndarray, stamp: float) -> None:
-        watch, said = self._frozen.get(lens) or (FrozenCamera(self.core.orientation), "")
-        froze = watch.take(picture, stamp)
-        self._frozen[lens] = watch, froze
-        if froze != said:
-            self._post(Trouble(self._last_frame, "camera", froze, f"frozen {lens}"))
 
     def _found(self, picture: Picture | None, said: Looked | Failed) -> None:
         """What the perception says."""

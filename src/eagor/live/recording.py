@@ -66,11 +66,11 @@ FLUSHED = 0.5  # seconds between two flushes: as much may be lost
 WAITING = 16  # pictures that may wait to be written; further ones are left out
 QUALITY = 92  # of JPEG
 BODY = "base_link"  # REP-105
-VERSION = 5  # of the events
+VERSION = 6  # of the events
 
 Pictures = Literal["jpeg", "png", "none"]
 
-_FRAME, _POSE = struct.Struct("<ddII"), struct.Struct("<dd??9d3d")
+_FRAME, _POSE = struct.Struct("<ddI"), struct.Struct("<dd??9d3d")
 _LOOK = struct.Struct("<ddddI")
 
 
@@ -83,7 +83,7 @@ def event_in_bytes(event: Event) -> bytes:
     match event:
         case FrameCame():
             name = event.name.encode()
-            head = _FRAME.pack(event.arrival, event.stamp, event.lens, len(name))
+            head = _FRAME.pack(event.arrival, event.stamp, len(name))
             return b"F" + head + name + packed(event.grid)
         case PoseCame():
             pose = event.pose
@@ -110,11 +110,11 @@ def event_from(content: bytes) -> Event:
     kind, rest = content[:1], content[1:]
     try:
         if kind == b"F":
-            arrival, stamp, lens, length = _FRAME.unpack_from(rest)
+            arrival, stamp, length = _FRAME.unpack_from(rest)
             name, grid = rest[_FRAME.size :][:length].decode(), unpacked(rest[_FRAME.size + length :])
             if not (grid is None or isinstance(grid, PerspectiveGrid)):
                 raise FormatError("it holds no lens")
-            return FrameCame(arrival, stamp, name, None, grid, lens)
+            return FrameCame(arrival, stamp, name, None, grid)
         if kind == b"P":
             arrival, stamp, of_picture, placed, *numbers = _POSE.unpack(rest)
             position = np.array(numbers[9:]) if placed else None

@@ -250,35 +250,30 @@ class FrozenCamera:
 class Picture:
     """A picture ``(H, W, 3)`` to look at: a panorama, or an ordinary one with its `grid`.
 
-    `stamp`: of its source; `told`: the stamp that the perception is told; `lens`: which of several cameras took it;
-    `unseen` ``(H, W)``: what it does not show.
+    `stamp`: of its source; `told`: the stamp that the perception is told; `unseen` ``(H, W)``: what it does not show.
     """
 
     stamp: float
     told: float
     picture: np.ndarray
     grid: PerspectiveGrid | None = None
-    lens: int = 0
     unseen: np.ndarray | None = None
 
 
 class NewestPicture:
-    """Where a thread takes the newest of the pictures that are given; those that it does not come to are `skipped`.
-
-    Of several cameras, the newest of each waits, and the one that has waited longest is taken first.
-    """
+    """Where a thread takes the newest of the pictures that are given; those that it does not come to are `skipped`."""
 
     def __init__(self) -> None:
         self.skipped = 0
         self._changed = threading.Condition()
-        self._waiting: dict[int, Picture] = {}  # by lens
+        self._waiting: Picture | None = None
         self._busy = self._ended = False
 
     def give(self, picture: Picture) -> None:
-        """A picture; it replaces one of the same lens that still waits."""
+        """A picture; it replaces one that still waits."""
         with self._changed:
-            self.skipped += picture.lens in self._waiting
-            self._waiting[picture.lens] = picture  # in the place of the one before
+            self.skipped += self._waiting is not None
+            self._waiting = picture
             self._changed.notify_all()
 
     def take(self) -> Picture | None:
@@ -287,7 +282,7 @@ class NewestPicture:
             self._busy = False
             self._changed.notify_all()
             self._changed.wait_for(lambda: self._waiting or self._ended)
-            picture = self._waiting.pop(next(iter(self._waiting))) if self._waiting else None
+            picture, self._waiting = self._waiting, None
             self._busy = picture is not None
             return picture
 

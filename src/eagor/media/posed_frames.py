@@ -51,7 +51,7 @@ class PosedFrame:
 
 
 class PosedFrames:
-    """Iterate for each picture of a recording with its pose; `looks` a second are looked at (None: all), of each lens.
+    """Iterate for each picture of a recording with its pose; `looks` a second are looked at (None: all).
 
     Of the pictures of a bag, those before its first pose and after its last one are left out, which `say` is told, and
     those in a hole of more than `LONGEST` seconds: `left_out` tells it in the end, and what was out of order. Raises
@@ -79,14 +79,14 @@ class PosedFrames:
             found = (PosedFrame(frame, at(frame.stamp)) for frame in self.source)
         else:
             found = self._by_odometry(self.poses)
-        ticks: dict[int, int] = {}
+        last = -1
         for each in found:
             if self.looks is None or each.lost:
                 yield each
                 continue
             tick = math.floor((each.frame.stamp - self._begins) * self.looks + 1e-6)
-            yield replace(each, looked=tick > ticks.get(each.frame.lens, -1))
-            ticks[each.frame.lens] = max(tick, ticks.get(each.frame.lens, -1))
+            yield replace(each, looked=tick > last)
+            last = max(tick, last)
         bag = self.source.bag if isinstance(self.source, Footage) else None
         if bag is not None and bag.back:
             self.left_out.append(f"{bag.back} pictures of {bag.topic} whose stamps go back are left out")
