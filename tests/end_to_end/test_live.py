@@ -112,39 +112,28 @@ def test_a_run_is_recorded_and_played_again(film, tmp_path, capsys):
     first = lines(capsys)
     assert first[-1]["azimuth_deg"] is not None  # how sure it is depends on how many pictures were looked at in time
     assert main(["live", "replay", str(tmp_path / "run"), "--json"]) == 0
-    captured = capsys.readouterr()
-    assert [json.loads(line) for line in captured.out.splitlines()] == first
-    assert f"{len(first)} answers, {len(first)} of them equal to the recorded ones bit for bit" in captured.err
-    assert main(["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]) == 0
-    assert len(lines(capsys)) == len(first)
+    assert lines(capsys) == first
+    assert main(["live", "replay", str(tmp_path / "run"), "--perception", "colour"]) == 2
+    assert "eagor track" in capsys.readouterr().err
+    assert main(["track", str(tmp_path / "run"), "red", "--perception", "colour", "--json"]) == 0
+    assert lines(capsys)[0]["frames"], "it is a source as any bag"
 
 
 @pytest.mark.slow
-def test_a_recording_that_is_cut_anywhere_gives_the_same_answers(film, tmp_path, capsys):
-    """What is not recorded any more is not compared: it differs from nothing."""
+def test_a_recording_that_is_cut_anywhere_gives_the_answers_until_then(film, tmp_path, capsys):
     pytest.importorskip("rosbags")
     assert main(["live", str(film), "red", "blue", "--record", str(tmp_path / "run"), "--json"]) == 0
-    capsys.readouterr()
+    told = lines(capsys)
     (whole,) = (tmp_path / "run").glob("*.mcap")
-    content, lost = whole.read_bytes(), set()
+    content = whole.read_bytes()
     shutil.rmtree(tmp_path / "run")
     (tmp_path / "run").mkdir()
-    everywhere, anywhere = (range(len(content) // 2, len(content), max(1, len(content) // n)) for n in (24, 499))
-    for tried, size in enumerate((*everywhere, *anywhere)):
-        if tried >= len(everywhere) and max(lost) > 0:
-            break  # a cut between an event and its answers was among them
+    for size in range(len(content) // 2, len(content), max(1, len(content) // 24)):
         whole.write_bytes(content[:size])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            replay = Replay(tmp_path / "run")
-            answers = len(list(replay))
-        found = replay.compared
-        assert (found.answers, found.equal, found.first) == (answers, found.recorded, None)
-        lost.add(answers - found.recorded)
-        said = found.as_text()
-        assert said.startswith(f"{answers} answers, {found.equal} of them equal to the recorded ones bit for bit")
-        assert ("cannot be compared" in said) is (answers > found.recorded)
-    assert max(lost) > 0
+            answers = [answer.as_dict() for answer in Replay(tmp_path / "run")]
+        assert answers == told[: len(answers)]
 
 
 @pytest.mark.slow
@@ -307,10 +296,8 @@ def test_an_ordinary_camera_live_and_looked_at_again(tmp_path, capsys):
     truth = bearing(Room().balls[0], EYE, world_R_body(-0.63))[0]  # whole in the picture
     azimuth = math.degrees(math.atan2(truth[1], truth[0]))
     assert abs(last["azimuth_deg"] - azimuth) < 3
-    assert main(["live", "replay", str(tmp_path / "run"), "--perception", "colour", "--json"]) == 0, "it holds the lens"
     drawn = recorded(Replay(tmp_path / "run"))  # as the studio shows it
     assert drawn.scene["lens"]["plane"] == pytest.approx([math.tan(hfov / 2), 0.75 * math.tan(hfov / 2)], abs=1e-5)
     assert {Image.open(io.BytesIO(jpeg)).size for jpeg in drawn.pictures.values()} == {(240, 180)}
-    assert abs(lines(capsys)[-1]["azimuth_deg"] - azimuth) < 3
     assert main(["live", str(tmp_path / "film"), "the red ball", "--perception", "colour", "--fast"]) == 2
     assert "--hfov DEGREES" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 Waits are for events, with generous limits; no time is asserted.
 """
 
+import json
 import math
 import multiprocessing
 import signal
@@ -308,7 +309,7 @@ def test_in_turn_every_picture_is_looked_at_and_gives_the_same_each_time(tmp_pat
     log = tmp_path / "log"
     poses = [Pose(99 + k / 20, yawed(0.2 * (99 + k / 20))) for k in range(100)]
     runs = [
-        [a.as_dict(exact=True) for a in loop_of(Film(count=20), Seeing(log=log), poses=Track(poses), realtime=False)]
+        [a.as_dict() for a in loop_of(Film(count=20), Seeing(log=log), poses=Track(poses), realtime=False)]
         for _ in range(2)
     ]
     assert runs[0] == runs[1]
@@ -341,7 +342,7 @@ def played_torn(record):
         replay = Replay(record)
         answers = list(replay)
     assert any("cut off" in str(warning.message) for warning in said)
-    return replay, answers
+    return answers
 
 
 SCRIPT = """
@@ -379,9 +380,8 @@ def test_a_run_that_is_killed_leaves_nobody_and_its_recording_can_be_played(tmp_
     run.send_signal(signal.SIGKILL)
     run.wait()
     wait_for(lambda: not alive(sessions))
-    replay, answers = played_torn(record)
+    answers = played_torn(record)
     assert len(answers) > 10
-    assert replay.compared.equal == replay.compared.recorded > 0
     assert hangs or any(answer.direction is not None for answer in answers)
 
 
@@ -415,9 +415,7 @@ def test_a_full_disk_ends_the_recording_in_words_and_not_the_loop(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "the recording has ended early" in done.stdout
     assert "File too large" in done.stdout
-    replay, answers = played_torn(record)
-    assert len(answers) > 10
-    assert replay.compared.equal == replay.compared.recorded
+    assert len(played_torn(record)) > 10
 
 
 def test_a_folder_that_is_there_already_is_not_recorded_into(tmp_path):
@@ -426,21 +424,18 @@ def test_a_folder_that_is_there_already_is_not_recorded_into(tmp_path):
         loop_of(Camera(), Seeing(), record=tmp_path)
 
 
-def test_a_recording_is_played_again_bit_for_bit_and_looked_at_anew(tmp_path):
+def test_a_recording_is_played_again_with_the_same_answers(tmp_path):
     pytest.importorskip("rosbags")
     loop = loop_of(
         Camera(), Seeing(0.05), ["red chair", "blue ball"], poses=Odometry(turn=0.5), record=tmp_path / "run"
     )
     answers = followed(loop, well, lambda _: loop.counts.looks > 10)
     replay = Replay(tmp_path / "run")
-    again = list(replay)
-    assert [a.as_dict(exact=True) for a in again] == [a.as_dict(exact=True) for a in answers]
-    assert replay.compared.equal == replay.compared.recorded == len(answers)
-    anew = Replay(tmp_path / "run", Seeing(direction=(0.0, 1.0, 0.0)))
-    last = list(anew)[-1]
-    assert anew.compared.answers == len(answers)
-    apart = math.remainder(last.estimate.azimuth - answers[-1].estimate.azimuth, math.tau)
-    assert apart == pytest.approx(math.pi / 2, abs=0.05)
+    assert [a.as_dict() for a in replay] == [a.as_dict() for a in answers]
+    from eagor.media.bags import read_bag
+
+    recorded = [json.loads(found.data) for *_, found in read_bag(tmp_path / "run", ["/eagor/answers"])]
+    assert recorded == [a.as_dict() for a in answers]
 
 
 def test_others_read_a_recording_as_a_ros_bag(tmp_path):

@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -71,16 +70,17 @@ class Answer:
         """The status, and after a semicolon each fault: "tracking; no picture for 2.1 s"."""
         return "; ".join([self.estimate.status, *(fault.text for fault in self.faults)])
 
-    def as_dict(self, modes: int = 10, exact: bool = False) -> dict[str, Any]:
+    def as_dict(self, modes: int = 10) -> dict[str, Any]:
         """The query, `Estimate.as_dict`, and how far to trust it: for a line of JSON."""
-        number = partial(plain_number, exact=exact)
         return {
             "query": self.query,
-            **self.estimate.as_dict(modes, exact=exact),
-            "pose_age": number(self.pose_age),
-            "look_age": number(self.look_age),
-            "image_age": number(self.image_age),
-            "faults": [{"part": each.part, "text": each.text, "since": number(each.since)} for each in self.faults],
+            **self.estimate.as_dict(modes),
+            "pose_age": plain_number(self.pose_age),
+            "look_age": plain_number(self.look_age),
+            "image_age": plain_number(self.image_age),
+            "faults": [
+                {"part": each.part, "text": each.text, "since": plain_number(each.since)} for each in self.faults
+            ],
         }
 
 

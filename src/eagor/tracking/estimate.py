@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -337,38 +336,37 @@ class Estimate:
         age = self.age + (stamp - self.stamp)
         return replace(self, stamp=stamp, age=age, world_R_body=world_R_body, spread=spread, of=self.of or self)
 
-    def as_dict(self, modes: int = MOST_MODES, near: int | None = None, exact: bool = False) -> dict[str, Any]:
+    def as_dict(self, modes: int = MOST_MODES, near: int | None = None) -> dict[str, Any]:
         """The answer as plain numbers, the form in which it is written everywhere; what is not known is None.
 
         Angles in degrees. At most so many `modes`; the distance is left out while searching, "looked_for" where it is
         what was asked. `near`: degrees, adds the probability that the target is `within` that angle of the answer.
-        `exact`: numbers are not rounded, so that answers can be compared bit for bit.
         """
-        number = partial(plain_number, exact=exact)
 
         def angles(azimuth: float | None, elevation: float | None) -> dict[str, float | None]:
             return {"azimuth_deg": degrees(azimuth), "elevation_deg": degrees(elevation)}
 
         def degrees(angle: float | None) -> float | None:
-            return None if angle is None else number(math.degrees(angle))
+            return None if angle is None else plain_number(math.degrees(angle))
 
         known, placed = self.direction is not None, self.status != "searching"
         within = {} if near is None else {
-            f"within_{near}_deg": number(self.within(math.radians(near))) if known else None
+            f"within_{near}_deg": plain_number(self.within(math.radians(near))) if known else None
         }  # fmt: skip
         return {
-            "stamp": number(self.stamp),
+            "stamp": plain_number(self.stamp),
             **({"looked_for": self.looked_for} if self.looked_for else {}),
             **angles(self.azimuth, self.elevation),
-            "direction": None if self.direction is None else [number(each) for each in self.direction],
+            "direction": None if self.direction is None else [plain_number(each) for each in self.direction],
             "credible_angle_deg": degrees(self.credible_angle) if known else None,
-            "presence": number(self.presence),
-            "distance_m": number(self.distance) if placed else None,
-            "distance_spread": number(self.distance_spread) if placed else None,
+            "presence": plain_number(self.presence),
+            "distance_m": plain_number(self.distance) if placed else None,
+            "distance_spread": plain_number(self.distance_spread) if placed else None,
             **within,
             "status": self.status,
             "modes": [
-                angles(each.azimuth, each.elevation) | {"weight": number(each.weight)} for each in self.modes[:modes]
+                angles(each.azimuth, each.elevation) | {"weight": plain_number(each.weight)}
+                for each in self.modes[:modes]
             ],
         }
 
@@ -387,8 +385,6 @@ def _mode(direction: np.ndarray, weight: float) -> Mode:
     return Mode(direction, float(azimuth), float(elevation), float(weight))
 
 
-def plain_number(value: float | None, exact: bool = False) -> float | None:
-    """A number for files, rounded to a millionth unless `exact`; None for what is not known, or endless."""
-    if value is None or not math.isfinite(value):
-        return None
-    return float(value) if exact else round(float(value), 6)
+def plain_number(value: float | None) -> float | None:
+    """A number for files, rounded to a millionth; None for what is not known, or endless."""
+    return None if value is None or not math.isfinite(value) else round(float(value), 6)
