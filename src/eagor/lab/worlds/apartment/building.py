@@ -8,7 +8,6 @@ rectangles. Doors and windows have linings, casings, leaves with handles, frames
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -16,19 +15,9 @@ import numpy as np
 
 from eagor._srgb import to_coded, to_linear
 from eagor.lab.worlds.apartment import mesh as m
+from eagor.lab.worlds.apartment import plans
 from eagor.lab.worlds.apartment.mesh import Cover, Mesh, Part, bevelled, box, finish
-from eagor.lab.worlds.apartment.plans import (
-    HALF_WALL,
-    LINING,
-    OUTER_WALL,
-    OUTSIDE,
-    Boundary,
-    Opening,
-    Plan,
-    Rectangle,
-    owners,
-    rectangles_of,
-)
+from eagor.lab.worlds.apartment.plans import HALF_WALL, LINING, OUTER_WALL, OUTSIDE, Opening, Plan, Rectangle
 from eagor.lab.worlds.scene import Lamp, Room
 
 SOLID = -2
@@ -55,11 +44,6 @@ class Cells:
     owner: np.ndarray
 
 
-def span(lines: np.ndarray, low: float, high: float) -> slice:
-    """The cells between two of the lines."""
-    return slice(*np.searchsorted(lines, [low - 1e-6, high - 1e-6]).tolist())
-
-
 def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
     """The cells of a plan, split at further `levels` of z where the look of a wall changes."""
     holes = (*plan.doorways, *plan.windows)
@@ -73,11 +57,14 @@ def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
     heights = [0.0, plan.height, *levels, *(hole.sill for hole in holes), *(hole.head for hole in holes)]
     xs, ys, zs = (np.unique(np.round(values, 4)) for values in (*cuts, heights))
 
+    def span(lines: np.ndarray, low: float, high: float) -> slice:
+        return slice(*np.searchsorted(lines, [low - 1e-6, high - 1e-6]).tolist())
+
     def window(rectangle: Rectangle) -> tuple[slice, slice]:
         x0, y0, x1, y1 = np.round(rectangle, 4)
         return span(xs, x0, x1), span(ys, y0, y1)
 
-    room = owners(plan.spaces, xs, ys)
+    room = plans.owners(plan.spaces, xs, ys)
     owner = room.copy()
     solid = np.zeros(room.shape, dtype=bool)
     corners: tuple[set[tuple[float, float]], ...] = (set(), set())  # the ends of walls along x, and along y
@@ -111,40 +98,12 @@ def rooms_of(plan: Plan, cells: Cells) -> tuple[Room, ...]:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class WallFace:
-    """A free stretch of wall from the floor up, seen from its room: at `line`, from `start` to `end` along `axis`.
-
-    `side` is 1 if the room lies on the high side, -1 if it lies on the low side.
-    """
-
-    room: int
-    axis: int
-    line: float
-    start: float
-    end: float
-    side: int
-
-    @property
-    def angle(self) -> float:
-        """The direction into the room, radians."""
-        across = 0.0 if self.side > 0 else math.pi
-        return across if self.axis else math.copysign(math.pi / 2, self.side)
-
-
-def wall_faces(cells: Cells) -> list[WallFace]:
-    """The stretches of wall that stand on the floor, without those inside doorways."""
-    found = []
-    ground, solid = np.where(cells.hole[:, :, 0], OUTSIDE, cells.air[:, :, 0]).T, cells.air[:, :, 0].T == SOLID
-    for axis in (0, 1):  # of both, the first axis runs across the wall
-        lines, along = cells.lines[1 - axis].tolist(), cells.lines[axis].tolist()
-        for k in range(1, len(lines) - 1):
-            for side, inner, outer in ((1, k, k - 1), (-1, k - 1, k)):
-                key = np.where(solid[outer] & (ground[inner] >= 0), ground[inner] + 1, 0)[None]
-                for value, _, start, _, end in rectangles_of(key):
-                    found.append(WallFace(value - 1, axis, lines[k], along[start], along[end], side))
-        ground, solid = ground.T, solid.T
-    return found
+def wall_faces(cells: Cells) -> list[plans.Boundary]:
+    """The stretches of wall that stand on the floor, without those inside doorways: each between a room and `SOLID`."""
+    ground = np.where(cells.hole[:, :, 0], OUTSIDE, cells.air[:, :, 0])
+    edges = plans.find_boundaries(ground, *cells.lines[:2])
+    faces = [edge for edge in edges if min(edge.rooms) == SOLID and max(edge.rooms) >= 0]
+    return sorted(faces, key=lambda face: (face.axis, face.line, face.rooms[1] == SOLID))
 
 
 def _few_rectangles(mask: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
@@ -152,7 +111,7 @@ def _few_rectangles(mask: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndar
     options = []
     for turned, step in product((False, True), (1, -1)):  # from each of two corners, first along x or along y
         view = mask[::step, ::step]
-        cells = np.array(rectangles_of(view.T if turned else view))[:, 1:].reshape(-1, 2, 2)
+        cells = np.array(plans.rectangles_of(view.T if turned else view))[:, 1:].reshape(-1, 2, 2)
         i, j = np.moveaxis(cells[..., ::-1] if turned else cells, 2, 0)
         ends = np.sort(np.stack([xs[::step][i], ys[::step][j]], axis=2), axis=1)
         area = (ends[:, 1] - ends[:, 0]).prod(axis=1)
@@ -165,20 +124,31 @@ def _few_rectangles(mask: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndar
 
 @dataclass(frozen=True, eq=False)
 class Finish:
-    """The surfaces of a room; `tiled`: the range of height in which all of its walls have `tiles`."""
+    """The surfaces of a room.
 
-    wall: Cover
-    tiles: Cover | None
+    `covers`: one for each kind of surface, by its number; `tiled`: the range of height in which its walls have tiles.
+    """
+
+    covers: tuple[Cover, ...]
     tiled: tuple[float, float]
-    floor: Cover
-    ceiling: Cover
-    reveal: Cover
-    facade: Cover
     skirting: Cover | None
 
 
-def draw_finishes(plan: Plan, rng: np.random.Generator) -> tuple[Finish, ...]:
-    """One finish for each room; rooms that are open to each other share their wall paint and mostly their floor."""
+@dataclass(frozen=True, eq=False)
+class Style:
+    """The finish of each room, and what all doors and windows share; `panels`: how many a leaf has, or none."""
+
+    finishes: tuple[Finish, ...]
+    colour: str
+    door: Cover
+    frame: Cover
+    window: Cover
+    metal: Cover
+    panels: int
+
+
+def draw_style(plan: Plan, rng: np.random.Generator) -> Style:
+    """White or wooden doors; rooms that are open to each other share their wall paint and mostly their floor."""
     facade, white = finish("plaster", None, rng), finish("paint", "white", rng)
     ceiling = _tinted(finish("paint", "white", rng), (244, 243, 240), rng)
     parquet = finish("parquet", None, rng)
@@ -188,8 +158,8 @@ def draw_finishes(plan: Plan, rng: np.random.Generator) -> tuple[Finish, ...]:
     for place, space in enumerate(plan.spaces):
         joined = [a for a, b in plan.open_to if b == place]  # the smaller number stands first
         tone = _WHITES[rng.integers(len(_WHITES))] if rng.random() < 0.5 else _TINTS[rng.integers(len(_TINTS))]
-        wall = finishes[joined[0]].wall if joined else _tinted(finish(wall_kind, "white", rng), tone, rng)
-        tiles, tiled, floor, boards = None, (0.0, 0.0), parquet, skirting
+        wall = finishes[joined[0]].covers[WALL] if joined else _tinted(finish(wall_kind, "white", rng), tone, rng)
+        tiles, tiled, floor, boards = wall, (0.0, 0.0), parquet, skirting
         if space.kind == "bathroom":
             tiles, floor, boards = finish("tile", None, rng), finish("tile", None, rng), None
             tiled = (0.0, plan.height) if rng.random() < 0.5 else (0.0, float(rng.choice([1.4, 2.0])))
@@ -199,8 +169,13 @@ def draw_finishes(plan: Plan, rng: np.random.Generator) -> tuple[Finish, ...]:
             floor = finish("carpet", None, rng)
         elif space.kind == "hall" and rng.random() < 0.3:
             floor = finish("tile", None, rng)
-        finishes.append(Finish(wall, tiles, tiled, floor, ceiling, white, facade, boards))
-    return tuple(finishes)
+        finishes.append(Finish((wall, tiles, facade, white, floor, ceiling), tiled, boards))
+    kind, colour = (("paint", "white"), ("wood", "brown"), ("paint", "white"), ("paint", "grey"))[rng.integers(4)]
+    door = finish(kind, colour, rng)
+    frame = door if rng.random() < 0.6 or kind == "wood" else finish("paint", "white", rng)
+    window = finish("paint", str(rng.choice(["white", "white", "grey", "brown"])), rng)
+    metal = finish("metal", None, rng)
+    return Style(tuple(finishes), colour, door, frame, window, metal, panels=int(rng.choice([0, 2, 3])))
 
 
 def _tinted(cover: Cover, tone: tuple[int, int, int], rng: np.random.Generator) -> Cover:
@@ -209,8 +184,7 @@ def _tinted(cover: Cover, tone: tuple[int, int, int], rng: np.random.Generator) 
     linear = to_linear(np.array(tone) / 255 * rng.uniform(0.98, 1.02))
     if look.texture is not None:
         linear = linear / to_linear(look.texture[::4, ::4] / 255).mean(axis=(0, 1))
-    r, g, b = to_coded(linear)
-    return Cover(replace(look, name=f"wall {look.name}", colour=(float(r), float(g), float(b))), cover.repeat)
+    return Cover(replace(look, name=f"wall {look.name}", colour=tuple(to_coded(linear).tolist())), cover.repeat)
 
 
 # --- walls, floors and ceilings ---------------------------------------------------------------------------------------
@@ -227,7 +201,7 @@ class Thing:
     lamps: tuple[Lamp, ...] = ()
 
 
-def shell(plan: Plan, cells: Cells, finishes: tuple[Finish, ...]) -> tuple[dict[str, list[Part]], ...]:
+def _shell(plan: Plan, cells: Cells, finishes: tuple[Finish, ...]) -> tuple[dict[str, list[Part]], ...]:
     """For each room the parts of its "wall", "floor" and "ceiling"."""
     meshes: dict[tuple[int, int], list[Mesh]] = {}
     zs = cells.lines[2]
@@ -237,22 +211,20 @@ def shell(plan: Plan, cells: Cells, finishes: tuple[Finish, ...]) -> tuple[dict[
         for sign in (1, -1):
             key = _faces(cells, axis, sign, tiled)
             for k in np.flatnonzero(key.any(axis=(1, 2))):
-                for value, *rectangle in rectangles_of(key[k]):
+                for value, *rectangle in plans.rectangles_of(key[k]):
                     corners = _corners(cells, axis, sign, int(k), rectangle)
                     meshes.setdefault(divmod(value - 1, 8), []).append(corners)
     rooms = tuple({"wall": [], "floor": [], "ceiling": []} for _ in plan.spaces)
     for (place, surface), pieces in sorted(meshes.items()):
-        look = finishes[place]
-        covers = (look.wall, look.tiles or look.wall, look.facade, look.reveal, look.floor, look.ceiling)
         name = {FLOOR: "floor", CEILING: "ceiling"}.get(surface, "wall")
-        rooms[place][name].append(covers[surface](*pieces))
+        rooms[place][name].append(finishes[place].covers[surface](*pieces))
     for face in wall_faces(cells):
-        skirting = finishes[face.room].skirting
+        skirting = finishes[max(face.rooms)].skirting
         if skirting is not None and face.end - face.start > 0.02:
-            low, high = sorted((face.line, face.line + face.side * 0.012))
-            order = [0, 1, 2] if face.axis == 0 else [1, 0, 2]
-            bounds = np.array([[face.start, low, 0.0], [face.end, high, 0.08]])[:, order]
-            rooms[face.room]["wall"].append(skirting(box(*bounds, grain=face.axis)))
+            x0, y0, x1, y1 = face.box(
+                face.start, face.end, *((0.0, 0.012) if face.rooms[0] == SOLID else (-0.012, 0.0))
+            )
+            rooms[max(face.rooms)]["wall"].append(skirting(box((x0, y0, 0.0), (x1, y1, 0.08), grain=face.axis)))
     return rooms
 
 
@@ -292,36 +264,15 @@ def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -
     corners[:, second] = cells.lines[second][[b0, b0, b1, b1]]
     if (sign < 0) != (axis == 1):  # x, z runs clockwise seen from +y
         corners = corners[::-1]
-    return m.solid(corners, m.quad_triangles(1))
+    return m.solid(corners, m.QUAD)
 
 
 # --- doors and windows ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Style:
-    """What all doors and windows of an apartment have in common; `panels`: how many a leaf has, or none."""
-
-    colour: str
-    door: Cover
-    frame: Cover
-    window: Cover
-    metal: Cover
-    panels: int
-
-
-def draw_style(rng: np.random.Generator) -> Style:
-    """White or wooden doors, white or dark windows."""
-    kind, colour = (("paint", "white"), ("wood", "brown"), ("paint", "white"), ("paint", "grey"))[rng.integers(4)]
-    door = finish(kind, colour, rng)
-    frame = door if rng.random() < 0.6 or kind == "wood" else finish("paint", "white", rng)
-    window = finish("paint", str(rng.choice(["white", "white", "grey", "brown"])), rng)
-    return Style(colour, door, frame, window, finish("metal", None, rng), int(rng.choice([0, 2, 3])))
-
-
-def doors_and_windows(plan: Plan, style: Style, rooms: Sequence[dict[str, list[Part]]]) -> list[Thing]:
-    """Doors and windows as things; the frame of a doorway without a leaf goes to the walls of `rooms` (`shell`)."""
-    things: list[Thing] = []
+def things(plan: Plan, cells: Cells, style: Style) -> list[Thing]:
+    """Walls, floors and ceilings, then doors and windows; the frame of a doorway without a leaf belongs to the wall."""
+    rooms, movable = _shell(plan, cells, style.finishes), list[Thing]()
     for doorway in plan.doorways:
         below, above = doorway.boundary.rooms
         home = above if doorway.side > 0 or below == OUTSIDE else below
@@ -333,14 +284,19 @@ def doors_and_windows(plan: Plan, style: Style, rooms: Sequence[dict[str, list[P
         if doorway.leaf is None:
             rooms[home]["wall"].append(frame)
         else:
-            things.append(Thing("door", style.colour, plan.spaces[home].name, (frame, *_leaf(doorway, style))))
+            movable.append(Thing("door", style.colour, plan.spaces[home].name, (frame, *_leaf(doorway, style))))
     for window in plan.windows:
         room = plan.spaces[max(window.boundary.rooms)]
-        things.append(Thing("window", None, room.name, (style.window(_window(window)),)))
-    return things
+        movable.append(Thing("window", None, room.name, (style.window(_window(window)),)))
+    still = [
+        Thing(category, None, space.name, tuple(surfaces))
+        for space, room in zip(plan.spaces, rooms, strict=True)
+        for category, surfaces in room.items()
+    ]
+    return [*still, *movable]
 
 
-def _bars(boundary: Boundary, *bars: tuple[float, ...]) -> Mesh:
+def _bars(boundary: plans.Boundary, *bars: tuple[float, ...]) -> Mesh:
     """Boards from and to, along and across a boundary, and in height: six numbers each."""
     made = []
     for start, end, near, far, bottom, top in bars:

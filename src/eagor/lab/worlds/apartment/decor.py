@@ -1,8 +1,5 @@
 """Kitchens and bathrooms; lamps, rugs, paintings, vases and potted plants.
 
-A white sink is for a bathroom, on a pedestal; a grey one is a kitchen unit with a steel top. The part below the basin
-belongs to the sink and has its colour.
-
 Point lights are placed a little outside their shades (above that of a floor lamp, below that of a ceiling lamp).
 Inside, the shade would block their light; close to it, half of the room would lie in its shadow.
 """
@@ -81,22 +78,18 @@ def stove(colour: str, rng: np.random.Generator) -> list[m.Part]:
     shell, metal = m.finish("metal" if colour == "grey" else "plastic", colour, rng), m.finish("metal", None, rng)
     x, y, height = 0.3, rng.uniform(0.29, 0.33), rng.uniform(0.86, 0.92)
     top = height - 0.16
-    body = [
-        m.box((-x, -y, 0), (x - 0.03, y, height - 0.012)),
-        m.bevelled((x - 0.03, -y + 0.004, 0.24), (x, y - 0.004, top), 0.008),
-        m.bevelled((x - 0.03, -y + 0.004, 0.085), (x, y - 0.004, 0.232), 0.008),
-        m.box((x - 0.03, -y, top + 0.008), (x - 0.006, y, height - 0.012)),
-    ]
-    dark = (
-        m.box((x - 0.01, -y + 0.09, 0.34), (x + 0.002, y - 0.09, top - 0.12)),
-        m.box((-x, -y, height - 0.012), (x, y, height)),
-    )
+    body = [m.box((-x, -y, 0), (x - 0.03, y, height - 0.012))]
+    for low, high in ((0.24, top), (0.085, 0.232)):  # the doors of the oven and of a drawer below it
+        body.append(m.bevelled((x - 0.03, -y + 0.004, low), (x, y - 0.004, high), 0.008))
+    body.append(m.box((x - 0.03, -y, top + 0.008), (x - 0.006, y, height - 0.012)))
+    window = m.box((x - 0.01, -y + 0.09, 0.34), (x + 0.002, y - 0.09, top - 0.12))
+    dark = window, m.box((-x, -y, height - 0.012), (x, y, height))
     knobs = [m.tube([(x - 0.006, at, height - 0.075), (x + 0.024, at, height - 0.075)], 0.021, 10)
              for at in np.linspace(-y + 0.09, y - 0.09, 5)]  # fmt: skip
     rings = [m.cylinder((px, py, height), 0.09, 0.006) for px in (-0.13, 0.13) for py in (-0.14, 0.14)]
     plates = m.finish("metal", "grey", rng)
-    return [shell(*body), m.finish("plastic", "black", rng)(*dark), plates(*rings),
-            metal(*knobs, m.pull(x, 0, top - 0.055, 2 * y - 0.1))]  # fmt: skip
+    handle = m.pull(x, 0, top - 0.055, 2 * y - 0.1)
+    return [shell(*body), m.finish("plastic", "black", rng)(*dark), plates(*rings), metal(*knobs, handle)]
 
 
 def tap(x: float, y: float, z: float, reach: float, height: float) -> list[m.Mesh]:
@@ -110,18 +103,16 @@ def trough(low: m.Numbers, high: m.Numbers, outer: m.Numbers, deep: float) -> li
 
     `outer`: x0, y0, x1, y1 and z of the rim, which is 3 cm thick.
     """
-    (a, b), (c, d), (x0, y0, x1, y1, z), t = low, high, outer, 0.015
-    rim = [((x0, y0), (x1, b)), ((x0, d), (x1, y1)), ((x0, b), (a, d)), ((c, b), (x1, d))]
-    walls = [((a - t, b - t), (c + t, b)), ((a - t, d), (c + t, d + t)), ((a - t, b), (a, d)), ((c, b), (c + t, d))]
-    return [
-        *(m.box((*p, z - 0.03), (*q, z)) for p, q in rim),
-        *(m.box((*p, z - deep), (*q, z - 0.03)) for p, q in walls),
-        m.box((a - t, b - t, z - deep - t), (c + t, d + t, z - deep)),
-    ]
+    (a, b), (c, d), (*rim, z), t = low, high, outer, 0.015
+    walls, basin = (a - t, b - t, c + t, d + t), []
+    for (x0, y0, x1, y1), bottom, top in ((rim, z - 0.03, z), (walls, z - deep, z - 0.03)):
+        sides = ((x0, y0), (x1, b)), ((x0, d), (x1, y1)), ((x0, b), (a, d)), ((c, b), (x1, d))
+        basin += [m.box((*p, bottom), (*q, top)) for p, q in sides]
+    return [*basin, m.box((*walls[:2], z - deep - t), (*walls[2:], z - deep))]
 
 
 def sink(colour: str, rng: np.random.Generator) -> list[m.Part]:
-    """A sink: white for the bathroom, on a pedestal; grey for the kitchen, base units under a steel top."""
+    """A sink: white for the bathroom, on a pedestal; grey for the kitchen, with a steel top on units of its own."""
     metal, z = m.finish("metal", None, rng), rng.uniform(0.84, 0.9)
     if colour == "grey":
         x, y = 0.29, rng.uniform(0.5, 0.8)
@@ -143,12 +134,8 @@ def sink(colour: str, rng: np.random.Generator) -> list[m.Part]:
 
 def toilet(colour: str, rng: np.random.Generator) -> list[m.Part]:
     """A bowl on its foot, a seat, a lid that is up or down, and a cistern at the wall."""
-    r, z, tall, half = (
-        rng.uniform(0.175, 0.19),
-        rng.uniform(0.39, 0.42),
-        rng.uniform(0.74, 0.82),
-        rng.uniform(0.18, 0.22),
-    )
+    r, z = rng.uniform(0.175, 0.19), rng.uniform(0.39, 0.42)
+    tall, half = rng.uniform(0.74, 0.82), rng.uniform(0.18, 0.22)
     oval, top, rear = (1.25, 1.0), z + 0.022, -1.25 * r
     bowl = m.lathe(
         [(0, 0), (0.11, 0), (0.095, 0.17), (0.15, 0.3), (r, z - 0.03), (r, z), (0.72 * r, z), (0.55 * r, z - 0.1),
@@ -156,16 +143,14 @@ def toilet(colour: str, rng: np.random.Generator) -> list[m.Part]:
     )  # fmt: skip
     ring = m.lathe([(1.03 * r, z), (1.03 * r, top), (0.66 * r, top), (0.66 * r, z)], 20, oval)
     lid = m.lathe([(0, 0), (1.03 * r, 0), (1.03 * r, 0.016), (0, 0.016)], 20, oval)
-    if rng.random() < 0.65:
-        lid = m.moved(m.leaning(m.moved(lid, (-rear, 0, 0)), math.radians(88)), (rear + 0.02, 0, top))
-    else:
-        lid = m.moved(lid, (0, 0, top))
-    back = rear - 0.21
-    cistern = [
-        m.bevelled((back, -half, z - 0.02), (back + 0.18, half, tall), 0.03),
-        m.bevelled((back + 0.01, -0.1, 0.0), (-0.1, 0.1, z - 0.01), 0.03),
-        m.bevelled((back + 0.01, -0.15, z - 0.1), (rear + 0.1, 0.15, z), 0.03),
-    ]
+    up = rng.random() < 0.65
+    lid = m.leaning(m.moved(lid, (-rear, 0, 0)), math.radians(88)) if up else lid
+    lid, back = m.moved(lid, (rear + 0.02 if up else 0, 0, top)), rear - 0.21
+    boxes = (
+        ((back, -half, z - 0.02), (back + 0.18, half, tall)), ((back + 0.01, -0.1, 0.0), (-0.1, 0.1, z - 0.01)),
+        ((back + 0.01, -0.15, z - 0.1), (rear + 0.1, 0.15, z)),
+    )  # fmt: skip
+    cistern = [m.bevelled(*box, 0.03) for box in boxes]
     button = m.finish("metal", None, rng)(m.cylinder((back + 0.09, 0, tall), 0.022, 0.008, 12))
     return [m.finish("ceramic", colour, rng)(bowl, *cistern), m.finish("plastic", colour, rng)(ring, lid), button]
 
@@ -176,12 +161,8 @@ def bathtub(colour: str, rng: np.random.Generator) -> list[m.Part]:
     tub = trough((-x + 0.07, -y + 0.08), (x - 0.07, y - 0.08), (-x, -y, x, y, height), 0.42)
     sides = (-x, -y, x, 0.02 - y), (-x, y - 0.02, x, y), (-x, -y, 0.02 - x, y), (x - 0.02, -y, x, y)
     tub += [m.box((x0, y0, 0), (x1, y1, height - 0.03)) for x0, y0, x1, y1 in sides]
-    at = 0, y - 0.04, height
-    spout = m.placed(tap(0, 0, 0, 0.15, 0.16), -math.pi / 2, (0, 0, 0))
-    return [
-        m.finish("ceramic", colour, rng)(*tub),
-        m.finish("metal", None, rng)(*(m.moved(mesh, at) for mesh in spout)),
-    ]
+    spout = m.merged(*m.placed(tap(0, 0, 0, 0.15, 0.16), -math.pi / 2, (0, 0, 0)))
+    return [m.finish("ceramic", colour, rng)(*tub), m.finish("metal", None, rng)(m.moved(spout, (0, y - 0.04, height)))]
 
 
 # --- plants and vases -------------------------------------------------------------------------------------------------
@@ -233,9 +214,8 @@ def _swords(top: float, tall: float, azimuth: np.ndarray, rng: np.random.Generat
     n = len(azimuth)
     away = 0.09 * np.sqrt(np.arange(n) / n)
     length, pitch = (tall - top) * rng.uniform(0.6, 1.0, n), 1.5 - 3.2 * away + rng.normal(0, 0.04, n)
-    return [], foliage(
-        m.polar(away, azimuth, top - 0.02), azimuth, pitch, length, rng.uniform(0.055, 0.08, n), 0.08, 0.6
-    )
+    base, width = m.polar(away, azimuth, top - 0.02), rng.uniform(0.055, 0.08, n)
+    return [], foliage(base, azimuth, pitch, length, width, 0.08, 0.6)
 
 
 def _palm(top: float, tall: float, azimuth: np.ndarray, rng: np.random.Generator) -> tuple[list[m.Mesh], m.Mesh]:
@@ -323,16 +303,12 @@ def ceiling_lamp(colour: str, rng: np.random.Generator) -> list[m.Part | Lamp]:
         return [*made, Lamp(np.array([0.0, 0.0, -0.4 * radius - 0.27]), power)]
     made = [metal(m.tube([(0, 0, -drop), (0, 0, -0.03)], 0.004, 4), m.cylinder((0, 0, -0.03), 0.05, 0.03, 12))]
     if colour in ("white", "beige"):
-        return [
-            *made,
-            _shade(globe, colour, rng, -drop - radius),
-            Lamp(np.array([0.0, 0.0, -drop - 2 * radius - 0.2]), power),
-        ]
+        made.append(_shade(globe, colour, rng, -drop - radius))
+        return [*made, Lamp(np.array([0.0, 0.0, -drop - 2 * radius - 0.2]), power)]
     tall = rng.uniform(0.14, 0.2)  # a metal bell, its bulb seen from below
     flare = [(radius, -tall), (0.9 * radius, -0.6 * tall), (0.45 * radius, -0.1 * tall), (0.03, 0), (0, 0)]
-    made.append(
-        m.finish("metal" if colour == "grey" else "paint", colour, rng)(m.moved(m.lathe(flare, 18), (0, 0, -drop)))
-    )
+    cover = m.finish("metal" if colour == "grey" else "paint", colour, rng)
+    made.append(cover(m.moved(m.lathe(flare, 18), (0, 0, -drop))))
     made.append(_shade([(0.22 * r, 0.22 * z) for r, z in globe], "white", rng, -drop - 0.75 * tall))
     made.append(_shade([(0.97 * radius, -0.93 * tall), (0.2 * radius, -0.2 * tall)], "white", rng, -drop))
     return [*made, Lamp(np.array([0.0, 0.0, -drop - tall - 0.25]), power)]
@@ -366,9 +342,6 @@ def painting(colour: str, rng: np.random.Generator) -> list[m.Part]:
 
 def _border(y: float, z: float, width: float, depth: float) -> list[m.Mesh]:
     """Four bars, `depth` deep, round the rectangle with half sides `y`, `z` in the wall's plane."""
-    return [
-        m.box((0.0, -y - width, z), (depth, y + width, z + width), 1),
-        m.box((0.0, -y - width, -z - width), (depth, y + width, -z), 1),
-        m.box((0.0, -y - width, -z), (depth, -y, z), 2),
-        m.box((0.0, y, -z), (depth, y + width, z), 2),
-    ]
+    a, b = y + width, z + width
+    bars = ((-a, z, a, b), (-a, -b, a, -z), (-a, -z, -y, z), (y, -z, a, z))
+    return [m.box((0.0, y0, z0), (depth, y1, z1)) for y0, z0, y1, z1 in bars]

@@ -109,8 +109,8 @@ def turned_about_z(angle: float) -> np.ndarray:
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def placed(parts: Sequence[Part], angle: float, position: Numbers) -> tuple[Part, ...]:
-    """Parts of a model turned by `angle` radians about z, then shifted to `position` ``(3,)``."""
+def placed(parts: Sequence[M], angle: float, position: Numbers) -> tuple[M, ...]:
+    """Meshes of a model turned by `angle` radians about z, then shifted to `position` ``(3,)``."""
     rotation, offset = turned_about_z(angle), np.asarray(position, dtype=np.float64)
     return tuple(replace(part, vertices=(part.vertices @ rotation.T + offset).astype(np.float32)) for part in parts)
 

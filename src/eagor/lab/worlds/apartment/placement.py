@@ -8,7 +8,7 @@ numbers may follow it. Candidates ``(n, 6)`` are footprints with a score, more i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,17 +91,10 @@ def advanced(boxes: np.ndarray, reach: np.ndarray | float) -> np.ndarray:
 
 
 def before(boxes: np.ndarray, depth: float) -> np.ndarray:
-    """The floor ``(n, 5)`` in front of footprints, `depth` metres deep."""
-    zone = advanced(boxes, np.atleast_2d(boxes)[:, 2] + depth / 2)
-    zone[:, 2] = depth / 2 - 1e-3
+    """The floor ``(n, 5)`` in front of footprints, `depth` metres deep; behind them if it is negative."""
+    zone = advanced(boxes, np.copysign(np.atleast_2d(boxes)[:, 2], depth) + depth / 2)
+    zone[:, 2] = abs(depth) / 2 - 1e-3
     return zone
-
-
-def reversed_(boxes: np.ndarray) -> np.ndarray:
-    """Footprints ``(n, 5)`` that look the other way."""
-    back = boxes.copy()
-    back[:, 4] = np.remainder(boxes[:, 4] + 2 * math.pi, 2 * math.pi) - math.pi
-    return back
 
 
 def leaf_footprint(doorway: Opening) -> np.ndarray:
@@ -109,12 +102,6 @@ def leaf_footprint(doorway: Opening) -> np.ndarray:
     length = doorway.end - doorway.start
     along = doorway.at(1.0, 0.0) - doorway.at(0.0, 0.0)
     return np.array([*doorway.at(length / 2, 0.02), length / 2, 0.14 / 2, math.atan2(along[1], along[0])])
-
-
-def candidates(*several: tuple[np.ndarray, np.ndarray | float]) -> np.ndarray:
-    """Footprints ``(n, 5)`` and their scores ``(n,)`` together, ``(n, 6)``."""
-    rows = [np.column_stack([boxes[:, :5], np.broadcast_to(scores, len(boxes))]) for boxes, scores in several]
-    return np.concatenate([np.zeros((0, 6)), *rows])
 
 
 def best(sites: np.ndarray, good: np.ndarray, most: int) -> np.ndarray:
@@ -131,14 +118,14 @@ class NoRoom(Exception):
 class Piece:
     """A placed model.
 
-    `room`: its index in the plan; `box`: its footprint ``(5,)``; `position` ``(3,)`` of the model's origin; `solid`:
-    whether it is an obstacle.
+    `room`: its index in the plan; `box`: its footprint ``(5,)``; `z`: the height of the model's origin in metres;
+    `solid`: whether it is an obstacle.
     """
 
     room: int
     model: Model
     box: np.ndarray
-    position: np.ndarray
+    z: float = 0.0
     solid: bool = True
 
     @property
@@ -147,19 +134,15 @@ class Piece:
         return self.model.category
 
     @property
+    def position(self) -> np.ndarray:
+        """Where the model's origin is ``(3,)``."""
+        hung = KINDS[self.category].placement == "hung"
+        return np.append(advanced(self.box, -self.model.size[0] / 2 if hung else 0.0)[0, :2], self.z)
+
+    @property
     def name(self) -> str:
         """Colour and category, as in `Instance.name`."""
         return str(Query(self.category, self.model.colour))
-
-    @property
-    def bottom(self) -> float:
-        """Height of its lowest point."""
-        return float(self.position[2] + min(part.low[2] for part in self.model.parts))
-
-    @property
-    def top(self) -> float:
-        """Height of its highest point."""
-        return self.bottom + self.model.height
 
 
 class Furnisher:
@@ -178,7 +161,10 @@ class Furnisher:
         self.pieces: list[Piece] = []
         self.solid: list[np.ndarray] = []
         self.kept: list[np.ndarray] = []
-        self.space = _spaces(plan)
+        group = list(range(len(rooms)))
+        for a, b in sorted(plan.open_to):
+            group = [group[a] if g == group[b] else g for g in group]
+        self.space = [np.flatnonzero(np.equal(group, own)) for own in group]
         self._around: list[np.ndarray] = []
         x, y = (-0.3 + (np.arange(math.ceil((end + 0.6) / CELL)) + 0.5) * CELL for end in plan.extent)
         self._centres = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
@@ -201,7 +187,7 @@ class Furnisher:
         self._anchors = tuple(np.transpose(anchors))
         self._least = np.minimum(0.8, 0.3 * self._areas(~self._near))  # square metres to walk on, for each room
 
-    def inside(self, rooms: Sequence[int], boxes: np.ndarray) -> np.ndarray:
+    def inside(self, rooms: Iterable[int], boxes: np.ndarray) -> np.ndarray:
         """Whether footprints ``(n, 5)`` lie in the union of some rooms: ``(n,)`` bool."""
         rectangles = np.concatenate([self.rooms[room].rectangles for room in rooms])
         points = corners(boxes, 6)
@@ -213,26 +199,24 @@ class Furnisher:
         """The footprints ``(n, 5)`` that do not stand before a window whose sill is lower than `height`."""
         return untouched(boxes, [from_rectangle(w.approach(0.4)) for w in self.plan.windows if w.sill < height + 0.03])
 
-    def fits(
-        self, room: int, boxes: np.ndarray, z: tuple[float, float], margin: float = 0.02, kept: bool = True
-    ) -> np.ndarray:
-        """The footprints ``(n, 5)`` from z[0] to z[1] in the room that hit nothing and keep clear of `kept`."""
+    def in_air(self, room: int, boxes: np.ndarray, low: float, high: float, margin: float) -> np.ndarray:
+        """The footprints ``(n, 5)`` in the room that hit nothing from `low` to `high`, `margin` metres round them."""
+        solid = [other for other in self.solid if other[5] < high and other[6] > low]
         grown = boxes[:, :5] + np.array([0.0, 0.0, margin, margin, 0.0])
-        solid = [other for other in self.solid if other[5] < z[1] and other[6] > z[0]]
-        good = self.inside([room], boxes) & untouched(grown, solid)
-        return good & untouched(boxes, self.kept) if kept else good
+        return self.inside([room], boxes) & untouched(grown, solid)
 
-    def stands(self, room: int, boxes: np.ndarray, model: Model) -> np.ndarray:
-        """The footprints ``(n, 5)`` with room for a model on the floor, and not before a window that it would cover."""
-        return self.fits(room, boxes, (0.0, model.height)) & self.beside_windows(boxes, model.height)
+    def fits(self, room: int, boxes: np.ndarray, model: Model, margin: float = 0.02) -> np.ndarray:
+        """The footprints ``(n, 5)`` with room for a model on the floor, clear of `kept`."""
+        return self.in_air(room, boxes, 0.0, model.size[2], margin) & untouched(boxes, self.kept)
 
-    def clear(self, boxes: np.ndarray) -> np.ndarray:
-        """Which footprints ``(n, 5)`` are clear of all solids on the floor: ``(n,)`` bool."""
-        return untouched(boxes, [solid for solid in self.solid if solid[5] < 1.0])
+    def stands(self, room: int, boxes: np.ndarray, model: Model, margin: float = 0.02) -> np.ndarray:
+        """Those of `fits` that are not before a window which the model would cover; the tap of a sink may."""
+        height = 1.0 if model.category == "sink" else model.size[2]
+        return self.fits(room, boxes, model, margin) & self.beside_windows(boxes, height)
 
-    def open_before(self, room: int, zone: np.ndarray) -> np.ndarray:
-        """The pieces of floor ``(n, 5)`` that are free and lie in the room or in those that are open to it."""
-        return self.clear(zone) & self.inside(self.space[room], zone)
+    def open_before(self, rooms: Iterable[int], zone: np.ndarray) -> np.ndarray:
+        """The pieces of floor ``(n, 5)`` that are free of solids and lie in the union of some rooms."""
+        return untouched(zone, [solid for solid in self.solid if solid[5] < 1.0]) & self.inside(rooms, zone)
 
     def of(self, category: str, room: int | None = None) -> list[Piece]:
         """The pieces of a category, in a room or anywhere."""
@@ -246,16 +230,19 @@ class Furnisher:
 
         `gap`: metres between the back and the wall.
         """
-        found = []
+        found = [np.zeros((0, 6))]
         for face in self.faces:
-            if face.room != room or face.end - face.start - size[1] - 2 * side < 0:
+            if max(face.rooms) != room or face.end - face.start - size[1] - 2 * side < 0:
                 continue
+            way = 1 if face.rooms[1] == room else -1  # into the room
+            angle = (0.0 if way > 0 else math.pi) if face.axis else way * math.pi / 2
             first, last = face.start + side + size[1] / 2, face.end - side - size[1] / 2
-            boxes = np.tile([0.0, 0.0, size[0] / 2, size[1] / 2, face.angle], (8, 1))
+            boxes = np.tile([0.0, 0.0, size[0] / 2, size[1] / 2, angle], (8, 1))
             boxes[:, face.axis] = [first, last, (first + last) / 2, *self.rng.uniform(first, last, 5)]
-            boxes[:, 1 - face.axis] = face.line + face.side * (gap + size[0] / 2)
-            found.append((boxes, self.rng.uniform(0, 0.5, 8) + np.array([corner, corner, middle, 0, 0, 0, 0, 0])))
-        return candidates(*found)
+            boxes[:, 1 - face.axis] = face.line + way * (gap + size[0] / 2)
+            scores = self.rng.uniform(0, 0.5, 8) + np.array([corner, corner, middle, 0, 0, 0, 0, 0])
+            found.append(np.column_stack([boxes, scores]))
+        return np.concatenate(found)
 
     def in_room(self, room: int, size: np.ndarray, count: int) -> np.ndarray:
         """Anywhere in a room, axis-aligned or turned by a quarter, preferably near its middle."""
@@ -265,9 +252,8 @@ class Furnisher:
         spots = picked[:, :2] + self.rng.random((count, 2)) * (picked[:, 2:] - picked[:, :2])
         middle = (rectangles[area.argmax(), :2] + rectangles[area.argmax(), 2:]) / 2
         turns = self.rng.integers(0, 2, count) * (math.pi / 2)
-        boxes = np.column_stack([spots, np.tile(size[:2] / 2, (count, 1)), turns])
-        off = np.linalg.norm(spots - middle, axis=1)
-        return candidates((boxes, self.rng.uniform(0, 0.3, count) - 0.3 * off))
+        scores = self.rng.uniform(0, 0.3, count) - 0.3 * np.linalg.norm(spots - middle, axis=1)
+        return np.column_stack([spots, np.tile(size[:2] / 2, (count, 1)), turns, scores])
 
     def make(self, category: str, colour: str | None = None) -> Model:
         """A new model. Without a colour, mostly in the usual one of its kind in this home."""
@@ -278,40 +264,34 @@ class Furnisher:
             colour = habit if self.rng.random() < 0.45 else str(self.rng.choice(colours))
         return build(category, colour, seed)
 
-    def record(self, model: Model, room: int, box: np.ndarray, z: float) -> None:
-        """Add a piece at the height `z` that is no obstacle and whose place has been checked."""
-        self.pieces.append(Piece(room, model, box, np.array([box[0], box[1], z]), solid=False))
+    def set_down(self, group: Iterable[tuple[Model, np.ndarray]], room: int, zones: Iterable[np.ndarray] = ()) -> bool:
+        """Place models together on the floor if all rooms and pieces stay reachable; otherwise do nothing.
 
-    def set_down(self, group: Sequence[tuple[Model, np.ndarray]], room: int) -> bool:
-        """Place models together on the floor if all rooms and pieces stay reachable; otherwise do nothing."""
+        `zones` stay free from then on.
+        """
         start = self.mark()
         for model, box in group:
             away = self._block(box)
             around = np.isin(self._owner, self.space[room])  # nobody reaches it through a wall
             self._around.append(np.flatnonzero((away < REACH) & (away >= BODY) & around))
-            self.solid.append(np.array([*box[:5], 0.0, model.height]))
-            self.pieces.append(Piece(room, model, box[:5], np.array([box[0], box[1], 0.0])))
+            self.solid.append(np.array([*box[:5], 0.0, model.size[2]]))
+            self.pieces.append(Piece(room, model, box[:5]))
         if not self._walkable():
             self.back_to(start)
             return False
+        self.kept.extend(zones)
         return True
 
-    def settle(
-        self, model: Model, room: int, sites: np.ndarray, *, front: float = 0.5, reserve: bool = True
-    ) -> Piece | None:
-        """Place a model on the best candidate with `front` metres of free floor before it; None if there is none.
+    def settle(self, model: Model, room: int, sites: np.ndarray, front: float, reserve: bool = True) -> bool:
+        """Place a model on the best candidate with `front` metres of free floor before it, if there is one.
 
         `reserve` keeps that floor free from then on.
         """
-        good = self.stands(room, sites, model)
+        good, reserve = self.stands(room, sites, model), reserve and front > 0
         if front > 0:
-            good &= self.open_before(room, before(sites, front))
-        for box in sites[best(sites, good, 10)]:
-            if self.set_down([(model, box)], room):
-                if front > 0 and reserve:
-                    self.kept.append(before(box, front)[0, :5])
-                return self.pieces[-1]
-        return None
+            good &= self.open_before(self.space[room], before(sites, front))
+        tries = sites[best(sites, good, 10), :5]
+        return any(self.set_down([(model, box)], room, before(box, front) if reserve else ()) for box in tries)
 
     def mark(self) -> tuple[np.ndarray, list[int]]:
         """The state, for `back_to`."""
@@ -344,11 +324,3 @@ class Furnisher:
         away = distances(box, self._centres)
         self._near |= away < BODY
         return away
-
-
-def _spaces(plan: Plan) -> tuple[tuple[int, ...], ...]:
-    """For each room all rooms that are open to it, directly or through others."""
-    group = list(range(len(plan.spaces)))
-    for a, b in sorted(plan.open_to):
-        group = [group[a] if g == group[b] else g for g in group]
-    return tuple(tuple(i for i, g in enumerate(group) if g == own) for own in group)

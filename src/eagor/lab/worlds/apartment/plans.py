@@ -279,7 +279,9 @@ def draw_plan(rng: Generator) -> Plan:
         spaces = _spaces(rooms, rng)
         if not _sizes_fit(spaces):
             continue
-        boundaries = find_boundaries(spaces)
+        ends = np.concatenate([space.rectangles for space in spaces])
+        lines = np.unique(ends[:, ::2]), np.unique(ends[:, 1::2])
+        boundaries = find_boundaries(owners(spaces, *lines), *lines)
         doorways = cut_doorways(doors, spaces, boundaries, rng)
         if doorways is None:
             continue
@@ -321,19 +323,20 @@ def _sizes_fit(spaces: tuple[Room, ...]) -> bool:
     return bool(_NET_AREA[0] <= net <= _NET_AREA[1])
 
 
-def find_boundaries(spaces: tuple[Room, ...]) -> list[Boundary]:
-    """Every maximal straight piece of line with one room (or none) on each side."""
-    ends = np.concatenate([space.rectangles for space in spaces])
-    lines = [np.unique(ends[:, [0, 2]]), np.unique(ends[:, [1, 3]])]
-    owner = np.pad(owners(spaces, *lines), 1, constant_values=OUTSIDE)
+def find_boundaries(owner: np.ndarray, *lines: np.ndarray) -> list[Boundary]:
+    """Every maximal straight piece of the grid's lines in x and y with one room on each side.
+
+    `owner` ``(nx, ny)``: the room of each cell, or a negative number down to -2.
+    """
+    owner = np.pad(owner, 1, constant_values=OUTSIDE)
     found = []
     for axis in (0, 1):
         along, across = lines[axis].tolist(), lines[1 - axis].tolist()
-        cells = (owner if axis == 1 else owner.T)[:, 1:-1] + 1  # the first axis runs across the lines; 0: outside
+        cells = (owner if axis == 1 else owner.T)[:, 1:-1] + 2  # the first axis runs across the lines
         for line, low, high in zip(across, cells, cells[1:], strict=False):
             key = np.where(low != high, low * 16 + high, 0)[None]  # both rooms in one number
             for value, _, start, _, end in rectangles_of(key):
-                found.append(Boundary(axis, line, along[start], along[end], (value // 16 - 1, value % 16 - 1)))
+                found.append(Boundary(axis, line, along[start], along[end], (value // 16 - 2, value % 16 - 2)))
     return found
 
 
