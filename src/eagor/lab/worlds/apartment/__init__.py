@@ -13,7 +13,7 @@ from eagor.lab.worlds.apartment.building import Thing
 from eagor.lab.worlds.apartment.furnish import REQUIRED, furnish
 from eagor.lab.worlds.apartment.furniture import KINDS
 from eagor.lab.worlds.apartment.mesh import bounds, merged, placed, turned_about_z
-from eagor.lab.worlds.apartment.placement import Furnisher, NoRoom, Piece
+from eagor.lab.worlds.apartment.placement import Furnisher, Piece
 from eagor.lab.worlds.apartment.plans import Plan, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Lamp, Room, Scene
@@ -50,11 +50,11 @@ def build(seed: int) -> tuple[Plan, list[Piece], Scene]:
         rng = np.random.default_rng([seed, attempt])
         plan = draw_plan(rng)
         style = building.draw_style(plan, rng)
-        cells = building.carve(plan, tuple(level for finish in style.finishes for level in finish.tiled))
+        cells = building.carve(plan, tuple(style.tiled.ravel()))
         rooms = building.rooms_of(plan, cells)
         try:
             pieces = furnish(Furnisher(plan, cells, rooms, rng))
-        except NoRoom as failure:
+        except WorldError as failure:
             reason = str(failure)
             continue
         things = [*building.things(plan, cells, style), *(_thing(piece, plan) for piece in pieces)]

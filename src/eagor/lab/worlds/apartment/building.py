@@ -123,22 +123,16 @@ def _few_rectangles(mask: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndar
 
 
 @dataclass(frozen=True, eq=False)
-class Finish:
-    """The surfaces of a room.
+class Style:
+    """The surfaces of the rooms, and what all doors and windows have in common.
 
-    `covers`: one for each kind of surface, by its number; `tiled`: the range of height in which its walls have tiles.
+    `covers`: of each room, one for each kind of surface by its number; `tiled` ``(rooms, 2)``: the range of height in
+    which its walls have tiles; `skirting`: None where there is none; `panels`: how many the leaf of a door has.
     """
 
-    covers: tuple[Cover, ...]
-    tiled: tuple[float, float]
-    skirting: Cover | None
-
-
-@dataclass(frozen=True, eq=False)
-class Style:
-    """The finish of each room, and what all doors and windows share; `panels`: how many a leaf has, or none."""
-
-    finishes: tuple[Finish, ...]
+    covers: tuple[tuple[Cover, ...], ...]
+    tiled: np.ndarray
+    skirting: tuple[Cover | None, ...]
     colour: str
     door: Cover
     frame: Cover
@@ -154,11 +148,11 @@ def draw_style(plan: Plan, rng: np.random.Generator) -> Style:
     parquet = finish("parquet", None, rng)
     skirting = white if rng.random() < 0.6 else finish("wood", None, rng)
     wall_kind = "plaster" if rng.random() < 0.5 else "paint"
-    finishes: list[Finish] = []
+    rooms: list[tuple[tuple[Cover, ...], tuple[float, float], Cover | None]] = []
     for place, space in enumerate(plan.spaces):
         joined = [a for a, b in plan.open_to if b == place]  # the smaller number stands first
         tone = _WHITES[rng.integers(len(_WHITES))] if rng.random() < 0.5 else _TINTS[rng.integers(len(_TINTS))]
-        wall = finishes[joined[0]].covers[WALL] if joined else _tinted(finish(wall_kind, "white", rng), tone, rng)
+        wall = rooms[joined[0]][0][WALL] if joined else _tinted(finish(wall_kind, "white", rng), tone, rng)
         tiles, tiled, floor, boards = wall, (0.0, 0.0), parquet, skirting
         if space.kind == "bathroom":
             tiles, floor, boards = finish("tile", None, rng), finish("tile", None, rng), None
@@ -169,13 +163,14 @@ def draw_style(plan: Plan, rng: np.random.Generator) -> Style:
             floor = finish("carpet", None, rng)
         elif space.kind == "hall" and rng.random() < 0.3:
             floor = finish("tile", None, rng)
-        finishes.append(Finish((wall, tiles, facade, white, floor, ceiling), tiled, boards))
+        rooms.append(((wall, tiles, facade, white, floor, ceiling), tiled, boards))
     kind, colour = (("paint", "white"), ("wood", "brown"), ("paint", "white"), ("paint", "grey"))[rng.integers(4)]
     door = finish(kind, colour, rng)
     frame = door if rng.random() < 0.6 or kind == "wood" else finish("paint", "white", rng)
     window = finish("paint", str(rng.choice(["white", "white", "grey", "brown"])), rng)
     metal = finish("metal", None, rng)
-    return Style(tuple(finishes), colour, door, frame, window, metal, panels=int(rng.choice([0, 2, 3])))
+    covers, tiled, boards = zip(*rooms, strict=True)
+    return Style(covers, np.array(tiled), boards, colour, door, frame, window, metal, int(rng.choice([0, 2, 3])))
 
 
 def _tinted(cover: Cover, tone: tuple[int, int, int], rng: np.random.Generator) -> Cover:
@@ -201,11 +196,11 @@ class Thing:
     lamps: tuple[Lamp, ...] = ()
 
 
-def _shell(plan: Plan, cells: Cells, finishes: tuple[Finish, ...]) -> tuple[dict[str, list[Part]], ...]:
+def _shell(plan: Plan, cells: Cells, style: Style) -> tuple[dict[str, list[Part]], ...]:
     """For each room the parts of its "wall", "floor" and "ceiling"."""
     meshes: dict[tuple[int, int], list[Mesh]] = {}
     zs = cells.lines[2]
-    low, high = np.array([room.tiled for room in finishes]).T[..., None]
+    low, high = style.tiled.T[..., None]
     tiled = (zs[:-1] >= low - 1e-6) & (zs[1:] <= high + 1e-6)
     for axis in range(3):
         for sign in (1, -1):
@@ -217,14 +212,13 @@ def _shell(plan: Plan, cells: Cells, finishes: tuple[Finish, ...]) -> tuple[dict
     rooms = tuple({"wall": [], "floor": [], "ceiling": []} for _ in plan.spaces)
     for (place, surface), pieces in sorted(meshes.items()):
         name = {FLOOR: "floor", CEILING: "ceiling"}.get(surface, "wall")
-        rooms[place][name].append(finishes[place].covers[surface](*pieces))
+        rooms[place][name].append(style.covers[place][surface](*pieces))
     for face in wall_faces(cells):
-        skirting = finishes[max(face.rooms)].skirting
+        room, skirting = max(face.rooms), style.skirting[max(face.rooms)]
         if skirting is not None and face.end - face.start > 0.02:
-            x0, y0, x1, y1 = face.box(
-                face.start, face.end, *((0.0, 0.012) if face.rooms[0] == SOLID else (-0.012, 0.0))
-            )
-            rooms[max(face.rooms)]["wall"].append(skirting(box((x0, y0, 0.0), (x1, y1, 0.08), grain=face.axis)))
+            low = 0.0 if face.rooms[1] == room else -0.012
+            x0, y0, x1, y1 = face.box(face.start, face.end, low, low + 0.012)
+            rooms[room]["wall"].append(skirting(box((x0, y0, 0.0), (x1, y1, 0.08), grain=face.axis)))
     return rooms
 
 
@@ -272,7 +266,7 @@ def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -
 
 def things(plan: Plan, cells: Cells, style: Style) -> list[Thing]:
     """Walls, floors and ceilings, then doors and windows; the frame of a doorway without a leaf belongs to the wall."""
-    rooms, movable = _shell(plan, cells, style.finishes), list[Thing]()
+    rooms, movable = _shell(plan, cells, style), list[Thing]()
     for doorway in plan.doorways:
         below, above = doorway.boundary.rooms
         home = above if doorway.side > 0 or below == OUTSIDE else below

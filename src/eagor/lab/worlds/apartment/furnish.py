@@ -12,9 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from eagor.errors import WorldError
 from eagor.lab.worlds.apartment import placement as p
 from eagor.lab.worlds.apartment.furniture import KINDS, Model, build
-from eagor.lab.worlds.apartment.placement import Furnisher, NoRoom, Piece
+from eagor.lab.worlds.apartment.placement import Furnisher, Piece
 
 REQUIRED = ("chair", "bed", "plant", "toilet", "tv", "sofa", "table", "sink")
 
@@ -48,7 +49,7 @@ _DECORATED = {  # the fewest and the most paintings, and the chance of a rug
 }  # fmt: skip
 _CORNERS = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3, "armchair": 0.4}  # how much it likes them
 _TOPS = {"table": 0.6, "coffee table": 0.6, "desk": 0.6, "dresser": 0.8, "nightstand": 0.5}  # chance of an item on it
-_EYE_LEVEL = 1.52
+_EYE_LEVEL = 1.6  # of the middle of a picture
 _LEAST_UNIQUE = 3
 _LIT = 75.0  # square metres of floor, walls and ceiling of a room for which one ceiling lamp is right
 _SHARES = (0.2, 1.7)  # range of that power, as of real lamps
@@ -57,7 +58,7 @@ _FIXED = ("sink", "toilet", "bathtub", "cabinet", "refrigerator", "stove")
 
 
 def furnish(f: Furnisher) -> list[Piece]:
-    """Furniture for all rooms. Raises `NoRoom` if a required piece does not fit."""
+    """Furniture for all rooms. Raises `WorldError` if a required piece does not fit."""
     rng, kinds, area = f.rng, [room.kind for room in f.rooms], [room.area for room in f.rooms]
     places = {kind: [room for room, other in enumerate(kinds) if other == kind] for kind in _MORE}
     f.habits["chair"] = str(rng.choice(KINDS["chair"].colours))
@@ -65,13 +66,13 @@ def furnish(f: Furnisher) -> list[Piece]:
     for kind, rule in rules.items():
         for room in places[kind]:
             if not any(rule(f, room) for _ in range(4)):
-                raise NoRoom(f"the {kind} is too small for what belongs there")
+                raise WorldError(f"the {kind} is too small for what belongs there")
     # The dining table stands in the dining room, else in the kitchen or the living room, wherever it fits.
     spacious = area[places["kitchen"][0]] > 10 and rng.random() < 0.8
     order = ("dining room", "kitchen", "living room") if spacious else ("dining room", "living room", "kitchen")
     sizes = [(room, least, most) for least, most in ((4, 6), (2, 4)) for kind in order for room in places[kind]]
     if not any(dining(f, *size) for size in sizes):
-        raise NoRoom("no place for a table with chairs")
+        raise WorldError("no place for a table with chairs")
     for room in rng.permutation(len(kinds)).tolist():
         for category, chance, each, front in _MORE[kinds[room]]:
             for _ in range(max(1, int(area[room] / each))):
@@ -82,7 +83,7 @@ def furnish(f: Furnisher) -> list[Piece]:
     _at_least(f, "chair", int(rng.integers(4, 7)), dry, front=0.2)
     missing = [category for category in REQUIRED if not f.of(category)]
     if missing:
-        raise NoRoom(f"no place for {', '.join(missing)}")
+        raise WorldError(f"no place for {', '.join(missing)}")
     for room, kind in enumerate(kinds):
         ceiling_lamps(f, room)
         fewest, most, covered = _DECORATED[kind]
@@ -165,14 +166,12 @@ def _round_table(f: Furnisher, table: np.ndarray, chair: np.ndarray) -> np.ndarr
     """Places ``(n, 5)`` for chairs of one size round a table, the most natural first."""
     (depth, width, _), (hx, hy) = chair, table[2:4]
     count = 1 if abs(hx - hy) < 0.1 else max(1, int(2 * hy / (width + 0.12)))
-    sides = [(sign, (i + 0.5) * 2 * hy / count - hy, True) for i in range(count) for sign in (1, -1)]
+    sides = [(sign, (i + 0.5) * 2 * hy / count - hy, 0) for i in range(count) for sign in (1, -1)]
     places = []
-    for sign, left, long_side in [*sides, (1, 0.0, False), (-1, 0.0, False)]:
+    for front, left, end in [*sides, (0, 0.0, 1), (0, 0.0, -1)]:
         out, turn = f.rng.uniform(0.05, 0.12) + depth / 2, f.rng.uniform(-0.07, 0.07)
-        if long_side:
-            places.append(p.relative(table, sign * (hx + out), left, chair, (math.pi if sign > 0 else 0.0) + turn))
-        else:
-            places.append(p.relative(table, 0.0, sign * (hy + out), chair, turn - sign * math.pi / 2))
+        turn += math.pi if front > 0 else -end * math.pi / 2
+        places.append(p.relative(table, front * (hx + out), left + end * (hy + out), chair, turn))
     return np.array(places)
 
 
@@ -281,7 +280,7 @@ def painting(f: Furnisher, room: int) -> None:
     """A picture on a free patch of wall, best over the middle of a sofa, a bed or a low piece."""
     made = f.make("painting")
     depth, _, height = made.size
-    z = min(_EYE_LEVEL + 0.08, f.plan.height - height / 2 - 0.25)
+    z = min(_EYE_LEVEL, f.plan.height - height / 2 - 0.25)
     sites = f.along_walls(room, made.size, gap=0.0, side=0.15)
     for piece in (piece for category in ("sofa", "bed", "dresser", "desk") for piece in f.of(category, room)):
         over = sites[~p.untouched(p.before(sites, 0.3), [piece.box])]
@@ -312,14 +311,15 @@ def small_things(f: Furnisher) -> None:
             room = room * (0.6 if "table" in piece.category else 1.0)  # tops may be round
             if (room < 0).any():
                 continue
-            box = p.relative(piece.box, *f.rng.uniform(-room, room), made.size, f.rng.uniform(-0.6, 0.6))
+            forward, left = f.rng.uniform(-room, room)
+            box = p.relative(piece.box, forward, left, made.size, f.rng.uniform(-0.6, 0.6))
             if p.untouched(box[None], taken)[0]:
                 taken.append(box)
                 f.pieces.append(Piece(piece.room, made, box, piece.model.size[2], solid=False))
 
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
-    """One lamp in the middle of each part of a room, two in a large or long one; `NoRoom` if none fits.
+    """One lamp in the middle of each part of a room, two in a large or long one; `WorldError` if none fits.
 
     Their power suits the surface of the room.
     """
@@ -337,7 +337,7 @@ def ceiling_lamps(f: Furnisher, room: int) -> None:
                 f.solid.append(np.array([*box, height - made.size[2], height]))
                 places.append(box)
     if not places:
-        raise NoRoom(f"no place for a lamp in the {f.rooms[room].name}")
+        raise WorldError(f"no place for a lamp in the {f.rooms[room].name}")
     x0, y0, x1, y1 = f.rooms[room].rectangles.T
     surface = 2 * f.rooms[room].area + float((2 * (x1 - x0 + y1 - y0)).sum()) * height
     share = float(np.clip(surface / _LIT / len(places), *_SHARES))
@@ -352,7 +352,7 @@ def tell_apart(f: Furnisher) -> None:
     """Recolour single pieces, mostly a chair, so that "the red chair" is one of several chairs.
 
     Afterwards at least three solid pieces have a unique name although their category occurs more than once, and at
-    least one name occurs several times. Raises `NoRoom` if that fails.
+    least one name occurs several times. Raises `WorldError` if that fails.
     """
     chairs = f.of("chair")
     odd = int(f.rng.choice([0, 1, 2], p=[0.12, 0.7, 0.18])) if len(chairs) > 3 else 0
@@ -370,7 +370,7 @@ def tell_apart(f: Furnisher) -> None:
         if not pool:
             break
         _recolour(f, pool[f.rng.integers(len(pool))])
-    raise NoRoom("too few pieces to tell apart by colour")
+    raise WorldError("too few pieces to tell apart by colour")
 
 
 def _recolour(f: Furnisher, piece: Piece) -> None:

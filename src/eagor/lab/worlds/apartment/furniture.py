@@ -40,11 +40,6 @@ class Model:
     lamps: tuple[Lamp, ...]
     seed: int
 
-    @property
-    def height(self) -> float:
-        """Metres from its lowest to its highest point."""
-        return float(self.size[2])
-
 
 def build(category: str, colour: str | None, seed: int) -> Model:
     """A piece of furniture in one of the colours of its kind; `colour` None: any of them, if there are any."""

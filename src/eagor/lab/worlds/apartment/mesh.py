@@ -115,34 +115,28 @@ def placed(parts: Sequence[M], angle: float, position: Numbers) -> tuple[M, ...]
     return tuple(replace(part, vertices=(part.vertices @ rotation.T + offset).astype(np.float32)) for part in parts)
 
 
-def planar_uv(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> np.ndarray:
-    """Texture coordinates ``(T, 3, 2)`` by projection along the axis that each triangle faces most, metres.
-
-    Without `grain`, u runs to the right and v up for someone who looks at the triangle (x and y on horizontal ones).
-    With it, u runs along that axis wherever the triangle contains it.
-    """
-    corners = vertices[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    axis = np.abs(normal).argmax(axis=1)
-    sign = np.sign(np.take_along_axis(normal, axis[:, None], axis=1)[:, 0])
-    u_axis, v_axis = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
-    sign = sign * np.array([1, -1, 1])[axis]
-    if grain is not None:
-        along = axis != grain
-        u_axis, v_axis = np.where(along, grain, u_axis), np.where(along, 3 - axis - grain, v_axis)
-        sign = np.where(along, 1, sign)
-    rows, points = np.arange(len(triangles))[:, None], np.arange(3)
-    u = corners[rows, points, u_axis[:, None]] * sign[:, None]
-    return np.stack([u, corners[rows, points, v_axis[:, None]]], axis=-1).astype(np.float32)
-
-
 # --- solids -----------------------------------------------------------------------------------------------------------
 
 
 def solid(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> Mesh:
-    """The mesh of these vertices ``(V, 3)`` and triangles ``(T, 3)`` with a texture by `planar_uv`."""
+    """The mesh of these vertices ``(V, 3)`` and triangles ``(T, 3)``, its texture projected along the nearest axis.
+
+    Without `grain`, u runs to the right and v up for someone who looks at the triangle (x and y on horizontal ones).
+    With it, u runs along that axis wherever the triangle contains it.
+    """
     vertices, triangles = np.asarray(vertices, dtype=np.float32), np.asarray(triangles, dtype=np.int32)
-    return Mesh(vertices, triangles, planar_uv(vertices, triangles, grain))
+    corners = vertices[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    axis = np.abs(normal).argmax(axis=1)
+    sign = np.sign(np.take_along_axis(normal, axis[:, None], axis=1)[:, 0]) * np.array([1, -1, 1])[axis]
+    u_axis, v_axis = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
+    if grain is not None:
+        along = axis != grain
+        u_axis, v_axis = np.where(along, grain, u_axis), np.where(along, 3 - axis - grain, v_axis)
+        sign = np.where(along, 1, sign)
+    uv = np.take_along_axis(corners, np.stack([u_axis, v_axis], axis=1)[:, None], axis=2)
+    uv[..., 0] *= sign[:, None]
+    return Mesh(vertices, triangles, uv)
 
 
 def quad(corners: Sequence[Numbers] | np.ndarray) -> Mesh:
@@ -167,7 +161,7 @@ def post(foot: Numbers, top: Numbers, foot_size: Numbers, top_size: Numbers) -> 
 
 
 def bevelled(low: Numbers, high: Numbers, radius: float, grain: int | None = None) -> Mesh:
-    """A box with edges cut off by `radius` (or half of the shortest side): 44 triangles; `grain` as in `planar_uv`."""
+    """A box with edges cut off by `radius` (or half of the shortest side): 44 triangles; `grain` as in `solid`."""
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     half = (high - low) / 2
     radius = min(float(radius), 0.998 * float(half.min()))

@@ -110,10 +110,6 @@ def best(sites: np.ndarray, good: np.ndarray, most: int) -> np.ndarray:
     return places[np.argsort(-sites[places, 5], kind="stable")][:most]
 
 
-class NoRoom(Exception):
-    """A required piece does not fit."""
-
-
 @dataclass(frozen=True, eq=False)
 class Piece:
     """A placed model.

@@ -6,7 +6,6 @@ large. An outer wall grows outwards from where an inner one would have its face.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -158,8 +157,7 @@ def studio(rng: Generator) -> Layout:
     return rooms, doors, openings
 
 
-_DRAWN = (corridor, open_plan, central_hall, railroad, studio)
-FAMILIES: dict[str, Callable[[Generator], Layout]] = {draw.__name__.replace("_", " "): draw for draw in _DRAWN}
+FAMILIES = {draw.__name__.replace("_", " "): draw for draw in (corridor, open_plan, central_hall, railroad, studio)}
 
 
 def _widths(rng: Generator, kinds: list[str]) -> np.ndarray:
