@@ -13,7 +13,7 @@ from eagor.lab.worlds.apartment.building import Thing
 from eagor.lab.worlds.apartment.furnish import REQUIRED, furnish
 from eagor.lab.worlds.apartment.furniture import KINDS
 from eagor.lab.worlds.apartment.mesh import bounds, merged, placed, turned_about_z
-from eagor.lab.worlds.apartment.placement import Furnisher, Piece
+from eagor.lab.worlds.apartment.placement import Furnisher, Piece, advanced
 from eagor.lab.worlds.apartment.plans import Plan, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Lamp, Room, Scene
@@ -70,9 +70,10 @@ def build(seed: int) -> tuple[Plan, list[Piece], Scene]:
 
 def _thing(piece: Piece, plan: Plan) -> Thing:
     """A piece in the world frame."""
-    angle, model = float(piece.box[4]), piece.model
-    lamps = tuple(Lamp(turned_about_z(angle) @ lamp.position + piece.position, lamp.power) for lamp in model.lamps)
-    parts = placed(model.parts, angle, piece.position)
+    angle, model, hung = float(piece.box[4]), piece.model, KINDS[piece.category].placement == "hung"
+    origin = np.append(advanced(piece.box, -model.size[0] / 2 if hung else 0.0)[0, :2], piece.z)
+    lamps = tuple(Lamp(turned_about_z(angle) @ lamp.position + origin, lamp.power) for lamp in model.lamps)
+    parts = placed(model.parts, angle, origin)
     return Thing(piece.category, model.colour, plan.spaces[piece.room].name, parts, lamps)
 
 

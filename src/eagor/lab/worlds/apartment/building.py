@@ -16,7 +16,7 @@ import numpy as np
 from eagor._srgb import to_coded, to_linear
 from eagor.lab.worlds.apartment import mesh as m
 from eagor.lab.worlds.apartment import plans
-from eagor.lab.worlds.apartment.mesh import Cover, Mesh, Part, bevelled, box, finish
+from eagor.lab.worlds.apartment.mesh import Cover, Mesh, bevelled, box, finish
 from eagor.lab.worlds.apartment.plans import HALF_WALL, LINING, OUTER_WALL, OUTSIDE, Opening, Plan, Rectangle
 from eagor.lab.worlds.scene import Lamp, Room
 
@@ -192,11 +192,11 @@ class Thing:
     category: str
     colour: str | None
     room: str | None
-    parts: tuple[Part, ...]
+    parts: tuple[Mesh, ...]
     lamps: tuple[Lamp, ...] = ()
 
 
-def _shell(plan: Plan, cells: Cells, style: Style) -> tuple[dict[str, list[Part]], ...]:
+def _shell(plan: Plan, cells: Cells, style: Style) -> tuple[dict[str, list[Mesh]], ...]:
     """For each room the parts of its "wall", "floor" and "ceiling"."""
     meshes: dict[tuple[int, int], list[Mesh]] = {}
     zs = cells.lines[2]
@@ -310,7 +310,7 @@ def _arch(doorway: Opening, near: float, far: float, inwards: float, outwards: f
     )
 
 
-def _leaf(doorway: Opening, style: Style) -> tuple[Part, ...]:
+def _leaf(doorway: Opening, style: Style) -> tuple[Mesh, ...]:
     """The leaf in its place: open, or closed in the niche of the front door."""
     width, top = doorway.end - doorway.start - 2 * LINING - 0.006, doorway.head - LINING - 0.005
     origin = doorway.at(0.0, 0.0)

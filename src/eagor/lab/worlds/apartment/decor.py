@@ -48,7 +48,7 @@ def base_units(x: float, y: float, top: float, rng: np.random.Generator) -> tupl
     return body, handles
 
 
-def cabinet(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def cabinet(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """Kitchen base units under one worktop of stone, wood or dark laminate, with a few jars on it."""
     x, y, top = 0.29, rng.uniform(0.5, 1.1), rng.uniform(0.84, 0.88)
     body, handles = base_units(x, y, top, rng)
@@ -61,7 +61,7 @@ def cabinet(colour: str, rng: np.random.Generator) -> list[m.Part]:
     return [cover(*body), m.fittings(rng)(*handles), m.finish(kind, tone, rng)(worktop), glaze(*jars)]
 
 
-def refrigerator(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def refrigerator(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """Freezer above or below, with long handles."""
     shell, metal = m.finish("metal" if colour == "grey" else "plastic", colour, rng), m.finish("metal", "grey", rng)
     x, y, height = rng.uniform(0.31, 0.35), rng.uniform(0.28, 0.4), rng.uniform(1.5, 1.9)
@@ -73,7 +73,7 @@ def refrigerator(colour: str, rng: np.random.Generator) -> list[m.Part]:
     return [shell(m.box((-x, -y, 0), (x - 0.08, y, height)), *doors), seal(dark), metal(*bars)]
 
 
-def stove(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def stove(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """Four plates over an oven with a window, a handle and a row of knobs."""
     shell, metal = m.finish("metal" if colour == "grey" else "plastic", colour, rng), m.finish("metal", None, rng)
     x, y, height = 0.3, rng.uniform(0.29, 0.33), rng.uniform(0.86, 0.92)
@@ -111,7 +111,7 @@ def trough(low: m.Numbers, high: m.Numbers, outer: m.Numbers, deep: float) -> li
     return [*basin, m.box((*walls[:2], z - deep - t), (*walls[2:], z - deep))]
 
 
-def sink(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def sink(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """A sink: white for the bathroom, on a pedestal; grey for the kitchen, with a steel top on units of its own."""
     metal, z = m.finish("metal", None, rng), rng.uniform(0.84, 0.9)
     if colour == "grey":
@@ -132,7 +132,7 @@ def sink(colour: str, rng: np.random.Generator) -> list[m.Part]:
     return [m.finish("ceramic", colour, rng)(bowl, column, ledge), metal(*tap(-0.9 * r, 0, z, 0.13, 0.11))]
 
 
-def toilet(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def toilet(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """A bowl on its foot, a seat, a lid that is up or down, and a cistern at the wall."""
     r, z = rng.uniform(0.175, 0.19), rng.uniform(0.39, 0.42)
     tall, half = rng.uniform(0.74, 0.82), rng.uniform(0.18, 0.22)
@@ -155,7 +155,7 @@ def toilet(colour: str, rng: np.random.Generator) -> list[m.Part]:
     return [m.finish("ceramic", colour, rng)(bowl, *cistern), m.finish("plastic", colour, rng)(ring, lid), button]
 
 
-def bathtub(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def bathtub(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """A tub with panelled sides; its length along y, the tap at one end."""
     x, y, height = rng.uniform(0.36, 0.41), rng.uniform(0.78, 0.88), rng.uniform(0.54, 0.6)
     tub = trough((-x + 0.07, -y + 0.08), (x - 0.07, y - 0.08), (-x, -y, x, y, height), 0.42)
@@ -172,10 +172,9 @@ def foliage(
     base: np.ndarray, azimuth: np.ndarray, pitch: np.ndarray, length: np.ndarray, width: np.ndarray, bend: float,
     blunt: float = 0.8,
 ) -> m.Mesh:  # fmt: skip
-    """Leaves as bent, folded strips, all at once, 16 triangles each. Metres and radians, ``(n,)`` each.
+    """Leaves as bent, folded strips of 16 triangles, from `base` ``(n, 3)`` in directions ``(n,)``: metres, radians.
 
-    `base` ``(n, 3)``: points of attachment; `azimuth`: direction; `pitch`: slope at the base, which falls by `bend`
-    towards the tip; `width` at the widest place, which is nearer to the base for `blunt` below 1.
+    The `pitch` falls by `bend` towards the tip; the widest place is nearer to the base for `blunt` below 1.
     """
     t = np.linspace(0, 1, 5)
     slope = pitch[:, None] - bend * t
@@ -187,9 +186,8 @@ def foliage(
     lift = 0.25 * np.stack([-c * np.sin(slope), -s * np.sin(slope), np.cos(slope)], axis=-1)
     side = np.stack([-s, c, 0 * s], axis=-1)
     points = rib[:, :, None] + half[..., None, None] * np.stack([lift - side, 0 * lift, lift + side], axis=2)
-    index = np.arange(15).reshape(5, 3)  # right, rib, left
-    a, b, d, e = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    strip = np.stack([np.stack([a, d, e], -1), np.stack([a, e, b], -1)], axis=2).reshape(-1, 3)
+    first = 3 * np.arange(4)[:, None] + np.arange(2)  # the points are right, rib, left
+    strip = (first.reshape(-1, 1, 1) + np.array([[0, 3, 4], [0, 4, 1]])).reshape(-1, 3)
     uv = np.stack(np.broadcast_arrays(t[:, None], [0.0, 0.5, 1.0]), axis=-1).reshape(-1, 2)[strip]
     triangles = (np.arange(len(base)) * 15)[:, None, None] + strip
     return m.Mesh(
@@ -238,7 +236,7 @@ def _turned_pot(outline: Sequence[m.Numbers], radius: float, height: float, side
     return m.lathe([*profile, (0.9 * mouth, height), (0.85 * mouth, 0.8 * height)], sides), mouth
 
 
-def plant(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def plant(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """A plant in a pot with earth in it; `colour` is that of its leaves."""
     grow, least, most, radius = _GROWTHS[rng.integers(len(_GROWTHS))]
     tall, r = rng.uniform(least, most), radius * rng.uniform(0.9, 1.2)
@@ -256,7 +254,7 @@ def plant(colour: str, rng: np.random.Generator) -> list[m.Part]:
     return [*parts, m.finish("wood", "brown", rng)(*stems)] if stems else parts
 
 
-def vase(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def vase(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """A glazed vase."""
     pot, _ = _turned_pot(_VASES[rng.integers(3)], rng.uniform(0.05, 0.085), rng.uniform(0.16, 0.3), 16)
     return [m.finish("ceramic", colour, rng)(pot)]
@@ -265,7 +263,7 @@ def vase(colour: str, rng: np.random.Generator) -> list[m.Part]:
 # --- lamps, rugs and paintings ----------------------------------------------------------------------------------------
 
 
-def _shade(profile: list[tuple[float, float]], colour: str, rng: np.random.Generator, lift: float) -> m.Part:
+def _shade(profile: list[tuple[float, float]], colour: str, rng: np.random.Generator, lift: float) -> m.Mesh:
     """A lampshade from its profile, glowing; one repeat of its texture goes round it and from bottom to top."""
     mesh = m.lathe(profile, 18)
     place = mesh.vertices[mesh.triangles]
@@ -276,7 +274,7 @@ def _shade(profile: list[tuple[float, float]], colour: str, rng: np.random.Gener
     return m.finish("lampshade", colour, rng)(m.moved(mesh, (0, 0, lift)))
 
 
-def lamp(colour: str, rng: np.random.Generator) -> list[m.Part | Lamp]:
+def lamp(colour: str, rng: np.random.Generator) -> list[m.Mesh | Lamp]:
     """A floor lamp: a shade on a pole or on a tripod; `colour` is that of the shade."""
     height, radius = rng.uniform(1.45, 1.7), rng.uniform(0.18, 0.24)
     tall, taper = rng.uniform(0.25, 0.33), rng.uniform(0.6, 1.0)
@@ -291,7 +289,7 @@ def lamp(colour: str, rng: np.random.Generator) -> list[m.Part | Lamp]:
     return [stand, shade, Lamp(np.array([0.0, 0.0, low + tall + 0.25]), 0.35 * _WARM)]
 
 
-def ceiling_lamp(colour: str, rng: np.random.Generator) -> list[m.Part | Lamp]:
+def ceiling_lamp(colour: str, rng: np.random.Generator) -> list[m.Mesh | Lamp]:
     """A pendant with a paper globe or a metal bell, or a flat dome; white light over a room."""
     metal, drop = m.finish("metal", "black" if colour == "black" else None, rng), rng.uniform(0.3, 0.5)
     power, radius = float(rng.uniform(1.5, 1.7)) * _WARM, rng.uniform(0.17, 0.24)
@@ -314,7 +312,7 @@ def ceiling_lamp(colour: str, rng: np.random.Generator) -> list[m.Part | Lamp]:
     return [*made, Lamp(np.array([0.0, 0.0, -drop - tall - 0.25]), power)]
 
 
-def rug(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def rug(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """A flat rug with a pattern, its length along y."""
     thick, y = 0.008, rng.uniform(0.7, 1.2)
     x = y * rng.uniform(0.62, 0.75)
@@ -323,7 +321,7 @@ def rug(colour: str, rng: np.random.Generator) -> list[m.Part]:
     return [pattern(top), m.finish("carpet", colour, rng)(m.box((-x, -y, 0), (x, y, thick - 0.001)))]
 
 
-def painting(colour: str, rng: np.random.Generator) -> list[m.Part]:
+def painting(colour: str, rng: np.random.Generator) -> list[m.Mesh]:
     """A picture in a frame, with or without a mount; `colour` dominates in it."""
     look, face = material("art", colour, rng), 0.022
     assert look.texture is not None

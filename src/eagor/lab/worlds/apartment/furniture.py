@@ -35,7 +35,7 @@ class Model:
 
     category: str
     colour: str | None
-    parts: tuple[m.Part, ...]
+    parts: tuple[m.Mesh, ...]
     size: np.ndarray
     lamps: tuple[Lamp, ...]
     seed: int
@@ -47,7 +47,7 @@ def build(category: str, colour: str | None, seed: int) -> Model:
     if colour is None and kind.colours:
         colour = str(rng.choice(kind.colours))
     made = kind.make(colour, rng)
-    parts = [piece for piece in made if isinstance(piece, m.Part)]
+    parts = [piece for piece in made if isinstance(piece, m.Mesh)]
     low, high = m.bounds(parts)
     x, y, z = (low + high) / 2
     hung, ceiling = kind.placement == "hung", kind.placement == "ceiling"
@@ -66,7 +66,7 @@ _LOW = (0.36, 0.46), (0.36, 0.46), (0.5, 0.65), (0.9, 1.2)
 
 def table(
     colour: str, rng: Generator, sizes: Sequence[tuple[float, float]] = _HIGH, round_share: float = 0.35
-) -> list[m.Part]:
+) -> list[m.Mesh]:
     """A disc on a turned column or on legs that lean outwards, or a board on four legs, its length along y."""
     high, radius, deep, wide = sizes
     height = rng.uniform(*high)
@@ -92,7 +92,7 @@ def table(
 
 def _chest(
     colour: str, rng: Generator, depth: float, foot: float, columns: int, wide: float, cuts: np.ndarray
-) -> list[m.Part]:
+) -> list[m.Mesh]:
     """Columns of drawers, `wide` each, from one of the heights `cuts` to the next, under a top, on feet."""
     x, y, top = depth / 2, columns * wide / 2, cuts[-1] + 0.006
     body = [m.bevelled((-x, -y - 0.01, top), (x + 0.004, y + 0.01, top + 0.025), 0.006, grain=1)]
@@ -102,14 +102,14 @@ def _chest(
     return [m.timber(colour, rng)(*body, *fronts), m.fittings(rng)(*pulls)]
 
 
-def nightstand(colour: str, rng: Generator) -> list[m.Part]:
+def nightstand(colour: str, rng: Generator) -> list[m.Mesh]:
     """A bedside table of one to three drawers."""
     foot, height = rng.uniform(0.04, 0.2), rng.uniform(0.46, 0.58)
     cuts = np.linspace(foot, height - 0.031, int(rng.integers(2, 5)))
     return _chest(colour, rng, rng.uniform(0.34, 0.42), foot, 1, rng.uniform(0.4, 0.52), cuts)
 
 
-def dresser(colour: str, rng: Generator) -> list[m.Part]:
+def dresser(colour: str, rng: Generator) -> list[m.Mesh]:
     """A chest of drawers in one to three columns."""
     columns, rows, wide = ((1, 4, 0.7), (2, 3, 0.5), (2, 4, 0.5), (3, 3, 0.48))[rng.integers(4)]
     foot = rng.uniform(0.05, 0.16)
@@ -117,7 +117,7 @@ def dresser(colour: str, rng: Generator) -> list[m.Part]:
     return _chest(colour, rng, rng.uniform(0.42, 0.5), foot, columns, wide * rng.uniform(0.95, 1.05), cuts)
 
 
-def desk(colour: str, rng: Generator) -> list[m.Part]:
+def desk(colour: str, rng: Generator) -> list[m.Mesh]:
     """A desk with a block of drawers under one end; who works at it sits at +x."""
     depth, width, height = rng.uniform(0.58, 0.7), rng.uniform(1.15, 1.5), rng.uniform(0.72, 0.76)
     x, y, low, block = depth / 2, width / 2, height - 0.03, rng.uniform(0.34, 0.42)
@@ -132,7 +132,7 @@ def desk(colour: str, rng: Generator) -> list[m.Part]:
     return [m.timber(colour, rng)(*body, *fronts), m.fittings(rng)(*pulls)]
 
 
-def tv(colour: None, rng: Generator) -> list[m.Part]:
+def tv(colour: None, rng: Generator) -> list[m.Mesh]:
     """A flat screen on a low stand or hung on the wall above it; off, or showing a dim picture.
 
     It has no colour: the set is black, but its stand, which is larger, is not.
@@ -154,7 +154,7 @@ def tv(colour: None, rng: Generator) -> list[m.Part]:
     return [black(*case), picture(screen), wood(*shelf)]
 
 
-def wardrobe(colour: str, rng: Generator) -> list[m.Part]:
+def wardrobe(colour: str, rng: Generator) -> list[m.Mesh]:
     """Two to four tall doors; one may be a mirror."""
     wood, metal, doors = m.timber(colour, rng), m.fittings(rng), int(rng.integers(2, 5))
     depth, width, height = rng.uniform(0.56, 0.62), doors * rng.uniform(0.44, 0.52), rng.uniform(1.95, 2.2)
@@ -171,7 +171,7 @@ def wardrobe(colour: str, rng: Generator) -> list[m.Part]:
     return [wood(*body), metal(*handles), *glass]
 
 
-def bookshelf(colour: str, rng: Generator) -> list[m.Part]:
+def bookshelf(colour: str, rng: Generator) -> list[m.Mesh]:
     """Open shelves with rows of books."""
     t, x, y, height = 0.03, rng.uniform(0.135, 0.17), rng.uniform(0.35, 0.6), rng.uniform(1.25, 2.1)
     levels = np.linspace(0.06, height - t, max(3, round(height / 0.34)) + 1)
@@ -192,7 +192,7 @@ def bookshelf(colour: str, rng: Generator) -> list[m.Part]:
     return [m.timber(colour, rng)(*body), m.finish("paint", "beige", rng)(*blocks), m.Cover(look, 1.0)(*spines)]
 
 
-def book(colour: str, rng: Generator) -> list[m.Part]:
+def book(colour: str, rng: Generator) -> list[m.Mesh]:
     """A pile of one to three books, the uppermost of the colour, round white pages."""
     z, parts = 0.0, []
     for k in reversed(range(int(rng.integers(1, 4)))):
@@ -208,7 +208,7 @@ def book(colour: str, rng: Generator) -> list[m.Part]:
 # --- seats and beds ---------------------------------------------------------------------------------------------------
 
 
-def chair(colour: str, rng: Generator) -> list[m.Part]:
+def chair(colour: str, rng: Generator) -> list[m.Mesh]:
     """A wooden chair with slats or rails, or an upholstered one; its back leans."""
     x, y, seat, top = rng.uniform(0.21, 0.24), rng.uniform(0.21, 0.25), rng.uniform(0.44, 0.48), rng.uniform(0.82, 0.98)
     u, v = x - 0.018, y - 0.018
@@ -241,7 +241,7 @@ def _pillow(at: m.Numbers, size: m.Numbers, lean: float) -> m.Mesh:
     return m.moved(m.leaning(m.cushion((-thick / 2, -wide / 2, 0), (thick / 2, wide / 2, tall), 2.6), lean), at)
 
 
-def sofa(colour: str, rng: Generator, seats: int | None = None) -> list[m.Part]:
+def sofa(colour: str, rng: Generator, seats: int | None = None) -> list[m.Mesh]:
     """A frame with armrests and a back, cushions, feet and throw pillows; for two or three, or an armchair for one."""
     seats = seats or int(rng.integers(2, 4))
     cloth, arm = _cloth(colour, rng), rng.uniform(0.1, 0.2)
@@ -271,7 +271,7 @@ def sofa(colour: str, rng: Generator, seats: int | None = None) -> list[m.Part]:
     return parts
 
 
-def bed(colour: str, rng: Generator) -> list[m.Part]:
+def bed(colour: str, rng: Generator) -> list[m.Mesh]:
     """A bed for one or two, 2 m long; `colour` is that of the cover, and of a padded head."""
     width, rail = float(rng.choice([0.9, 1.0, 1.4, 1.6, 1.8])), rng.uniform(0.2, 0.3)
     height, wood = rng.uniform(0.44, 0.54), colour if colour in WOODS and rng.random() < 0.7 else str(rng.choice(WOODS))
@@ -306,7 +306,7 @@ class Kind:
     """
 
     colours: tuple[str, ...]
-    make: Callable[[Any, Generator], Sequence[m.Part | Lamp]]  # the colour is None if there are none
+    make: Callable[[Any, Generator], Sequence[m.Mesh | Lamp]]  # the colour is None if there are none
     placement: str = "floor"
 
 

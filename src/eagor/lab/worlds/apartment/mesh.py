@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import TypeVar
 
 import numpy as np
 
@@ -25,6 +24,7 @@ import trimesh  # noqa: E402
 
 Numbers = Sequence[float] | np.ndarray
 
+_BARE = Material("bare")
 _BOX = trimesh.creation.box()
 _CORNERS = np.asarray(_BOX.vertices) + 0.5  # x slowest
 _FINE = _BOX.subdivide().subdivide()  # what cushions are blown up from
@@ -38,21 +38,15 @@ QUAD = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)  # the triangles of a fa
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """`vertices` ``(V, 3)`` float32 metres; `triangles` ``(T, 3)`` int32; `uv` ``(T, 3, 2)`` float32 metres."""
+    """`vertices` ``(V, 3)`` float32 metres; `triangles` ``(T, 3)`` int32; `uv` ``(T, 3, 2)`` float32.
+
+    `uv` is in metres until a `Cover` gives the mesh its material; then in repeats of the texture, u to the right, v up.
+    """
 
     vertices: np.ndarray
     triangles: np.ndarray
     uv: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Part(Mesh):
-    """A mesh with one material; `uv` ``(T, 3, 2)`` in repeats of the material's texture, u to the right, v up."""
-
-    material: Material
-
-
-M = TypeVar("M", bound=Mesh)
+    material: Material = _BARE
 
 
 def bounds(meshes: Sequence[Mesh]) -> tuple[np.ndarray, np.ndarray]:
@@ -63,14 +57,14 @@ def bounds(meshes: Sequence[Mesh]) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """A material and the metres, or (u, v) metres, of one repeat of its texture; it makes meshes a `Part`."""
+    """A material and the metres, or (u, v) metres, of one repeat of its texture; it covers meshes, as one."""
 
     material: Material
     repeat: float | tuple[float, float]
 
-    def __call__(self, *meshes: Mesh) -> Part:
+    def __call__(self, *meshes: Mesh) -> Mesh:
         mesh = merged(*meshes)
-        return Part(mesh.vertices, mesh.triangles, mesh.uv / np.asarray(self.repeat, np.float32), self.material)
+        return replace(mesh, uv=mesh.uv / np.asarray(self.repeat, np.float32), material=self.material)
 
 
 def finish(kind: str, colour: str | None, rng: np.random.Generator) -> Cover:
@@ -78,7 +72,7 @@ def finish(kind: str, colour: str | None, rng: np.random.Generator) -> Cover:
     return Cover(material(kind, colour, rng), KINDS[kind].repeat)
 
 
-def moved(mesh: M, offset: Numbers) -> M:
+def moved(mesh: Mesh, offset: Numbers) -> Mesh:
     """`mesh` shifted by `offset` ``(3,)`` metres."""
     return replace(mesh, vertices=mesh.vertices + np.asarray(offset, dtype=np.float32))
 
@@ -109,8 +103,8 @@ def turned_about_z(angle: float) -> np.ndarray:
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def placed(parts: Sequence[M], angle: float, position: Numbers) -> tuple[M, ...]:
-    """Meshes of a model turned by `angle` radians about z, then shifted to `position` ``(3,)``."""
+def placed(parts: Sequence[Mesh], angle: float, position: Numbers) -> tuple[Mesh, ...]:
+    """The parts of a model turned by `angle` radians about z, then shifted to `position` ``(3,)``."""
     rotation, offset = turned_about_z(angle), np.asarray(position, dtype=np.float64)
     return tuple(replace(part, vertices=(part.vertices @ rotation.T + offset).astype(np.float32)) for part in parts)
 

@@ -130,12 +130,6 @@ class Piece:
         return self.model.category
 
     @property
-    def position(self) -> np.ndarray:
-        """Where the model's origin is ``(3,)``."""
-        hung = KINDS[self.category].placement == "hung"
-        return np.append(advanced(self.box, -self.model.size[0] / 2 if hung else 0.0)[0, :2], self.z)
-
-    @property
     def name(self) -> str:
         """Colour and category, as in `Instance.name`."""
         return str(Query(self.category, self.model.colour))
