@@ -81,9 +81,8 @@ def furnish(f: Furnisher) -> list[Piece]:
     _at_least(f, "plant", 2, list(range(len(kinds))), front=0.0)
     dry = [room for room, kind in enumerate(kinds) if kind not in ("hall", "bathroom")]
     _at_least(f, "chair", int(rng.integers(4, 7)), dry, front=0.2)
-    missing = [category for category in REQUIRED if not f.of(category)]
-    if missing:
-        raise WorldError(f"no place for {', '.join(missing)}")
+    if not f.of("plant"):
+        raise WorldError("no place for a plant")
     for room, kind in enumerate(kinds):
         ceiling_lamps(f, room)
         fewest, most, covered = _DECORATED[kind]
@@ -208,7 +207,7 @@ def sleeping(f: Furnisher, room: int) -> bool:
 
 def fit_kitchen(f: Furnisher, room: int) -> bool:
     """A row of units along one wall, as many as fit; the others stand elsewhere if there is room."""
-    start = f.mark()
+    start = len(f.pieces)
     units = {
         name: f.make(name, "grey" if name == "sink" else None) for name in ("cabinet", "sink", "stove", "refrigerator")
     }
@@ -216,7 +215,7 @@ def fit_kitchen(f: Furnisher, room: int) -> bool:
         rest = [made for name, made in units.items() if name not in row]
         if _row(f, room, [units[name] for name in row]) and all([_at_wall(f, room, made, 0.6) for made in rest]):
             return True
-        f.back_to(start)
+        del f.pieces[start:]
     return False
 
 
@@ -237,14 +236,14 @@ def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
 
 def fit_bathroom(f: Furnisher, room: int) -> bool:
     """Toilet, sink and, where it fits, a bathtub."""
-    start = f.mark()
+    start = len(f.pieces)
     fixtures = [f.make("toilet"), f.make("sink", "white")]
     for bathtub in (True, True, True, False, False):
         if bathtub:
             _at_wall(f, room, f.make("bathtub"), 0.45, side=p.GAP)
         if all(_at_wall(f, room, made, 0.5, side=0.15) for made in fixtures):
             return True
-        f.back_to(start)
+        del f.pieces[start:]
     return False
 
 
@@ -273,7 +272,7 @@ def rug(f: Furnisher, room: int) -> None:
     taken = [p.from_rectangle(door.leaf_box) for door in f.plan.doorways if door.leaf_box]
     good = f.inside([room], sites) & p.untouched(sites, taken + [piece.box for piece in f.of("rug")])
     for box in sites[p.best(sites, good, 1), :5]:
-        f.pieces.append(Piece(room, made, box, solid=False))
+        f.pieces.append(Piece(room, made, box))
 
 
 def painting(f: Furnisher, room: int) -> None:
@@ -294,8 +293,7 @@ def painting(f: Furnisher, room: int) -> None:
     good &= f.beside_windows(wide, z + height / 2)
     good &= p.untouched(wide, [p.from_rectangle(door.approach(0.4, 0.1)) for door in f.plan.doorways])
     for box in sites[p.best(sites, good, 1), :5]:
-        f.solid.append(np.array([*box, z - height / 2, z + height / 2]))
-        f.pieces.append(Piece(room, made, box, z, solid=False))
+        f.pieces.append(Piece(room, made, box, z, (z - height / 2, z + height / 2)))
 
 
 def small_things(f: Furnisher) -> None:
@@ -315,7 +313,7 @@ def small_things(f: Furnisher) -> None:
             box = p.relative(piece.box, forward, left, made.size, f.rng.uniform(-0.6, 0.6))
             if p.untouched(box[None], taken)[0]:
                 taken.append(box)
-                f.pieces.append(Piece(piece.room, made, box, piece.model.size[2], solid=False))
+                f.pieces.append(Piece(piece.room, made, box, piece.model.size[2]))
 
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
@@ -323,7 +321,7 @@ def ceiling_lamps(f: Furnisher, room: int) -> None:
 
     Their power suits the surface of the room.
     """
-    made, height, places = f.make("ceiling lamp"), f.plan.height, []
+    made, height = f.make("ceiling lamp"), f.plan.height
     for part, (x0, y0, x1, y1) in enumerate(f.rooms[room].rectangles):
         sides = np.array([x1 - x0, y1 - y0])
         if part > 0 and sides.prod() < 2.0:
@@ -334,15 +332,15 @@ def ceiling_lamps(f: Furnisher, room: int) -> None:
             boxes[:, sides.argmax()] += ((i + 0.5) / count - 0.5) * sides.max()
             boxes[1:, :2] += f.rng.normal(0, 0.4, (90, 2))
             for box in boxes[f.in_air(room, boxes, height - made.size[2], height, 0.05)][:1]:
-                f.solid.append(np.array([*box, height - made.size[2], height]))
-                places.append(box)
-    if not places:
+                f.pieces.append(Piece(room, made, box, height, (height - made.size[2], height)))
+    count = len(f.of("ceiling lamp", room))
+    if not count:
         raise WorldError(f"no place for a lamp in the {f.rooms[room].name}")
     x0, y0, x1, y1 = f.rooms[room].rectangles.T
     surface = 2 * f.rooms[room].area + float((2 * (x1 - x0 + y1 - y0)).sum()) * height
-    share = float(np.clip(surface / _LIT / len(places), *_SHARES))
+    share = float(np.clip(surface / _LIT / count, *_SHARES))
     made = replace(made, lamps=tuple(replace(lamp, power=share * lamp.power) for lamp in made.lamps))
-    f.pieces += [Piece(room, made, box, height, solid=False) for box in places]
+    f.pieces[-count:] = [replace(piece, model=made) for piece in f.pieces[-count:]]
 
 
 # --- colours ----------------------------------------------------------------------------------------------------------

@@ -114,15 +114,25 @@ def best(sites: np.ndarray, good: np.ndarray, most: int) -> np.ndarray:
 class Piece:
     """A placed model.
 
-    `room`: its index in the plan; `box`: its footprint ``(5,)``; `z`: the height of the model's origin in metres;
-    `solid`: whether it is an obstacle.
+    `room`: its index in the plan; `box`: its footprint ``(5,)``; `z`: the height of the model's origin, metres; `air`:
+    from where to where it takes up space, None if others may overlap it; `zones`: footprints that stay free for it. If
+    it stands in the way, `near`: the cells where the middle of a body cannot be; `ring`: those from which it can be
+    reached, as flat indices.
     """
 
     room: int
     model: Model
     box: np.ndarray
     z: float = 0.0
-    solid: bool = True
+    air: tuple[float, float] | None = None
+    zones: Iterable[np.ndarray] = ()
+    near: np.ndarray | None = None
+    ring: np.ndarray | None = None
+
+    @property
+    def solid(self) -> bool:
+        """Whether it is an obstacle."""
+        return self.near is not None
 
     @property
     def category(self) -> str:
@@ -138,10 +148,9 @@ class Piece:
 class Furnisher:
     """An apartment while it is being furnished (mutable): it builds pieces and finds places for them.
 
-    `pieces`: the placed ones; `solid`: footprints with their lowest and highest z ``(7,)``; `kept`: footprints that
-    stay free of solids; `habits`: the usual colour of each category in this home; `space`: for each room those that
-    are open to it, including itself. In cells ``(rows, columns)``, `_centres`: their middles; `_owner`: their rooms;
-    `_near`: where the middle of a body cannot be; `_around`: from where each piece can be reached, as flat indices.
+    `pieces`: the placed ones; `habits`: the usual colour of each category in this home; `space`: for each room those
+    that are open to it, including itself. `_leaves`: open doors, as footprints with lowest and highest z ``(7,)``.
+    In cells ``(rows, columns)``, `_centres`: their middles; `_owner`: their rooms; `_walls`: those too near to walls.
     """
 
     def __init__(self, plan: Plan, cells: Cells, rooms: tuple[Room, ...], rng: np.random.Generator) -> None:
@@ -149,33 +158,28 @@ class Furnisher:
         self.plan, self.rooms, self.faces, self.rng = plan, rooms, wall_faces(cells), rng
         self.habits: dict[str, str] = {}
         self.pieces: list[Piece] = []
-        self.solid: list[np.ndarray] = []
-        self.kept: list[np.ndarray] = []
         group = list(range(len(rooms)))
         for a, b in sorted(plan.open_to):
             group = [group[a] if g == group[b] else g for g in group]
         self.space = [np.flatnonzero(np.equal(group, own)) for own in group]
-        self._around: list[np.ndarray] = []
         x, y = (-0.3 + (np.arange(math.ceil((end + 0.6) / CELL)) + 0.5) * CELL for end in plan.extent)
         self._centres = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
         xs, ys, _ = cells.lines
         i = np.clip(np.searchsorted(xs, x) - 1, 0, len(xs) - 2)
         j = np.clip(np.searchsorted(ys, y) - 1, 0, len(ys) - 2)
         self._owner = np.maximum(cells.air[:, :, 0], OUTSIDE)[np.ix_(i, j)]
-        self._near = np.asarray(ndimage.distance_transform_edt(self._owner >= 0, sampling=CELL)) < BODY
+        self._walls = np.asarray(ndimage.distance_transform_edt(self._owner >= 0, sampling=CELL)) < BODY
         anchors = []  # a cell on either side of each doorway
         for doorway in plan.doorways:
             for room, side in zip(doorway.boundary.rooms, (-0.45, 0.45), strict=True):
                 if room != OUTSIDE:
-                    middle = from_rectangle(doorway.boundary.box(doorway.start, doorway.end, side, side))[:2]
+                    middle = np.array(doorway.boundary.point((doorway.start + doorway.end) / 2, side))
                     anchors.append(np.floor((middle + 0.3) / CELL).astype(int))
-            self.kept.append(from_rectangle(doorway.approach(0.8, 0.06)))
-            if doorway.leaf:
-                leaf = leaf_footprint(doorway)
-                self._block(leaf)
-                self.solid.append(np.array([*leaf, 0.0, doorway.head]))
         self._anchors = tuple(np.transpose(anchors))
-        self._least = np.minimum(0.8, 0.3 * self._areas(~self._near))  # square metres to walk on, for each room
+        self._leaves = [np.array([*leaf_footprint(door), 0.0, door.head]) for door in plan.doorways if door.leaf]
+        for leaf in self._leaves:
+            self._walls |= distances(leaf, self._centres) < BODY
+        self._least = np.minimum(0.8, 0.3 * self._areas(~self._walls))  # square metres to walk on, for each room
 
     def inside(self, rooms: Iterable[int], boxes: np.ndarray) -> np.ndarray:
         """Whether footprints ``(n, 5)`` lie in the union of some rooms: ``(n,)`` bool."""
@@ -191,13 +195,14 @@ class Furnisher:
 
     def in_air(self, room: int, boxes: np.ndarray, low: float, high: float, margin: float) -> np.ndarray:
         """The footprints ``(n, 5)`` in the room that hit nothing from `low` to `high`, `margin` metres round them."""
-        solid = [other for other in self.solid if other[5] < high and other[6] > low]
         grown = boxes[:, :5] + np.array([0.0, 0.0, margin, margin, 0.0])
-        return self.inside([room], boxes) & untouched(grown, solid)
+        return self.inside([room], boxes) & untouched(grown, self._solids(low, high))
 
     def fits(self, room: int, boxes: np.ndarray, model: Model, margin: float = 0.02) -> np.ndarray:
-        """The footprints ``(n, 5)`` with room for a model on the floor, clear of `kept`."""
-        return self.in_air(room, boxes, 0.0, model.size[2], margin) & untouched(boxes, self.kept)
+        """The footprints ``(n, 5)`` with room for a model on the floor, clear of doorways and of zones."""
+        zones = [from_rectangle(doorway.approach(0.8, 0.06)) for doorway in self.plan.doorways]
+        zones += [zone for piece in self.pieces for zone in piece.zones]
+        return self.in_air(room, boxes, 0.0, model.size[2], margin) & untouched(boxes, zones)
 
     def stands(self, room: int, boxes: np.ndarray, model: Model, margin: float = 0.02) -> np.ndarray:
         """Those of `fits` that are not before a window which the model would cover; the tap of a sink may."""
@@ -206,7 +211,12 @@ class Furnisher:
 
     def open_before(self, rooms: Iterable[int], zone: np.ndarray) -> np.ndarray:
         """The pieces of floor ``(n, 5)`` that are free of solids and lie in the union of some rooms."""
-        return untouched(zone, [solid for solid in self.solid if solid[5] < 1.0]) & self.inside(rooms, zone)
+        return untouched(zone, self._solids(-1.0, 1.0)) & self.inside(rooms, zone)
+
+    def _solids(self, low: float, high: float) -> list[np.ndarray]:
+        """What takes up space between two heights: footprints, each with its own lowest and highest z ``(7,)``."""
+        pieces = [np.array([*piece.box, *piece.air]) for piece in self.pieces if piece.air]
+        return [solid for solid in self._leaves + pieces if solid[5] < high and solid[6] > low]
 
     def of(self, category: str, room: int | None = None) -> list[Piece]:
         """The pieces of a category, in a room or anywhere."""
@@ -259,18 +269,15 @@ class Furnisher:
 
         `zones` stay free from then on.
         """
-        start = self.mark()
+        start, around = len(self.pieces), np.isin(self._owner, self.space[room])  # nobody reaches it through a wall
         for model, box in group:
-            away = self._block(box)
-            around = np.isin(self._owner, self.space[room])  # nobody reaches it through a wall
-            self._around.append(np.flatnonzero((away < REACH) & (away >= BODY) & around))
-            self.solid.append(np.array([*box[:5], 0.0, model.size[2]]))
-            self.pieces.append(Piece(room, model, box[:5]))
+            away = distances(box, self._centres)
+            ring = np.flatnonzero((away < REACH) & (away >= BODY) & around)
+            self.pieces.append(Piece(room, model, box[:5], 0.0, (0.0, model.size[2]), zones, away < BODY, ring))
+            zones = ()
         if not self._walkable():
-            self.back_to(start)
-            return False
-        self.kept.extend(zones)
-        return True
+            del self.pieces[start:]
+        return len(self.pieces) > start
 
     def settle(self, model: Model, room: int, sites: np.ndarray, front: float, reserve: bool = True) -> bool:
         """Place a model on the best candidate with `front` metres of free floor before it, if there is one.
@@ -283,34 +290,19 @@ class Furnisher:
         tries = sites[best(sites, good, 10), :5]
         return any(self.set_down([(model, box)], room, before(box, front) if reserve else ()) for box in tries)
 
-    def mark(self) -> tuple[np.ndarray, list[int]]:
-        """The state, for `back_to`."""
-        return self._near.copy(), [len(things) for things in (self.solid, self.kept, self._around, self.pieces)]
-
-    def back_to(self, mark: tuple[np.ndarray, list[int]]) -> None:
-        """Remove everything placed since `mark`."""
-        self._near = mark[0].copy()
-        for things, count in zip((self.solid, self.kept, self._around, self.pieces), mark[1], strict=True):
-            del things[count:]
-
     def _walkable(self) -> bool:
         """Whether one walk leads through all doorways, into all rooms and near all pieces."""
-        free = np.empty(self._near.shape, dtype=np.int32)
-        ndimage.label(~self._near, output=free)
+        free = np.empty(self._walls.shape, dtype=np.int32)
+        near = [piece.near for piece in self.pieces if piece.near is not None]
+        ndimage.label(~np.logical_or.reduce([self._walls, *near]), output=free)
         marks = free[self._anchors]
         if marks[0] == 0 or (marks != marks[0]).any():
             return False
         main = free == marks[0]
         if (self._areas(main) < self._least).any():
             return False
-        return all(main.ravel()[ring].any() for ring in self._around)
+        return all(main.ravel()[piece.ring].any() for piece in self.pieces if piece.solid)
 
     def _areas(self, cells: np.ndarray) -> np.ndarray:
         """Square metres of these cells in each room."""
         return np.bincount(self._owner[cells] + 1, minlength=len(self.rooms) + 1)[1:] * CELL**2
-
-    def _block(self, box: np.ndarray) -> np.ndarray:
-        """Take the floor of a footprint and around it; the distances of all cells from it."""
-        away = distances(box, self._centres)
-        self._near |= away < BODY
-        return away
