@@ -12,7 +12,7 @@ from strategies import at_most
 from eagor.errors import WorldError
 from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
-from eagor.lab.worlds.apartment.building import carve, rooms_of
+from eagor.lab.worlds.apartment.building import carve
 from eagor.lab.worlds.apartment.furniture import KINDS
 from eagor.lab.worlds.apartment.placement import corners, distances, from_rectangle, leaf_footprint, overlaps
 from eagor.lab.worlds.apartment.plans import FAMILIES, LINING, OUTSIDE, draw_plan
@@ -53,8 +53,7 @@ def test_a_plan_divides_a_rectangle_into_rooms_that_doors_join(seed):
     assert sum(OUTSIDE in d.boundary.rooms for d in plan.doorways) == 1
     for doorway in plan.doorways:
         assert 0.8 - 1e-6 <= doorway.end - doorway.start - 2 * LINING <= 1.0 + 1e-6
-    rooms = rooms_of(plan, carve(plan))
-    assert 45 - 1e-6 <= sum(room.area for room in rooms) <= 111
+    assert 45 - 1e-6 <= sum(room.area for room in carve(plan).rooms) <= 111
     for window in plan.windows:
         assert sum(room == OUTSIDE for room in window.boundary.rooms) == 1
 

@@ -51,14 +51,13 @@ def build(seed: int) -> tuple[Plan, list[Piece], Scene]:
         plan = draw_plan(rng)
         style = building.draw_style(plan, rng)
         cells = building.carve(plan, tuple(style.tiled.ravel()))
-        rooms = building.rooms_of(plan, cells)
         try:
-            pieces = furnish(Furnisher(plan, cells, rooms, rng))
+            pieces = furnish(Furnisher(plan, cells, rng))
         except WorldError as failure:
             reason = str(failure)
             continue
         things = [*building.things(plan, cells, style), *(_thing(piece, plan) for piece in pieces)]
-        scene = _scene(things, rooms, f"apartment {VERSION} seed {seed}", plan.family)
+        scene = _scene(things, cells.rooms, f"apartment {VERSION} seed {seed}", plan.family)
         ground = Ground.from_scene(scene)
         solid = [thing for piece, thing in zip(pieces, scene.instances[-len(pieces) :], strict=True) if piece.solid]
         far = [thing.category for thing in solid if ground.beside(thing)[1].min(initial=np.inf) > BESIDE]

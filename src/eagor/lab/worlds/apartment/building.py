@@ -16,7 +16,6 @@ import numpy as np
 from eagor._srgb import to_coded, to_linear
 from eagor.lab.worlds.apartment import mesh as m
 from eagor.lab.worlds.apartment import plans
-from eagor.lab.worlds.apartment.mesh import Cover, Mesh, bevelled, box, finish
 from eagor.lab.worlds.apartment.plans import HALF_WALL, LINING, OUTER_WALL, OUTSIDE, Opening, Plan, Rectangle
 from eagor.lab.worlds.scene import Lamp, Room
 
@@ -32,7 +31,7 @@ _TINTS = ((222, 230, 216), (214, 224, 232), (238, 222, 204), (232, 216, 214), (2
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The grid.
+    """The grid, and the rooms between their walls, without the floor in doorways.
 
     `lines` along x, y, z; `air` ``(nx, ny, nz)``: the room, `OUTSIDE` or `SOLID`; `hole`: whether the cell is in a
     doorway or window; `owner` ``(nx, ny)``: the room that the walls there belong to.
@@ -42,6 +41,7 @@ class Cells:
     air: np.ndarray
     hole: np.ndarray
     owner: np.ndarray
+    rooms: tuple[Room, ...]
 
 
 def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
@@ -85,17 +85,10 @@ def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
         where, upright = window(hole.hole), span(zs, hole.sill, hole.head)
         air[(*where, upright)] = owner[where][:, :, None]
         carved[(*where, upright)] = True
-    return Cells((xs, ys, zs), air, carved, owner)
-
-
-def rooms_of(plan: Plan, cells: Cells) -> tuple[Room, ...]:
-    """The rooms between their walls, without the floor in doorways."""
-    xs, ys, _ = cells.lines
-    ground = np.where(cells.hole[:, :, 0], SOLID, cells.air[:, :, 0])
-    return tuple(
-        Room(space.name, space.kind, _few_rectangles(ground == place, xs, ys))
-        for place, space in enumerate(plan.spaces)
-    )
+    ground = np.where(carved[:, :, 0], SOLID, air[:, :, 0])
+    covers = [_few_rectangles(ground == place, xs, ys) for place in range(len(plan.spaces))]
+    rooms = tuple(Room(space.name, space.kind, cover) for space, cover in zip(plan.spaces, covers, strict=True))
+    return Cells((xs, ys, zs), air, carved, owner, rooms)
 
 
 def wall_faces(cells: Cells) -> list[plans.Boundary]:
@@ -130,56 +123,56 @@ class Style:
     which its walls have tiles; `skirting`: None where there is none; `panels`: how many the leaf of a door has.
     """
 
-    covers: tuple[tuple[Cover, ...], ...]
+    covers: tuple[tuple[m.Cover, ...], ...]
     tiled: np.ndarray
-    skirting: tuple[Cover | None, ...]
+    skirting: tuple[m.Cover | None, ...]
     colour: str
-    door: Cover
-    frame: Cover
-    window: Cover
-    metal: Cover
+    door: m.Cover
+    frame: m.Cover
+    window: m.Cover
+    metal: m.Cover
     panels: int
 
 
 def draw_style(plan: Plan, rng: np.random.Generator) -> Style:
     """White or wooden doors; rooms that are open to each other share their wall paint and mostly their floor."""
-    facade, white = finish("plaster", None, rng), finish("paint", "white", rng)
-    ceiling = _tinted(finish("paint", "white", rng), (244, 243, 240), rng)
-    parquet = finish("parquet", None, rng)
-    skirting = white if rng.random() < 0.6 else finish("wood", None, rng)
+    facade, white = m.finish("plaster", None, rng), m.finish("paint", "white", rng)
+    ceiling = _tinted(m.finish("paint", "white", rng), (244, 243, 240), rng)
+    parquet = m.finish("parquet", None, rng)
+    skirting = white if rng.random() < 0.6 else m.finish("wood", None, rng)
     wall_kind = "plaster" if rng.random() < 0.5 else "paint"
-    rooms: list[tuple[tuple[Cover, ...], tuple[float, float], Cover | None]] = []
+    rooms: list[tuple[tuple[m.Cover, ...], tuple[float, float], m.Cover | None]] = []
     for place, space in enumerate(plan.spaces):
         joined = [a for a, b in plan.open_to if b == place]  # the smaller number stands first
         tone = _WHITES[rng.integers(len(_WHITES))] if rng.random() < 0.5 else _TINTS[rng.integers(len(_TINTS))]
-        wall = rooms[joined[0]][0][WALL] if joined else _tinted(finish(wall_kind, "white", rng), tone, rng)
+        wall = rooms[joined[0]][0][WALL] if joined else _tinted(m.finish(wall_kind, "white", rng), tone, rng)
         tiles, tiled, floor, boards = wall, (0.0, 0.0), parquet, skirting
         if space.kind == "bathroom":
-            tiles, floor, boards = finish("tile", None, rng), finish("tile", None, rng), None
+            tiles, floor, boards = m.finish("tile", None, rng), m.finish("tile", None, rng), None
             tiled = (0.0, plan.height) if rng.random() < 0.5 else (0.0, float(rng.choice([1.4, 2.0])))
         elif space.kind == "kitchen" and (not joined or rng.random() < 0.5):
-            floor = finish("tile", None, rng)
+            floor = m.finish("tile", None, rng)
         elif space.kind == "bedroom" and rng.random() < 0.5 and not joined:
-            floor = finish("carpet", None, rng)
+            floor = m.finish("carpet", None, rng)
         elif space.kind == "hall" and rng.random() < 0.3:
-            floor = finish("tile", None, rng)
+            floor = m.finish("tile", None, rng)
         rooms.append(((wall, tiles, facade, white, floor, ceiling), tiled, boards))
     kind, colour = (("paint", "white"), ("wood", "brown"), ("paint", "white"), ("paint", "grey"))[rng.integers(4)]
-    door = finish(kind, colour, rng)
-    frame = door if rng.random() < 0.6 or kind == "wood" else finish("paint", "white", rng)
-    window = finish("paint", str(rng.choice(["white", "white", "grey", "brown"])), rng)
-    metal = finish("metal", None, rng)
+    door = m.finish(kind, colour, rng)
+    frame = door if rng.random() < 0.6 or kind == "wood" else m.finish("paint", "white", rng)
+    window = m.finish("paint", str(rng.choice(["white", "white", "grey", "brown"])), rng)
+    metal = m.finish("metal", None, rng)
     covers, tiled, boards = zip(*rooms, strict=True)
     return Style(covers, np.array(tiled), boards, colour, door, frame, window, metal, int(rng.choice([0, 2, 3])))
 
 
-def _tinted(cover: Cover, tone: tuple[int, int, int], rng: np.random.Generator) -> Cover:
+def _tinted(cover: m.Cover, tone: tuple[int, int, int], rng: np.random.Generator) -> m.Cover:
     """`cover` in a slightly varied tone (sRGB, 0 to 255)."""
     look = cover.material
     linear = to_linear(np.array(tone) / 255 * rng.uniform(0.98, 1.02))
     if look.texture is not None:
         linear = linear / to_linear(look.texture[::4, ::4] / 255).mean(axis=(0, 1))
-    return Cover(replace(look, name=f"wall {look.name}", colour=tuple(to_coded(linear).tolist())), cover.repeat)
+    return m.Cover(replace(look, name=f"wall {look.name}", colour=tuple(to_coded(linear).tolist())), cover.repeat)
 
 
 # --- walls, floors and ceilings ---------------------------------------------------------------------------------------
@@ -192,13 +185,13 @@ class Thing:
     category: str
     colour: str | None
     room: str | None
-    parts: tuple[Mesh, ...]
+    parts: tuple[m.Mesh, ...]
     lamps: tuple[Lamp, ...] = ()
 
 
-def _shell(plan: Plan, cells: Cells, style: Style) -> tuple[dict[str, list[Mesh]], ...]:
+def _shell(plan: Plan, cells: Cells, style: Style) -> tuple[dict[str, list[m.Mesh]], ...]:
     """For each room the parts of its "wall", "floor" and "ceiling"."""
-    meshes: dict[tuple[int, int], list[Mesh]] = {}
+    meshes: dict[tuple[int, int], list[m.Mesh]] = {}
     zs = cells.lines[2]
     low, high = style.tiled.T[..., None]
     tiled = (zs[:-1] >= low - 1e-6) & (zs[1:] <= high + 1e-6)
@@ -218,7 +211,7 @@ def _shell(plan: Plan, cells: Cells, style: Style) -> tuple[dict[str, list[Mesh]
         if skirting is not None and face.end - face.start > 0.02:
             low = 0.0 if face.rooms[1] == room else -0.012
             x0, y0, x1, y1 = face.box(face.start, face.end, low, low + 0.012)
-            rooms[room]["wall"].append(skirting(box((x0, y0, 0.0), (x1, y1, 0.08), grain=face.axis)))
+            rooms[room]["wall"].append(skirting(m.box((x0, y0, 0.0), (x1, y1, 0.08), grain=face.axis)))
     return rooms
 
 
@@ -248,7 +241,7 @@ def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
     return np.where(shows & (room >= 0), room * 8 + surface + 1, 0)
 
 
-def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -> Mesh:
+def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -> m.Mesh:
     """The rectangle of cells in plane `k` as two triangles that point along `sign` times `axis`."""
     first, second = (other for other in range(3) if other != axis)
     a0, b0, a1, b1 = rectangle
@@ -290,16 +283,16 @@ def things(plan: Plan, cells: Cells, style: Style) -> list[Thing]:
     return [*still, *movable]
 
 
-def _bars(boundary: plans.Boundary, *bars: tuple[float, ...]) -> Mesh:
+def _bars(boundary: plans.Boundary, *bars: tuple[float, ...]) -> m.Mesh:
     """Boards from and to, along and across a boundary, and in height: six numbers each."""
     made = []
     for start, end, near, far, bottom, top in bars:
         x0, y0, x1, y1 = boundary.box(start, end, min(near, far), max(near, far))
-        made.append(box((x0, y0, bottom), (x1, y1, top)))
+        made.append(m.box((x0, y0, bottom), (x1, y1, top)))
     return m.merged(*made)
 
 
-def _arch(doorway: Opening, near: float, far: float, inwards: float, outwards: float) -> Mesh:
+def _arch(doorway: Opening, near: float, far: float, inwards: float, outwards: float) -> m.Mesh:
     """Two posts and a lintel round a doorway, from `near` to `far` across; how far they reach into it and beyond it."""
     start, end, head = doorway.start, doorway.end, doorway.head
     return _bars(
@@ -310,23 +303,25 @@ def _arch(doorway: Opening, near: float, far: float, inwards: float, outwards: f
     )
 
 
-def _leaf(doorway: Opening, style: Style) -> tuple[Mesh, ...]:
+def _leaf(doorway: Opening, style: Style) -> tuple[m.Mesh, ...]:
     """The leaf in its place: open, or closed in the niche of the front door."""
     width, top = doorway.end - doorway.start - 2 * LINING - 0.006, doorway.head - LINING - 0.005
     origin = doorway.at(0.0, 0.0)
     along, across = doorway.at(1.0, 0.0) - origin, doorway.at(0.0, 1.0) - origin
     near = 0.0 if along[0] * across[1] - along[1] * across[0] > 0 else -_LEAF  # its thickness lies towards the wall
     far, tall, x = near + _LEAF, (top - 0.28) / max(style.panels, 1), width - 0.06
-    slab = [bevelled((0.003, near, 0.008), (width, far, top), 0.003, grain=2)]
+    slab = [m.bevelled((0.003, near, 0.008), (width, far, top), 0.003, grain=2)]
     for low in 0.18 + tall * np.arange(style.panels):
-        slab.append(bevelled((0.12, near - 0.007, low), (width - 0.12, far + 0.007, low + tall - 0.08), 0.004, grain=2))
-    plate = box((x - 0.018, near - 0.006, 0.92), (x + 0.018, far + 0.006, 1.12))
+        slab.append(
+            m.bevelled((0.12, near - 0.007, low), (width - 0.12, far + 0.007, low + tall - 0.08), 0.004, grain=2)
+        )
+    plate = m.box((x - 0.018, near - 0.006, 0.92), (x + 0.018, far + 0.006, 1.12))
     ends = near - 0.045, far + 0.045  # one bar through the leaf, bent on both sides
     bar = m.tube([(x - 0.11, ends[0], 1.03), (x, ends[0], 1.03), (x, ends[1], 1.03), (x - 0.11, ends[1], 1.03)], 0.009)
     return m.placed([style.door(*slab), style.metal(plate, bar)], math.atan2(along[1], along[0]), (*origin, 0.0))
 
 
-def _window(window: Opening) -> Mesh:
+def _window(window: Opening) -> m.Mesh:
     """Frame with muntins in the outer half of the wall, and a sill board; there is no glass."""
     start, end, low, high, thick = window.start, window.end, window.sill, window.head, 0.05
     outwards = -1 if window.boundary.rooms[0] == OUTSIDE else 1

@@ -1,7 +1,7 @@
 """The choice of furniture for each room, and the groups that belong together.
 
-Groups are sofa and television, table and chairs, bed and nightstands, desk and chair; fixtures, which are kitchen units
-and bathrooms: pieces side by side at walls. The last items are rugs, paintings, small things on tables, ceiling lamps.
+First come sofa and television, kitchen units, bathrooms, beds, table and chairs; then single pieces; last what is no
+obstacle: ceiling lamps, rugs, paintings, small things on tables.
 """
 
 from __future__ import annotations

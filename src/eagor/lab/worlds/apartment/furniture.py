@@ -15,10 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from eagor.lab.worlds.apartment import decor
+from eagor.lab.worlds.apartment import decor, textures
 from eagor.lab.worlds.apartment import mesh as m
-from eagor.lab.worlds.apartment.textures import KINDS as MATERIALS
-from eagor.lab.worlds.apartment.textures import material
 from eagor.lab.worlds.scene import Lamp
 
 Generator = np.random.Generator
@@ -42,10 +40,8 @@ class Model:
 
 
 def build(category: str, colour: str | None, seed: int) -> Model:
-    """A piece of furniture in one of the colours of its kind; `colour` None: any of them, if there are any."""
+    """A piece of furniture in one of the colours of its kind; None if it has none."""
     kind, rng = KINDS[category], np.random.default_rng(seed)
-    if colour is None and kind.colours:
-        colour = str(rng.choice(kind.colours))
     made = kind.make(colour, rng)
     parts = [piece for piece in made if isinstance(piece, m.Mesh)]
     low, high = m.bounds(parts)
@@ -150,7 +146,7 @@ def tv(colour: None, rng: Generator) -> list[m.Mesh]:
     for y0, y1 in pairwise(np.linspace(-y, y, 4)):
         shelf.append(m.front(x - 0.02, y0 + 0.006, y1 - 0.006, foot + 0.004, low - 0.028))
     black, wood = m.finish("plastic", "black", rng), m.timber(str(rng.choice(WOODS)), rng)
-    picture = m.Cover(material("screen", None, rng), (2 * a, high - z - 0.036))
+    picture = m.Cover(textures.material("screen", None, rng), (2 * a, high - z - 0.036))
     return [black(*case), picture(screen), wood(*shelf)]
 
 
@@ -178,7 +174,7 @@ def bookshelf(colour: str, rng: Generator) -> list[m.Mesh]:
     body = [m.box((-x, -y, 0), (-x + 0.012, y, height), 2), m.box((-x + 0.02, t - y, 0), (x - 0.02, y - t, 0.06), 1)]
     body += [m.box((-x, s - t / 2, 0), (x, s + t / 2, height), 2) for s in (t / 2 - y, y - t / 2)]
     body += [m.box((-x, t - y, z), (x - 0.004, y - t, z + t), 1) for z in levels]
-    blocks, spines, look = [], [], material("books", None, rng)
+    blocks, spines, look = [], [], textures.material("books", None, rng)
     for z, ceiling in zip(levels[:-1] + t, levels[1:], strict=True):
         a = t - y
         while a < y - 0.2:  # some books of one height, then a gap
@@ -334,8 +330,8 @@ KINDS: dict[str, Kind] = {
     "bathtub": Kind(("white",), decor.bathtub),
     "plant": Kind(("green",), decor.plant),
     "lamp": Kind(("white", "beige", "yellow", "orange", "red"), decor.lamp),
-    "rug": Kind(tuple(map(str, MATERIALS["rug"].natural)), decor.rug),
-    "painting": Kind(tuple(map(str, MATERIALS["art"].natural)), decor.painting, "hung"),
+    "rug": Kind(tuple(map(str, textures.KINDS["rug"].natural)), decor.rug),
+    "painting": Kind(tuple(map(str, textures.KINDS["art"].natural)), decor.painting, "hung"),
     "ceiling lamp": Kind(("white", "beige", "black", "grey"), decor.ceiling_lamp, "ceiling"),
     "vase": Kind(("white", "blue", "green", "red", "yellow", "purple", "pink", "black"), decor.vase, "top"),
     "tv": Kind((), tv),

@@ -1,8 +1,7 @@
 """Meshes: moving and joining them, covering them with a material; solids, most of them by `trimesh.creation`.
 
-Model frame: x forward, y left, z up, right-handed, metres. Triangles run counter-clockwise seen from outside. Texture
-coordinates are metres along the surface until `part` divides them by the size of one repeat; textures with a direction
-(wood grain) run along u. The light decides by angles which edges are sharp.
+Model frame: x forward, y left, z up, right-handed, metres. Triangles run counter-clockwise seen from outside. Wood grain
+runs along u.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ from scipy import ndimage
 from eagor.lab.worlds.apartment.building import Cells, wall_faces
 from eagor.lab.worlds.apartment.furniture import KINDS, Model, build
 from eagor.lab.worlds.apartment.plans import OUTSIDE, Opening, Plan
-from eagor.lab.worlds.scene import Room
 from eagor.queries import Query
 
 CELL = 0.05
@@ -153,12 +152,12 @@ class Furnisher:
     In cells ``(rows, columns)``, `_centres`: their middles; `_owner`: their rooms; `_walls`: those too near to walls.
     """
 
-    def __init__(self, plan: Plan, cells: Cells, rooms: tuple[Room, ...], rng: np.random.Generator) -> None:
+    def __init__(self, plan: Plan, cells: Cells, rng: np.random.Generator) -> None:
         """The empty floor, with walls and open doors in place and passages through the doors kept clear."""
-        self.plan, self.rooms, self.faces, self.rng = plan, rooms, wall_faces(cells), rng
+        self.plan, self.rooms, self.faces, self.rng = plan, cells.rooms, wall_faces(cells), rng
         self.habits: dict[str, str] = {}
         self.pieces: list[Piece] = []
-        group = list(range(len(rooms)))
+        group = list(range(len(plan.spaces)))
         for a, b in sorted(plan.open_to):
             group = [group[a] if g == group[b] else g for g in group]
         self.space = [np.flatnonzero(np.equal(group, own)) for own in group]

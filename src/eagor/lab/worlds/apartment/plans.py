@@ -28,20 +28,16 @@ _WINDOWS: dict[str, tuple[float, float, float, float, list[float]]] = {
     "living room": (1.0, 0.65, 1.2, 2.0, [0.45, 0.95]), "kitchen": (1.0, 0.65, 0.9, 1.5, [1.2]),  # above the worktop
 }  # fmt: skip
 _OTHER_WINDOWS = (1.0, 0.65, 0.9, 1.5, [0.85, 0.95, 1.1])
-# Shortest side, and range of area in square metres, between centre lines.
-_SIZES = {
-    "living room": (3.2, 13.0, 42.0), "bedroom": (2.6, 8.6, 20.0), "kitchen": (2.1, 5.6, 17.0),
-    "bathroom": (1.7, 3.9, 9.5), "hall": (1.2, 2.2, 18.0), "study": (2.1, 5.5, 15.0), "dining room": (2.4, 7.0, 17.0),
-}  # fmt: skip
 _NET_AREA = (45.0, 110.0)
-# Range of a room's width in a row.
-_WIDTHS = {
-    "living room": (4.0, 5.6), "bedroom": (3.0, 4.3), "kitchen": (2.6, 3.8), "bathroom": (1.75, 2.5),
-    "study": (2.3, 3.2), "dining room": (2.8, 3.6), "hall": (1.8, 2.4),
+# Of each kind of room, between centre lines: its shortest side, its range of area, and that of its width in a row (m).
+_SIZES = {
+    "living room": (3.2, (13.0, 42.0), (4.0, 5.6)), "bedroom": (2.6, (8.6, 20.0), (3.0, 4.3)),
+    "kitchen": (2.1, (5.6, 17.0), (2.6, 3.8)), "bathroom": (1.7, (3.9, 9.5), (1.75, 2.5)),
+    "hall": (1.2, (2.2, 18.0), (1.8, 2.4)), "study": (2.1, (5.5, 15.0), (2.3, 3.2)),
+    "dining room": (2.4, (7.0, 17.0), (2.8, 3.6)),
 }  # fmt: skip
 
 # --- the families of floor plans --------------------------------------------------------------------------------------
-
 
 # Rooms, each of a kind and its rectangles; doors and openings as pairs of rooms, first the front door (to `OUTSIDE`).
 Rooms = list[tuple[str, list[Rectangle]]]
@@ -161,7 +157,7 @@ FAMILIES = {draw.__name__.replace("_", " "): draw for draw in (corridor, open_pl
 
 
 def _widths(rng: Generator, kinds: list[str]) -> np.ndarray:
-    return np.array([rng.uniform(*_WIDTHS[kind]) for kind in kinds])
+    return np.array([rng.uniform(*_SIZES[kind][2]) for kind in kinds])
 
 
 def _row(kinds: list[str], widths: np.ndarray, y0: float, y1: float, x0: float = 0.0) -> Rooms:
@@ -251,7 +247,8 @@ class Opening:
 class Plan:
     """A floor plan. `spaces`: its rooms between the centre lines of their walls; `walls`: all of them.
 
-    `open_to` holds the pairs of rooms without a wall between, the smaller index first.
+    `open_to`: pairs of rooms without a wall between, the smaller index first; `extent`: length along x and y between
+    the outer lines, from (0, 0).
     """
 
     family: str
@@ -260,13 +257,8 @@ class Plan:
     open_to: frozenset[tuple[int, int]]
     doorways: tuple[Opening, ...]
     windows: tuple[Opening, ...]
+    extent: tuple[float, float]
     height: float
-
-    @property
-    def extent(self) -> tuple[float, float]:
-        """Length along x and y between the outer lines; the corner is at (0, 0)."""
-        width, depth = np.concatenate([space.rectangles for space in self.spaces])[:, 2:].max(axis=0).tolist()
-        return width, depth
 
 
 def draw_plan(rng: Generator) -> Plan:
@@ -275,7 +267,7 @@ def draw_plan(rng: Generator) -> Plan:
     for _ in range(400):
         rooms, doors, openings = FAMILIES[family](rng)
         spaces = _spaces(rooms, rng)
-        if not _sizes_fit(spaces):
+        if spaces is None:
             continue
         ends = np.concatenate([space.rectangles for space in spaces])
         lines = np.unique(ends[:, ::2]), np.unique(ends[:, 1::2])
@@ -289,36 +281,33 @@ def draw_plan(rng: Generator) -> Plan:
             continue
         open_to = frozenset((min(pair), max(pair)) for pair in openings)
         walls = tuple(wall for wall in boundaries if tuple(sorted(wall.rooms)) not in open_to)
-        height = round(float(rng.uniform(2.5, 2.8)), 2)
-        return Plan(family, spaces, walls, open_to, tuple(doorways), tuple(windows), height)
+        extent, height = (float(lines[0][-1]), float(lines[1][-1])), round(float(rng.uniform(2.5, 2.8)), 2)
+        return Plan(family, spaces, walls, open_to, tuple(doorways), tuple(windows), extent, height)
     raise WorldError(f"no floor plan of the family {family!r} came out in 400 tries; use another seed")
 
 
-def _spaces(layout: Rooms, rng: Generator) -> tuple[Room, ...]:
-    """The rooms of a layout, mirrored and with its axes exchanged at random; several of one kind are numbered."""
+def _spaces(layout: Rooms, rng: Generator) -> tuple[Room, ...] | None:
+    """The rooms of a layout, mirrored and with its axes exchanged at random; None if one is too small or too large.
+
+    Several of one kind are numbered.
+    """
     mirrored, exchanged = rng.random(2) < 0.5, rng.random() < 0.5
     snapped = [np.round(np.multiply(rectangles, SNAP)) / SNAP for _, rectangles in layout]
     ends, kinds = np.concatenate(snapped)[:, 2:].max(axis=0), [kind for kind, _ in layout]
-    spaces = []
+    spaces, net = [], 0.0
     for place, (kind, rectangles) in enumerate(zip(kinds, snapped, strict=True)):
         number = f" {kinds[: place + 1].count(kind)}" if kinds.count(kind) > 1 else ""
         corners = rectangles.reshape(-1, 2, 2)
         corners = np.sort(np.where(mirrored, ends - corners, corners), axis=1)
         turned = corners[..., ::-1] if exchanged else corners
         spaces.append(Room(kind + number, kind, np.round(turned.reshape(-1, 4), 4)))
-    return tuple(spaces)
-
-
-def _sizes_fit(spaces: tuple[Room, ...]) -> bool:
-    net = 0.0
-    for space in spaces:
-        shortest, least, most = _SIZES[space.kind]
-        sides = space.rectangles[:, 2:] - space.rectangles[:, :2]
+        shortest, (least, most), _ = _SIZES[kind]
+        sides = spaces[-1].rectangles[:, 2:] - spaces[-1].rectangles[:, :2]
         net += (sides - 2 * HALF_WALL).prod(axis=1).sum()
-        long = space.kind != "hall" and sides[0].max() > 3.2 * sides[0].min()
-        if long or not least <= space.area <= most or sides[0].min() < shortest - 1e-6:
-            return False
-    return bool(_NET_AREA[0] <= net <= _NET_AREA[1])
+        long = kind != "hall" and sides[0].max() > 3.2 * sides[0].min()
+        if long or not least <= spaces[-1].area <= most or sides[0].min() < shortest - 1e-6:
+            return None
+    return tuple(spaces) if _NET_AREA[0] <= net <= _NET_AREA[1] else None
 
 
 def find_boundaries(owner: np.ndarray, *lines: np.ndarray) -> list[Boundary]:

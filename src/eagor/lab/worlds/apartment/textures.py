@@ -1,13 +1,11 @@
 """Materials of a home and what draws them: cloth, wood, tiles, plaster; rugs, paintings, books and screens.
 
-Textures are periodic and grey if one drawing serves every colour (the colour of the `Material` tints them); rugs,
-paintings, books and screens are coloured pictures. Each is drawn once per process, from a generator of its own, so that
-it depends on its name alone. Drawings are linear light ``(h, w, 3)``, or ``(h, w)`` if they are grey, first row at the
-top.
+Textures are periodic, and the colour of the `Material` tints them; rugs, paintings, books and screens are coloured
+pictures. Each is drawn once per process, from a generator of its own, so that it depends on its name alone. Drawings
+are linear light ``(h, w, 3)``, or ``(h, w)`` if they are grey, first row at the top.
 
-Named colours are tones of cloth, paint and wood rather than pure primaries; the names are those of
-`eagor.queries.COLOURS`. Each has a few tones, and every call of `sRGB` varies the tone a little, so that two red chairs
-are both red but not identical. All other colours are linear RGB ``(3,)``.
+The colours of `eagor.queries.COLOURS` are tones of cloth, paint and wood rather than pure primaries, and each call of
+`sRGB` varies the tone a little: two red chairs are both red but not identical. All other colours are linear RGB.
 """
 
 from __future__ import annotations
