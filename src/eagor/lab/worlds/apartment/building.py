@@ -17,7 +17,7 @@ from eagor._srgb import to_coded, to_linear
 from eagor.lab.worlds.apartment import mesh as m
 from eagor.lab.worlds.apartment import plans
 from eagor.lab.worlds.apartment.plans import HALF_WALL, LINING, OUTER_WALL, OUTSIDE, Opening, Plan, Rectangle
-from eagor.lab.worlds.scene import Lamp, Room
+from eagor.lab.worlds.scene import STRUCTURE, Lamp, Room
 
 SOLID = -2
 WALL, TILES, FACADE, REVEAL, FLOOR, CEILING = range(6)  # kinds of surface
@@ -189,8 +189,8 @@ class Thing:
     lamps: tuple[Lamp, ...] = ()
 
 
-def _shell(plan: Plan, cells: Cells, style: Style) -> tuple[dict[str, list[m.Mesh]], ...]:
-    """For each room the parts of its "wall", "floor" and "ceiling"."""
+def _shell(plan: Plan, cells: Cells, style: Style) -> dict[tuple[int, str], list[m.Mesh]]:
+    """The parts of the "wall", "floor" and "ceiling" of each room."""
     meshes: dict[tuple[int, int], list[m.Mesh]] = {}
     zs = cells.lines[2]
     low, high = style.tiled.T[..., None]
@@ -202,17 +202,17 @@ def _shell(plan: Plan, cells: Cells, style: Style) -> tuple[dict[str, list[m.Mes
                 for value, *rectangle in plans.rectangles_of(key[k]):
                     corners = _corners(cells, axis, sign, int(k), rectangle)
                     meshes.setdefault(divmod(value - 1, 8), []).append(corners)
-    rooms = tuple({"wall": [], "floor": [], "ceiling": []} for _ in plan.spaces)
+    parts: dict[tuple[int, str], list[m.Mesh]] = {key: [] for key in product(range(len(plan.spaces)), STRUCTURE[:3])}
     for (place, surface), pieces in sorted(meshes.items()):
         name = {FLOOR: "floor", CEILING: "ceiling"}.get(surface, "wall")
-        rooms[place][name].append(style.covers[place][surface](*pieces))
+        parts[place, name].append(style.covers[place][surface](*pieces))
     for face in wall_faces(cells):
         room, skirting = max(face.rooms), style.skirting[max(face.rooms)]
         if skirting is not None and face.end - face.start > 0.02:
             low = 0.0 if face.rooms[1] == room else -0.012
             x0, y0, x1, y1 = face.box(face.start, face.end, low, low + 0.012)
-            rooms[room]["wall"].append(skirting(m.box((x0, y0, 0.0), (x1, y1, 0.08), grain=face.axis)))
-    return rooms
+            parts[room, "wall"].append(skirting(m.box((x0, y0, 0.0), (x1, y1, 0.08), grain=face.axis)))
+    return parts
 
 
 def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
@@ -259,7 +259,7 @@ def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -
 
 def things(plan: Plan, cells: Cells, style: Style) -> list[Thing]:
     """Walls, floors and ceilings, then doors and windows; the frame of a doorway without a leaf belongs to the wall."""
-    rooms, movable = _shell(plan, cells, style), list[Thing]()
+    shell, movable = _shell(plan, cells, style), list[Thing]()
     for doorway in plan.doorways:
         below, above = doorway.boundary.rooms
         home = above if doorway.side > 0 or below == OUTSIDE else below
@@ -269,17 +269,13 @@ def things(plan: Plan, cells: Cells, style: Style) -> list[Thing]:
             *(_arch(doorway, face, face + thick, 0.01, 0.06) for room, face, thick in casings if room != OUTSIDE),
         )
         if doorway.leaf is None:
-            rooms[home]["wall"].append(frame)
+            shell[home, "wall"].append(frame)
         else:
             movable.append(Thing("door", style.colour, plan.spaces[home].name, (frame, *_leaf(doorway, style))))
     for window in plan.windows:
         room = plan.spaces[max(window.boundary.rooms)]
         movable.append(Thing("window", None, room.name, (style.window(_window(window)),)))
-    still = [
-        Thing(category, None, space.name, tuple(surfaces))
-        for space, room in zip(plan.spaces, rooms, strict=True)
-        for category, surfaces in room.items()
-    ]
+    still = [Thing(name, None, plan.spaces[room].name, tuple(parts)) for (room, name), parts in shell.items()]
     return [*still, *movable]
 
 

@@ -99,10 +99,7 @@ def tap(x: float, y: float, z: float, reach: float, height: float) -> list[m.Mes
 
 
 def trough(low: m.Numbers, high: m.Numbers, outer: m.Numbers, deep: float) -> list[m.Mesh]:
-    """A basin: the hollow from `low` to `high` (x, y), `deep` below the top of its rim, which reaches to `outer`.
-
-    `outer`: x0, y0, x1, y1 and z of the rim, which is 3 cm thick.
-    """
+    """A basin: the hollow from `low` to `high` (x, y), `deep` below its rim, which is `outer` (x0, y0, x1, y1, z)."""
     (a, b), (c, d), (*rim, z), t = low, high, outer, 0.015
     walls, basin = (a - t, b - t, c + t, d + t), []
     for (x0, y0, x1, y1), bottom, top in ((rim, z - 0.03, z), (walls, z - deep, z - 0.03)):

@@ -115,9 +115,6 @@ def _at_least(f: Furnisher, category: str, count: int, rooms: list[int], front: 
             _one_more(f, room, category, front)
 
 
-# --- groups that belong together --------------------------------------------------------------------------------------
-
-
 def lounge(f: Furnisher, room: int) -> bool:
     """A television at a wall, a sofa that faces it, and mostly a coffee table between."""
     television, sofa, low_table = f.make("tv"), f.make("sofa"), f.make("coffee table")
@@ -251,9 +248,6 @@ def _at_wall(f: Furnisher, room: int, made: Model, front: float, side: float = 0
     return f.settle(made, room, f.along_walls(room, made.size, corner=0.6, side=side), front)
 
 
-# --- what is no obstacle ----------------------------------------------------------------------------------------------
-
-
 def rug(f: Furnisher, room: int) -> None:
     """A rug: under the coffee table or the dining table, beside the bed, or where the floor is free."""
     made = f.make("rug")
@@ -317,10 +311,7 @@ def small_things(f: Furnisher) -> None:
 
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
-    """One lamp in the middle of each part of a room, two in a large or long one; `WorldError` if none fits.
-
-    Their power suits the surface of the room.
-    """
+    """One lamp in each part of a room, two in a large or long one, as bright as suits it; `WorldError` if none fits."""
     made, height = f.make("ceiling lamp"), f.plan.height
     for part, (x0, y0, x1, y1) in enumerate(f.rooms[room].rectangles):
         sides = np.array([x1 - x0, y1 - y0])
@@ -343,14 +334,10 @@ def ceiling_lamps(f: Furnisher, room: int) -> None:
     f.pieces[-count:] = [replace(piece, model=made) for piece in f.pieces[-count:]]
 
 
-# --- colours ----------------------------------------------------------------------------------------------------------
-
-
 def tell_apart(f: Furnisher) -> None:
     """Recolour single pieces, mostly a chair, so that "the red chair" is one of several chairs.
 
-    Afterwards at least three solid pieces have a unique name although their category occurs more than once, and at
-    least one name occurs several times. Raises `WorldError` if that fails.
+    Raises `WorldError` unless three solid pieces get a unique name within a category, and one name occurs repeatedly.
     """
     chairs = f.of("chair")
     odd = int(f.rng.choice([0, 1, 2], p=[0.12, 0.7, 0.18])) if len(chairs) > 3 else 0

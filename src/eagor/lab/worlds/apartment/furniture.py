@@ -52,9 +52,6 @@ def build(category: str, colour: str | None, seed: int) -> Model:
     return Model(category, colour, tuple(m.moved(part, -origin) for part in parts), high - low, lamps, seed)
 
 
-# --- tables, chests and shelves ---------------------------------------------------------------------------------------
-
-
 # Ranges of a table's height, of the radius of a round one, and of the depth and the width of another; metres.
 _HIGH = (0.72, 0.76), (0.45, 0.6), (0.78, 0.95), (1.2, 1.8)
 _LOW = (0.36, 0.46), (0.36, 0.46), (0.5, 0.65), (0.9, 1.2)
@@ -129,10 +126,7 @@ def desk(colour: str, rng: Generator) -> list[m.Mesh]:
 
 
 def tv(colour: None, rng: Generator) -> list[m.Mesh]:
-    """A flat screen on a low stand or hung on the wall above it; off, or showing a dim picture.
-
-    It has no colour: the set is black, but its stand, which is larger, is not.
-    """
+    """A flat screen on a low stand or hung on the wall above it; off, or showing a dim picture."""
     half, low, foot = rng.uniform(0.475, 0.7), rng.uniform(0.4, 0.52), rng.uniform(0.06, 0.14)
     x, y, hung = 0.21, half + rng.uniform(0.08, 0.25), rng.random() < 0.4
     z, back = low + (0.27 if hung else 0.07), -x + (0.02 if hung else 0.15)
@@ -199,9 +193,6 @@ def book(colour: str, rng: Generator) -> list[m.Mesh]:
         parts += [cover(*lids, m.box((x - 0.003, -y, z), (x, y, top))), m.finish("paint", "white", rng)(pages)]
         z = top
     return parts
-
-
-# --- seats and beds ---------------------------------------------------------------------------------------------------
 
 
 def chair(colour: str, rng: Generator) -> list[m.Mesh]:
@@ -291,9 +282,6 @@ def bed(colour: str, rng: Generator) -> list[m.Mesh]:
     return [*soft, joiner(*frame) if padded else joiner(*frame, head)]
 
 
-# --- the categories ---------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Kind:
     """A category: its choice of main `colours`, empty if none dominates, and what builds a piece in one of them.
@@ -334,5 +322,5 @@ KINDS: dict[str, Kind] = {
     "painting": Kind(tuple(map(str, textures.KINDS["art"].natural)), decor.painting, "hung"),
     "ceiling lamp": Kind(("white", "beige", "black", "grey"), decor.ceiling_lamp, "ceiling"),
     "vase": Kind(("white", "blue", "green", "red", "yellow", "purple", "pink", "black"), decor.vase, "top"),
-    "tv": Kind((), tv),
+    "tv": Kind((), tv),  # the set is black, but its stand, which is larger, is not
 }

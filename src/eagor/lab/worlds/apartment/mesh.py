@@ -1,7 +1,7 @@
 """Meshes: moving and joining them, covering them with a material; solids, most of them by `trimesh.creation`.
 
-Model frame: x forward, y left, z up, right-handed, metres. Triangles run counter-clockwise seen from outside. Wood grain
-runs along u.
+Model frame: x forward, y left, z up, right-handed, metres. Triangles run counter-clockwise seen from outside, and
+wood grain along u.
 """
 
 from __future__ import annotations
@@ -108,9 +108,6 @@ def placed(parts: Sequence[Mesh], angle: float, position: Numbers) -> tuple[Mesh
     return tuple(replace(part, vertices=(part.vertices @ rotation.T + offset).astype(np.float32)) for part in parts)
 
 
-# --- solids -----------------------------------------------------------------------------------------------------------
-
-
 def solid(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> Mesh:
     """The mesh of these vertices ``(V, 3)`` and triangles ``(T, 3)``, its texture projected along the nearest axis.
 
@@ -187,9 +184,6 @@ def tube(path: Sequence[Numbers] | np.ndarray, radius: float, sides: int = 6) ->
     """Round bars from point to point of `path` ``(n, 3)``."""
     bars = [trimesh.creation.cylinder(radius, sections=sides, segment=np.array(ends)) for ends in pairwise(path)]
     return merged(*(solid(bar.vertices, bar.faces) for bar in bars))
-
-
-# --- common joinery ---------------------------------------------------------------------------------------------------
 
 
 def polar(radius: np.ndarray | float, azimuth: np.ndarray | float, z: np.ndarray | float) -> np.ndarray:

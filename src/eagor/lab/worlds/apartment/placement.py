@@ -225,10 +225,7 @@ class Furnisher:
         self, room: int, size: np.ndarray, *, corner: float = 0.0, middle: float = 0.0, gap: float = GAP,
         side: float = 0.04,
     ) -> np.ndarray:  # fmt: skip
-        """Backs to walls: in the corners (score `corner`), the `middle`, and between; `side` metres free at the ends.
-
-        `gap`: metres between the back and the wall.
-        """
+        """Backs to walls, `gap` metres away, `side` free at the ends; scored for the `corner` and the `middle`."""
         found = [np.zeros((0, 6))]
         for face in self.faces:
             if max(face.rooms) != room or face.end - face.start - size[1] - 2 * side < 0:
@@ -264,10 +261,7 @@ class Furnisher:
         return build(category, colour, seed)
 
     def set_down(self, group: Iterable[tuple[Model, np.ndarray]], room: int, zones: Iterable[np.ndarray] = ()) -> bool:
-        """Place models together on the floor if all rooms and pieces stay reachable; otherwise do nothing.
-
-        `zones` stay free from then on.
-        """
+        """Place models together if all rooms and pieces stay reachable, and keep `zones` free; otherwise do nothing."""
         start, around = len(self.pieces), np.isin(self._owner, self.space[room])  # nobody reaches it through a wall
         for model, box in group:
             away = distances(box, self._centres)
@@ -279,10 +273,7 @@ class Furnisher:
         return len(self.pieces) > start
 
     def settle(self, model: Model, room: int, sites: np.ndarray, front: float, reserve: bool = True) -> bool:
-        """Place a model on the best candidate with `front` metres of free floor before it, if there is one.
-
-        `reserve` keeps that floor free from then on.
-        """
+        """Place a model on the best candidate with `front` metres of free floor before it; `reserve` keeps it free."""
         good, reserve = self.stands(room, sites, model), reserve and front > 0
         if front > 0:
             good &= self.open_before(self.space[room], before(sites, front))

@@ -43,6 +43,7 @@ _SIZES = {
 Rooms = list[tuple[str, list[Rectangle]]]
 Pairs = list[tuple[int, int]]
 Layout = tuple[Rooms, Pairs, Pairs]
+Spaces = tuple[Room, ...]  # by their centre lines
 Generator = np.random.Generator
 
 
@@ -252,7 +253,7 @@ class Plan:
     """
 
     family: str
-    spaces: tuple[Room, ...]
+    spaces: Spaces
     walls: tuple[Boundary, ...]
     open_to: frozenset[tuple[int, int]]
     doorways: tuple[Opening, ...]
@@ -286,11 +287,8 @@ def draw_plan(rng: Generator) -> Plan:
     raise WorldError(f"no floor plan of the family {family!r} came out in 400 tries; use another seed")
 
 
-def _spaces(layout: Rooms, rng: Generator) -> tuple[Room, ...] | None:
-    """The rooms of a layout, mirrored and with its axes exchanged at random; None if one is too small or too large.
-
-    Several of one kind are numbered.
-    """
+def _spaces(layout: Rooms, rng: Generator) -> Spaces | None:
+    """The numbered rooms of a layout, mirrored and with exchanged axes at random; None if their sizes do not fit."""
     mirrored, exchanged = rng.random(2) < 0.5, rng.random() < 0.5
     snapped = [np.round(np.multiply(rectangles, SNAP)) / SNAP for _, rectangles in layout]
     ends, kinds = np.concatenate(snapped)[:, 2:].max(axis=0), [kind for kind, _ in layout]
@@ -327,9 +325,7 @@ def find_boundaries(owner: np.ndarray, *lines: np.ndarray) -> list[Boundary]:
     return found
 
 
-def cut_doorways(
-    doors: Pairs, spaces: tuple[Room, ...], boundaries: list[Boundary], rng: Generator
-) -> list[Opening] | None:
+def cut_doorways(doors: Pairs, spaces: Spaces, boundaries: list[Boundary], rng: Generator) -> list[Opening] | None:
     """A doorway for every pair of rooms in `doors`; None if one does not fit."""
     doorways: list[Opening] = []
     for pair in doors:
@@ -343,7 +339,7 @@ def cut_doorways(
     return doorways
 
 
-def _doorway(boundary: Boundary, spaces: tuple[Room, ...], rng: Generator) -> Opening | None:
+def _doorway(boundary: Boundary, spaces: Spaces, rng: Generator) -> Opening | None:
     """One attempt at a doorway in a boundary."""
     entrance, corner = OUTSIDE in boundary.rooms, HALF_WALL + 0.09
     width = round(float(rng.uniform(0.92, 1.0) if entrance else rng.uniform(0.8, 0.95)), 2) + 2 * LINING
@@ -391,9 +387,7 @@ def _overlap(a: Rectangle, b: Rectangle) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
-def cut_windows(
-    spaces: tuple[Room, ...], boundaries: list[Boundary], doorways: list[Opening], rng: Generator
-) -> list[Opening]:
+def cut_windows(spaces: Spaces, boundaries: list[Boundary], doorways: list[Opening], rng: Generator) -> list[Opening]:
     """Windows in the outer walls: wide ones in living rooms, small high ones in bathrooms."""
     windows: list[Opening] = []
     kept = [d.approach(0.3, 0.15) for d in doorways] + [d.leaf_box for d in doorways if d.leaf_box]
@@ -417,7 +411,7 @@ def cut_windows(
     return windows
 
 
-def owners(spaces: tuple[Room, ...], xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+def owners(spaces: Spaces, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
     """The room of each cell between lines along y at `xs` and along x at `ys`, `OUTSIDE` where there is none."""
     middles = np.meshgrid((xs[1:] + xs[:-1]) / 2, (ys[1:] + ys[:-1]) / 2, indexing="ij")
     owner = np.full(middles[0].shape, OUTSIDE)

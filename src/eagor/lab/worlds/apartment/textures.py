@@ -43,11 +43,9 @@ TONES: dict[str, tuple[Tone, ...]] = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of material.
+    """A kind of material: metres that a `repeat` of its texture covers, its default colours, and what draws it, if any.
 
-    `repeat`: metres that one repeat of its texture covers; leaves, lampshades and pictures are drawn from edge to edge,
-    and their builders set uv from 0 to 1. `natural`: its default colours, names or tones; a picture is drawn in those
-    alone (empty: it has none). `draw`: draws one of so many `variants`; None: plain.
+    Leaves, lampshades and pictures are drawn from edge to edge; a picture is drawn in the `natural` colours alone.
     """
 
     repeat: float
