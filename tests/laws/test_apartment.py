@@ -12,7 +12,8 @@ from strategies import at_most
 from eagor.errors import WorldError
 from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
-from eagor.lab.worlds.apartment.building import carve, rooms_of
+from eagor.lab.worlds.apartment.building import carve
+from eagor.lab.worlds.apartment.furniture import KINDS
 from eagor.lab.worlds.apartment.placement import corners, distances, from_rectangle, leaf_footprint, overlaps
 from eagor.lab.worlds.apartment.plans import FAMILIES, LINING, OUTSIDE, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
@@ -21,18 +22,14 @@ from eagor.lab.worlds.scene import STRUCTURE, Raycaster
 SEEDS = (0, 3, 5, 1007)
 MORE = tuple(pytest.param(seed, marks=pytest.mark.slow) for seed in (11, 21))
 seeds = pytest.mark.parametrize("seed", [*SEEDS, *MORE])
-scene = cache(generate)
-apartment = cache(lambda seed: build(seed, "")[0])
+scene = cache(lambda seed: apartment(seed)[2])
+apartment = cache(build)  # the plan, the pieces, and the scene
 
 
-def boxes_of(pieces):
-    """Footprints, and lowest and highest z."""
-    return np.array([piece.box for piece in pieces]), np.array([(piece.bottom, piece.top) for piece in pieces])
-
-
-def standing(seed):
-    """What takes up space: everything but rugs and what stands on other pieces."""
-    return [piece for piece in apartment(seed).pieces if piece.solid or piece.category in ("painting", "ceiling lamp")]
+def furniture(seed):
+    """Each piece with its instance, which the scene lists last."""
+    _, pieces, made = apartment(seed)
+    return list(zip(pieces, made.instances[-len(pieces) :], strict=True))
 
 
 @given(st.integers(0, 10**6))
@@ -56,8 +53,7 @@ def test_a_plan_divides_a_rectangle_into_rooms_that_doors_join(seed):
     assert sum(OUTSIDE in d.boundary.rooms for d in plan.doorways) == 1
     for doorway in plan.doorways:
         assert 0.8 - 1e-6 <= doorway.end - doorway.start - 2 * LINING <= 1.0 + 1e-6
-    rooms = rooms_of(plan, carve(plan))
-    assert 45 - 1e-6 <= sum(room.area for room in rooms) <= 111
+    assert 45 - 1e-6 <= sum(room.area for room in carve(plan).rooms) <= 111
     for window in plan.windows:
         assert sum(room == OUTSIDE for room in window.boundary.rooms) == 1
 
@@ -92,7 +88,7 @@ def test_required_categories_and_structure(seed):
 
 @seeds
 def test_names_can_be_told_apart_and_confused(seed):
-    things = [piece for piece in apartment(seed).pieces if piece.solid]
+    things = [piece for piece, _ in furniture(seed) if piece.solid]
     names, categories = Counter(piece.name for piece in things), Counter(piece.category for piece in things)
     assert sum(names[p.name] == 1 and categories[p.category] > 1 for p in things) >= 3
     assert any(count > 1 for count in names.values())
@@ -102,28 +98,32 @@ def test_names_can_be_told_apart_and_confused(seed):
 
 @seeds
 def test_no_two_solid_pieces_share_space(seed):
-    pieces = standing(seed)
-    boxes, heights = boxes_of(pieces)
+    things = [
+        (piece, thing)
+        for piece, thing in furniture(seed)
+        if piece.solid or piece.category in ("painting", "ceiling lamp")
+    ]  # but rugs and what stands on others
+    boxes = np.array([piece.box for piece, _ in things])
+    heights = np.array([(thing.low[2], thing.high[2]) for _, thing in things])
     hit = overlaps(boxes, boxes)
     hit &= (heights[:, None, 0] < heights[None, :, 1] - 1e-3) & (heights[None, :, 0] < heights[:, None, 1] - 1e-3)
     np.fill_diagonal(hit, False)
-    assert [(pieces[i].category, pieces[j].category) for i, j in np.argwhere(hit)] == []
+    assert [(things[i][1].name, things[j][1].name) for i, j in np.argwhere(hit)] == []
 
 
 @seeds
 def test_pieces_keep_to_their_footprints_rooms_and_heights(seed):
-    made, plan = scene(seed), apartment(seed)
-    first = len(made.instances) - len(plan.pieces)
-    for place, piece in enumerate(plan.pieces):
-        thing = made.instances[first + place]
+    plan, _, made = apartment(seed)
+    for place, (piece, thing) in enumerate(furniture(seed), len(made.instances) - len(furniture(seed))):
         assert (thing.category, thing.colour) == (piece.category, piece.model.colour)
-        room = plan.rooms[piece.room]
+        room = made.rooms[piece.room]
         assert thing.room == room.name
-        points = made.vertices[np.unique(made.triangles[made.instance == first + place])]
+        points = made.vertices[np.unique(made.triangles[made.instance == place])]
         assert distances(piece.box, points[:, :2].astype(float)).max() < 2e-3
-        assert points[:, 2].min() == pytest.approx(piece.bottom, abs=1e-3)
         assert points[:, 2].min() >= -1e-4
-        assert points[:, 2].max() <= plan.plan.height + 1e-3
+        assert points[:, 2].max() <= plan.height + 1e-3
+        if KINDS[piece.category].placement in ("floor", "top"):
+            assert points[:, 2].min() == pytest.approx(piece.z, abs=1e-3)
         grown = room.rectangles + np.array([-2e-3, -2e-3, 2e-3, 2e-3])
         x, y = corners(piece.box, 4)[0].T[:, :, None]
         inside = (grown[:, 0] <= x) & (x <= grown[:, 2]) & (grown[:, 1] <= y) & (y <= grown[:, 3])
@@ -132,14 +132,11 @@ def test_pieces_keep_to_their_footprints_rooms_and_heights(seed):
 
 @seeds
 def test_doorways_and_open_leaves_stay_clear(seed):
-    pieces = [piece for piece in apartment(seed).pieces if piece.solid]
-    boxes, _ = boxes_of(pieces)
-    for doorway in apartment(seed).plan.doorways:
-        way = from_rectangle(doorway.approach(0.6))
-        assert [pieces[i].category for i in np.flatnonzero(overlaps(way, boxes)[0])] == []
-        if doorway.leaf:
-            leaf = leaf_footprint(doorway)
-            assert [pieces[i].category for i in np.flatnonzero(overlaps(leaf, boxes)[0])] == []
+    things = [piece for piece, _ in furniture(seed) if piece.solid]
+    boxes = np.array([piece.box for piece in things])
+    for doorway in apartment(seed)[0].doorways:
+        clear = [from_rectangle(doorway.approach(0.6)), *([leaf_footprint(doorway)] if doorway.leaf else [])]
+        assert [things[i].category for i in np.flatnonzero(overlaps(np.array(clear), boxes).any(axis=0))] == []
 
 
 def test_a_negative_seed_is_refused():
@@ -170,7 +167,7 @@ def test_the_shell_is_closed_but_for_its_windows(seed):
         hits = caster.cast(np.repeat(eye[None], len(ways), axis=0).astype(np.float32), ways.astype(np.float32))
         out = ways[hits.triangle < 0]
         through = np.zeros(len(out), dtype=bool)
-        for hole in apartment(seed).plan.windows:
+        for hole in apartment(seed)[0].windows:
             hx0, hy0, hx1, hy1 = hole.hole
             with np.errstate(divide="ignore"):
                 one = (np.array([hx0, hy0, hole.sill]) - 1e-3 - eye) / out

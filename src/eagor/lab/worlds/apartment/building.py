@@ -8,7 +8,6 @@ rectangles. Doors and windows have linings, casings, leaves with handles, frames
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -16,20 +15,9 @@ import numpy as np
 
 from eagor._srgb import to_coded, to_linear
 from eagor.lab.worlds.apartment import mesh as m
-from eagor.lab.worlds.apartment.mesh import Cover, Mesh, Part, bevelled, box, finish
-from eagor.lab.worlds.apartment.plans import (
-    HALF_WALL,
-    LINING,
-    OUTER_WALL,
-    OUTSIDE,
-    Boundary,
-    Opening,
-    Plan,
-    Rectangle,
-    owners,
-    rectangles_of,
-)
-from eagor.lab.worlds.scene import Lamp, Room
+from eagor.lab.worlds.apartment import plans
+from eagor.lab.worlds.apartment.plans import HALF_WALL, LINING, OUTER_WALL, OUTSIDE, Opening, Plan, Rectangle
+from eagor.lab.worlds.scene import STRUCTURE, Lamp, Room
 
 SOLID = -2
 WALL, TILES, FACADE, REVEAL, FLOOR, CEILING = range(6)  # kinds of surface
@@ -43,7 +31,7 @@ _TINTS = ((222, 230, 216), (214, 224, 232), (238, 222, 204), (232, 216, 214), (2
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The grid.
+    """The grid, and the rooms between their walls, without the floor in doorways.
 
     `lines` along x, y, z; `air` ``(nx, ny, nz)``: the room, `OUTSIDE` or `SOLID`; `hole`: whether the cell is in a
     doorway or window; `owner` ``(nx, ny)``: the room that the walls there belong to.
@@ -53,11 +41,7 @@ class Cells:
     air: np.ndarray
     hole: np.ndarray
     owner: np.ndarray
-
-
-def span(lines: np.ndarray, low: float, high: float) -> slice:
-    """The cells between two of the lines."""
-    return slice(*np.searchsorted(lines, [low - 1e-6, high - 1e-6]).tolist())
+    rooms: tuple[Room, ...]
 
 
 def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
@@ -73,11 +57,14 @@ def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
     heights = [0.0, plan.height, *levels, *(hole.sill for hole in holes), *(hole.head for hole in holes)]
     xs, ys, zs = (np.unique(np.round(values, 4)) for values in (*cuts, heights))
 
+    def span(lines: np.ndarray, low: float, high: float) -> slice:
+        return slice(*np.searchsorted(lines, [low - 1e-6, high - 1e-6]).tolist())
+
     def window(rectangle: Rectangle) -> tuple[slice, slice]:
         x0, y0, x1, y1 = np.round(rectangle, 4)
         return span(xs, x0, x1), span(ys, y0, y1)
 
-    room = owners(plan.spaces, xs, ys)
+    room = plans.owners(plan.spaces, xs, ys)
     owner = room.copy()
     solid = np.zeros(room.shape, dtype=bool)
     corners: tuple[set[tuple[float, float]], ...] = (set(), set())  # the ends of walls along x, and along y
@@ -98,53 +85,18 @@ def carve(plan: Plan, levels: tuple[float, ...] = ()) -> Cells:
         where, upright = window(hole.hole), span(zs, hole.sill, hole.head)
         air[(*where, upright)] = owner[where][:, :, None]
         carved[(*where, upright)] = True
-    return Cells((xs, ys, zs), air, carved, owner)
+    ground = np.where(carved[:, :, 0], SOLID, air[:, :, 0])
+    covers = [_few_rectangles(ground == place, xs, ys) for place in range(len(plan.spaces))]
+    rooms = tuple(Room(space.name, space.kind, cover) for space, cover in zip(plan.spaces, covers, strict=True))
+    return Cells((xs, ys, zs), air, carved, owner, rooms)
 
 
-def rooms_of(plan: Plan, cells: Cells) -> tuple[Room, ...]:
-    """The rooms between their walls, without the floor in doorways."""
-    xs, ys, _ = cells.lines
-    ground = np.where(cells.hole[:, :, 0], SOLID, cells.air[:, :, 0])
-    return tuple(
-        Room(space.name, space.kind, _few_rectangles(ground == place, xs, ys))
-        for place, space in enumerate(plan.spaces)
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class WallFace:
-    """A free stretch of wall from the floor up, seen from its room: at `line`, from `start` to `end` along `axis`.
-
-    `side` is 1 if the room lies on the high side, -1 if it lies on the low side.
-    """
-
-    room: int
-    axis: int
-    line: float
-    start: float
-    end: float
-    side: int
-
-    @property
-    def angle(self) -> float:
-        """The direction into the room, radians."""
-        across = 0.0 if self.side > 0 else math.pi
-        return across if self.axis else math.copysign(math.pi / 2, self.side)
-
-
-def wall_faces(cells: Cells) -> list[WallFace]:
-    """The stretches of wall that stand on the floor, without those inside doorways."""
-    found = []
-    ground, solid = np.where(cells.hole[:, :, 0], OUTSIDE, cells.air[:, :, 0]).T, cells.air[:, :, 0].T == SOLID
-    for axis in (0, 1):  # of both, the first axis runs across the wall
-        lines, along = cells.lines[1 - axis].tolist(), cells.lines[axis].tolist()
-        for k in range(1, len(lines) - 1):
-            for side, inner, outer in ((1, k, k - 1), (-1, k - 1, k)):
-                key = np.where(solid[outer] & (ground[inner] >= 0), ground[inner] + 1, 0)[None]
-                for value, _, start, _, end in rectangles_of(key):
-                    found.append(WallFace(value - 1, axis, lines[k], along[start], along[end], side))
-        ground, solid = ground.T, solid.T
-    return found
+def wall_faces(cells: Cells) -> list[plans.Boundary]:
+    """The stretches of wall that stand on the floor, without those inside doorways: each between a room and `SOLID`."""
+    ground = np.where(cells.hole[:, :, 0], OUTSIDE, cells.air[:, :, 0])
+    edges = plans.find_boundaries(ground, *cells.lines[:2])
+    faces = [edge for edge in edges if min(edge.rooms) == SOLID and max(edge.rooms) >= 0]
+    return sorted(faces, key=lambda face: (face.axis, face.line, face.rooms[1] == SOLID))
 
 
 def _few_rectangles(mask: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
@@ -152,7 +104,7 @@ def _few_rectangles(mask: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndar
     options = []
     for turned, step in product((False, True), (1, -1)):  # from each of two corners, first along x or along y
         view = mask[::step, ::step]
-        cells = np.array(rectangles_of(view.T if turned else view))[:, 1:].reshape(-1, 2, 2)
+        cells = np.array(plans.rectangles_of(view.T if turned else view))[:, 1:].reshape(-1, 2, 2)
         i, j = np.moveaxis(cells[..., ::-1] if turned else cells, 2, 0)
         ends = np.sort(np.stack([xs[::step][i], ys[::step][j]], axis=2), axis=1)
         area = (ends[:, 1] - ends[:, 0]).prod(axis=1)
@@ -164,53 +116,63 @@ def _few_rectangles(mask: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndar
 
 
 @dataclass(frozen=True, eq=False)
-class Finish:
-    """The surfaces of a room; `tiled`: the range of height in which all of its walls have `tiles`."""
+class Style:
+    """The surfaces of the rooms, and what all doors and windows have in common.
 
-    wall: Cover
-    tiles: Cover | None
-    tiled: tuple[float, float]
-    floor: Cover
-    ceiling: Cover
-    reveal: Cover
-    facade: Cover
-    skirting: Cover | None
+    `covers`: of each room, one for each kind of surface by its number; `tiled` ``(rooms, 2)``: the range of height in
+    which its walls have tiles; `skirting`: None where there is none; `panels`: how many the leaf of a door has.
+    """
+
+    covers: tuple[tuple[m.Cover, ...], ...]
+    tiled: np.ndarray
+    skirting: tuple[m.Cover | None, ...]
+    colour: str
+    door: m.Cover
+    frame: m.Cover
+    window: m.Cover
+    metal: m.Cover
+    panels: int
 
 
-def draw_finishes(plan: Plan, rng: np.random.Generator) -> tuple[Finish, ...]:
-    """One finish for each room; rooms that are open to each other share their wall paint and mostly their floor."""
-    facade, white = finish("plaster", None, rng), finish("paint", "white", rng)
-    ceiling = _tinted(finish("paint", "white", rng), (244, 243, 240), rng)
-    parquet = finish("parquet", None, rng)
-    skirting = white if rng.random() < 0.6 else finish("wood", None, rng)
+def draw_style(plan: Plan, rng: np.random.Generator) -> Style:
+    """White or wooden doors; rooms that are open to each other share their wall paint and mostly their floor."""
+    facade, white = m.finish("plaster", None, rng), m.finish("paint", "white", rng)
+    ceiling = _tinted(m.finish("paint", "white", rng), (244, 243, 240), rng)
+    parquet = m.finish("parquet", None, rng)
+    skirting = white if rng.random() < 0.6 else m.finish("wood", None, rng)
     wall_kind = "plaster" if rng.random() < 0.5 else "paint"
-    finishes: list[Finish] = []
+    rooms: list[tuple[tuple[m.Cover, ...], tuple[float, float], m.Cover | None]] = []
     for place, space in enumerate(plan.spaces):
         joined = [a for a, b in plan.open_to if b == place]  # the smaller number stands first
         tone = _WHITES[rng.integers(len(_WHITES))] if rng.random() < 0.5 else _TINTS[rng.integers(len(_TINTS))]
-        wall = finishes[joined[0]].wall if joined else _tinted(finish(wall_kind, "white", rng), tone, rng)
-        tiles, tiled, floor, boards = None, (0.0, 0.0), parquet, skirting
+        wall = rooms[joined[0]][0][WALL] if joined else _tinted(m.finish(wall_kind, "white", rng), tone, rng)
+        tiles, tiled, floor, boards = wall, (0.0, 0.0), parquet, skirting
         if space.kind == "bathroom":
-            tiles, floor, boards = finish("tile", None, rng), finish("tile", None, rng), None
+            tiles, floor, boards = m.finish("tile", None, rng), m.finish("tile", None, rng), None
             tiled = (0.0, plan.height) if rng.random() < 0.5 else (0.0, float(rng.choice([1.4, 2.0])))
         elif space.kind == "kitchen" and (not joined or rng.random() < 0.5):
-            floor = finish("tile", None, rng)
+            floor = m.finish("tile", None, rng)
         elif space.kind == "bedroom" and rng.random() < 0.5 and not joined:
-            floor = finish("carpet", None, rng)
+            floor = m.finish("carpet", None, rng)
         elif space.kind == "hall" and rng.random() < 0.3:
-            floor = finish("tile", None, rng)
-        finishes.append(Finish(wall, tiles, tiled, floor, ceiling, white, facade, boards))
-    return tuple(finishes)
+            floor = m.finish("tile", None, rng)
+        rooms.append(((wall, tiles, facade, white, floor, ceiling), tiled, boards))
+    kind, colour = (("paint", "white"), ("wood", "brown"), ("paint", "white"), ("paint", "grey"))[rng.integers(4)]
+    door = m.finish(kind, colour, rng)
+    frame = door if rng.random() < 0.6 or kind == "wood" else m.finish("paint", "white", rng)
+    window = m.finish("paint", str(rng.choice(["white", "white", "grey", "brown"])), rng)
+    metal = m.finish("metal", None, rng)
+    covers, tiled, boards = zip(*rooms, strict=True)
+    return Style(covers, np.array(tiled), boards, colour, door, frame, window, metal, int(rng.choice([0, 2, 3])))
 
 
-def _tinted(cover: Cover, tone: tuple[int, int, int], rng: np.random.Generator) -> Cover:
+def _tinted(cover: m.Cover, tone: tuple[int, int, int], rng: np.random.Generator) -> m.Cover:
     """`cover` in a slightly varied tone (sRGB, 0 to 255)."""
     look = cover.material
     linear = to_linear(np.array(tone) / 255 * rng.uniform(0.98, 1.02))
     if look.texture is not None:
         linear = linear / to_linear(look.texture[::4, ::4] / 255).mean(axis=(0, 1))
-    r, g, b = to_coded(linear)
-    return Cover(replace(look, name=f"wall {look.name}", colour=(float(r), float(g), float(b))), cover.repeat)
+    return m.Cover(replace(look, name=f"wall {look.name}", colour=tuple(to_coded(linear).tolist())), cover.repeat)
 
 
 # --- walls, floors and ceilings ---------------------------------------------------------------------------------------
@@ -223,37 +185,34 @@ class Thing:
     category: str
     colour: str | None
     room: str | None
-    parts: tuple[Part, ...]
+    parts: tuple[m.Mesh, ...]
     lamps: tuple[Lamp, ...] = ()
 
 
-def shell(plan: Plan, cells: Cells, finishes: tuple[Finish, ...]) -> tuple[dict[str, list[Part]], ...]:
-    """For each room the parts of its "wall", "floor" and "ceiling"."""
-    meshes: dict[tuple[int, int], list[Mesh]] = {}
+def _shell(plan: Plan, cells: Cells, style: Style) -> dict[tuple[int, str], list[m.Mesh]]:
+    """The parts of the "wall", "floor" and "ceiling" of each room."""
+    meshes: dict[tuple[int, int], list[m.Mesh]] = {}
     zs = cells.lines[2]
-    low, high = np.array([room.tiled for room in finishes]).T[..., None]
+    low, high = style.tiled.T[..., None]
     tiled = (zs[:-1] >= low - 1e-6) & (zs[1:] <= high + 1e-6)
     for axis in range(3):
         for sign in (1, -1):
             key = _faces(cells, axis, sign, tiled)
             for k in np.flatnonzero(key.any(axis=(1, 2))):
-                for value, *rectangle in rectangles_of(key[k]):
+                for value, *rectangle in plans.rectangles_of(key[k]):
                     corners = _corners(cells, axis, sign, int(k), rectangle)
                     meshes.setdefault(divmod(value - 1, 8), []).append(corners)
-    rooms = tuple({"wall": [], "floor": [], "ceiling": []} for _ in plan.spaces)
+    parts: dict[tuple[int, str], list[m.Mesh]] = {key: [] for key in product(range(len(plan.spaces)), STRUCTURE[:3])}
     for (place, surface), pieces in sorted(meshes.items()):
-        look = finishes[place]
-        covers = (look.wall, look.tiles or look.wall, look.facade, look.reveal, look.floor, look.ceiling)
         name = {FLOOR: "floor", CEILING: "ceiling"}.get(surface, "wall")
-        rooms[place][name].append(covers[surface](*pieces))
+        parts[place, name].append(style.covers[place][surface](*pieces))
     for face in wall_faces(cells):
-        skirting = finishes[face.room].skirting
+        room, skirting = max(face.rooms), style.skirting[max(face.rooms)]
         if skirting is not None and face.end - face.start > 0.02:
-            low, high = sorted((face.line, face.line + face.side * 0.012))
-            order = [0, 1, 2] if face.axis == 0 else [1, 0, 2]
-            bounds = np.array([[face.start, low, 0.0], [face.end, high, 0.08]])[:, order]
-            rooms[face.room]["wall"].append(skirting(box(*bounds, grain=face.axis)))
-    return rooms
+            low = 0.0 if face.rooms[1] == room else -0.012
+            x0, y0, x1, y1 = face.box(face.start, face.end, low, low + 0.012)
+            parts[room, "wall"].append(skirting(m.box((x0, y0, 0.0), (x1, y1, 0.08), grain=face.axis)))
+    return parts
 
 
 def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
@@ -282,7 +241,7 @@ def _faces(cells: Cells, axis: int, sign: int, tiled: np.ndarray) -> np.ndarray:
     return np.where(shows & (room >= 0), room * 8 + surface + 1, 0)
 
 
-def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -> Mesh:
+def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -> m.Mesh:
     """The rectangle of cells in plane `k` as two triangles that point along `sign` times `axis`."""
     first, second = (other for other in range(3) if other != axis)
     a0, b0, a1, b1 = rectangle
@@ -292,36 +251,15 @@ def _corners(cells: Cells, axis: int, sign: int, k: int, rectangle: list[int]) -
     corners[:, second] = cells.lines[second][[b0, b0, b1, b1]]
     if (sign < 0) != (axis == 1):  # x, z runs clockwise seen from +y
         corners = corners[::-1]
-    return m.solid(corners, m.quad_triangles(1))
+    return m.solid(corners, m.QUAD)
 
 
 # --- doors and windows ------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Style:
-    """What all doors and windows of an apartment have in common; `panels`: how many a leaf has, or none."""
-
-    colour: str
-    door: Cover
-    frame: Cover
-    window: Cover
-    metal: Cover
-    panels: int
-
-
-def draw_style(rng: np.random.Generator) -> Style:
-    """White or wooden doors, white or dark windows."""
-    kind, colour = (("paint", "white"), ("wood", "brown"), ("paint", "white"), ("paint", "grey"))[rng.integers(4)]
-    door = finish(kind, colour, rng)
-    frame = door if rng.random() < 0.6 or kind == "wood" else finish("paint", "white", rng)
-    window = finish("paint", str(rng.choice(["white", "white", "grey", "brown"])), rng)
-    return Style(colour, door, frame, window, finish("metal", None, rng), int(rng.choice([0, 2, 3])))
-
-
-def doors_and_windows(plan: Plan, style: Style, rooms: Sequence[dict[str, list[Part]]]) -> list[Thing]:
-    """Doors and windows as things; the frame of a doorway without a leaf goes to the walls of `rooms` (`shell`)."""
-    things: list[Thing] = []
+def things(plan: Plan, cells: Cells, style: Style) -> list[Thing]:
+    """Walls, floors and ceilings, then doors and windows; the frame of a doorway without a leaf belongs to the wall."""
+    shell, movable = _shell(plan, cells, style), list[Thing]()
     for doorway in plan.doorways:
         below, above = doorway.boundary.rooms
         home = above if doorway.side > 0 or below == OUTSIDE else below
@@ -331,25 +269,26 @@ def doors_and_windows(plan: Plan, style: Style, rooms: Sequence[dict[str, list[P
             *(_arch(doorway, face, face + thick, 0.01, 0.06) for room, face, thick in casings if room != OUTSIDE),
         )
         if doorway.leaf is None:
-            rooms[home]["wall"].append(frame)
+            shell[home, "wall"].append(frame)
         else:
-            things.append(Thing("door", style.colour, plan.spaces[home].name, (frame, *_leaf(doorway, style))))
+            movable.append(Thing("door", style.colour, plan.spaces[home].name, (frame, *_leaf(doorway, style))))
     for window in plan.windows:
         room = plan.spaces[max(window.boundary.rooms)]
-        things.append(Thing("window", None, room.name, (style.window(_window(window)),)))
-    return things
+        movable.append(Thing("window", None, room.name, (style.window(_window(window)),)))
+    still = [Thing(name, None, plan.spaces[room].name, tuple(parts)) for (room, name), parts in shell.items()]
+    return [*still, *movable]
 
 
-def _bars(boundary: Boundary, *bars: tuple[float, ...]) -> Mesh:
+def _bars(boundary: plans.Boundary, *bars: tuple[float, ...]) -> m.Mesh:
     """Boards from and to, along and across a boundary, and in height: six numbers each."""
     made = []
     for start, end, near, far, bottom, top in bars:
         x0, y0, x1, y1 = boundary.box(start, end, min(near, far), max(near, far))
-        made.append(box((x0, y0, bottom), (x1, y1, top)))
+        made.append(m.box((x0, y0, bottom), (x1, y1, top)))
     return m.merged(*made)
 
 
-def _arch(doorway: Opening, near: float, far: float, inwards: float, outwards: float) -> Mesh:
+def _arch(doorway: Opening, near: float, far: float, inwards: float, outwards: float) -> m.Mesh:
     """Two posts and a lintel round a doorway, from `near` to `far` across; how far they reach into it and beyond it."""
     start, end, head = doorway.start, doorway.end, doorway.head
     return _bars(
@@ -360,23 +299,25 @@ def _arch(doorway: Opening, near: float, far: float, inwards: float, outwards: f
     )
 
 
-def _leaf(doorway: Opening, style: Style) -> tuple[Part, ...]:
+def _leaf(doorway: Opening, style: Style) -> tuple[m.Mesh, ...]:
     """The leaf in its place: open, or closed in the niche of the front door."""
     width, top = doorway.end - doorway.start - 2 * LINING - 0.006, doorway.head - LINING - 0.005
     origin = doorway.at(0.0, 0.0)
     along, across = doorway.at(1.0, 0.0) - origin, doorway.at(0.0, 1.0) - origin
     near = 0.0 if along[0] * across[1] - along[1] * across[0] > 0 else -_LEAF  # its thickness lies towards the wall
     far, tall, x = near + _LEAF, (top - 0.28) / max(style.panels, 1), width - 0.06
-    slab = [bevelled((0.003, near, 0.008), (width, far, top), 0.003, grain=2)]
+    slab = [m.bevelled((0.003, near, 0.008), (width, far, top), 0.003, grain=2)]
     for low in 0.18 + tall * np.arange(style.panels):
-        slab.append(bevelled((0.12, near - 0.007, low), (width - 0.12, far + 0.007, low + tall - 0.08), 0.004, grain=2))
-    plate = box((x - 0.018, near - 0.006, 0.92), (x + 0.018, far + 0.006, 1.12))
+        slab.append(
+            m.bevelled((0.12, near - 0.007, low), (width - 0.12, far + 0.007, low + tall - 0.08), 0.004, grain=2)
+        )
+    plate = m.box((x - 0.018, near - 0.006, 0.92), (x + 0.018, far + 0.006, 1.12))
     ends = near - 0.045, far + 0.045  # one bar through the leaf, bent on both sides
     bar = m.tube([(x - 0.11, ends[0], 1.03), (x, ends[0], 1.03), (x, ends[1], 1.03), (x - 0.11, ends[1], 1.03)], 0.009)
     return m.placed([style.door(*slab), style.metal(plate, bar)], math.atan2(along[1], along[0]), (*origin, 0.0))
 
 
-def _window(window: Opening) -> Mesh:
+def _window(window: Opening) -> m.Mesh:
     """Frame with muntins in the outer half of the wall, and a sill board; there is no glass."""
     start, end, low, high, thick = window.start, window.end, window.sill, window.head, 0.05
     outwards = -1 if window.boundary.rooms[0] == OUTSIDE else 1

@@ -1,7 +1,7 @@
 """The choice of furniture for each room, and the groups that belong together.
 
-Groups are sofa and television, table and chairs, bed and nightstands, desk and chair; fixtures, which are kitchen units
-and bathrooms: pieces side by side at walls. The last items are rugs, paintings, small things on tables, ceiling lamps.
+First come sofa and television, kitchen units, bathrooms, beds, table and chairs; then single pieces; last what is no
+obstacle: ceiling lamps, rugs, paintings, small things on tables.
 """
 
 from __future__ import annotations
@@ -12,21 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from eagor.errors import WorldError
+from eagor.lab.worlds.apartment import placement as p
 from eagor.lab.worlds.apartment.furniture import KINDS, Model, build
-from eagor.lab.worlds.apartment.placement import (
-    GAP,
-    Furnisher,
-    NoRoom,
-    Piece,
-    advanced,
-    before,
-    best,
-    candidates,
-    from_rectangle,
-    relative,
-    reversed_,
-    untouched,
-)
+from eagor.lab.worlds.apartment.placement import Furnisher, Piece
 
 REQUIRED = ("chair", "bed", "plant", "toilet", "tv", "sofa", "table", "sink")
 
@@ -60,14 +49,16 @@ _DECORATED = {  # the fewest and the most paintings, and the chance of a rug
 }  # fmt: skip
 _CORNERS = {"plant": 0.8, "lamp": 0.8, "wardrobe": 0.5, "bookshelf": 0.3, "armchair": 0.4}  # how much it likes them
 _TOPS = {"table": 0.6, "coffee table": 0.6, "desk": 0.6, "dresser": 0.8, "nightstand": 0.5}  # chance of an item on it
-_EYE_LEVEL = 1.52
+_EYE_LEVEL = 1.6  # of the middle of a picture
 _LEAST_UNIQUE = 3
+_LIT = 75.0  # square metres of floor, walls and ceiling of a room for which one ceiling lamp is right
+_SHARES = (0.2, 1.7)  # range of that power, as of real lamps
 # Without a colour of their own: fixtures take the colour of their room, and all units of a kitchen share one.
 _FIXED = ("sink", "toilet", "bathtub", "cabinet", "refrigerator", "stove")
 
 
 def furnish(f: Furnisher) -> list[Piece]:
-    """Furniture for all rooms. Raises `NoRoom` if a required piece does not fit."""
+    """Furniture for all rooms. Raises `WorldError` if a required piece does not fit."""
     rng, kinds, area = f.rng, [room.kind for room in f.rooms], [room.area for room in f.rooms]
     places = {kind: [room for room, other in enumerate(kinds) if other == kind] for kind in _MORE}
     f.habits["chair"] = str(rng.choice(KINDS["chair"].colours))
@@ -75,13 +66,13 @@ def furnish(f: Furnisher) -> list[Piece]:
     for kind, rule in rules.items():
         for room in places[kind]:
             if not any(rule(f, room) for _ in range(4)):
-                raise NoRoom(f"the {kind} is too small for what belongs there")
+                raise WorldError(f"the {kind} is too small for what belongs there")
     # The dining table stands in the dining room, else in the kitchen or the living room, wherever it fits.
     spacious = area[places["kitchen"][0]] > 10 and rng.random() < 0.8
     order = ("dining room", "kitchen", "living room") if spacious else ("dining room", "living room", "kitchen")
     sizes = [(room, least, most) for least, most in ((4, 6), (2, 4)) for kind in order for room in places[kind]]
     if not any(dining(f, *size) for size in sizes):
-        raise NoRoom("no place for a table with chairs")
+        raise WorldError("no place for a table with chairs")
     for room in rng.permutation(len(kinds)).tolist():
         for category, chance, each, front in _MORE[kinds[room]]:
             for _ in range(max(1, int(area[room] / each))):
@@ -90,9 +81,8 @@ def furnish(f: Furnisher) -> list[Piece]:
     _at_least(f, "plant", 2, list(range(len(kinds))), front=0.0)
     dry = [room for room, kind in enumerate(kinds) if kind not in ("hall", "bathroom")]
     _at_least(f, "chair", int(rng.integers(4, 7)), dry, front=0.2)
-    missing = [category for category in REQUIRED if not f.of(category)]
-    if missing:
-        raise NoRoom(f"no place for {', '.join(missing)}")
+    if not f.of("plant"):
+        raise WorldError("no place for a plant")
     for room, kind in enumerate(kinds):
         ceiling_lamps(f, room)
         fewest, most, covered = _DECORATED[kind]
@@ -113,7 +103,7 @@ def _one_more(f: Furnisher, room: int, category: str, front: float) -> None:
     made = f.make(category, f.habits["chair"] if category == "chair" else None)
     gap, soft = 0.06 if category in ("plant", "lamp") else 0.02, category in ("sofa", "armchair")
     sites = f.along_walls(room, made.size, corner=_CORNERS.get(category, 0.0), middle=0.2, gap=gap, side=gap)
-    f.settle(made, room, sites, front=front, reserve=not soft)
+    f.settle(made, room, sites, front, reserve=not soft)
 
 
 def _at_least(f: Furnisher, category: str, count: int, rooms: list[int], front: float) -> None:
@@ -125,9 +115,6 @@ def _at_least(f: Furnisher, category: str, count: int, rooms: list[int], front: 
             _one_more(f, room, category, front)
 
 
-# --- groups that belong together --------------------------------------------------------------------------------------
-
-
 def lounge(f: Furnisher, room: int) -> bool:
     """A television at a wall, a sofa that faces it, and mostly a coffee table between."""
     television, sofa, low_table = f.make("tv"), f.make("sofa"), f.make("coffee table")
@@ -135,25 +122,23 @@ def lounge(f: Furnisher, room: int) -> bool:
     walls = walls[f.stands(room, walls, television)]
     gap = np.tile(np.linspace(1.6, 4.0, 49), len(walls))
     screen = walls.repeat(49, axis=0)
-    seat = reversed_(advanced(screen, (television.size[0] + sofa.size[0]) / 2 + gap))
+    seat = p.advanced(screen, (television.size[0] + sofa.size[0]) / 2 + gap)
+    seat[:, 4] = np.remainder(seat[:, 4] + 2 * math.pi, 2 * math.pi) - math.pi  # it looks back
     seat[:, 2:4] = sofa.size[:2] / 2
-    between = before(seat, 0.5)
+    between = p.before(seat, 0.5)
     between[:, :2] = (screen[:, :2] + seat[:, :2]) / 2
     between[:, 2], between[:, 3] = gap / 2 - 0.01, 0.55
     # A sofa stands at a wall, which is best, or far enough from it to walk behind.
-    behind, space = reversed_(seat), f.space[room]
-    at_wall = ~f.inside(space, before(behind, 0.06))
+    at_wall = ~f.inside(f.space[room], p.before(seat, -0.06))
     seat[:, 5] += f.rng.uniform(0, 0.5, len(seat)) + at_wall * (1.0 - 0.15 * np.abs(gap - 2.6))
-    good = f.stands(room, seat, sofa) & f.open_before(room, between)
-    good &= at_wall | f.inside(space, before(behind, 0.65))
-    deep = low_table.size[0]
-    for place in best(seat, good, 12):
-        group = [(television, screen[place]), (sofa, seat[place])]
+    good = f.stands(room, seat, sofa) & f.open_before(f.space[room], between)
+    good &= at_wall | f.inside(f.space[room], p.before(seat, -0.65))
+    for place in p.best(seat, good, 12):
+        group, deep = [(television, screen[place]), (sofa, seat[place])], low_table.size[0]
         reach = f.rng.uniform(0.36, 0.44)
         if gap[place] > reach + deep + 0.5:
-            group.append((low_table, relative(seat[place], (sofa.size[0] + deep) / 2 + reach, 0.0, low_table.size)))
-        if f.set_down(group, room):
-            f.kept.append(between[place, :5])
+            group.append((low_table, p.relative(seat[place], (sofa.size[0] + deep) / 2 + reach, 0.0, low_table.size)))
+        if f.set_down(group, room, between[[place], :5]):
             return True
     return False
 
@@ -163,11 +148,11 @@ def dining(f: Furnisher, room: int, least: int, most: int) -> bool:
     table, chair = f.make("table"), f.make("chair", f.habits["chair"])
     flat = f.along_walls(room, table.size, middle=0.3, gap=0.06) - np.array([0, 0, 0, 0, 0, 1.6])  # rather not
     sites = np.concatenate([f.in_room(room, table.size, 60), flat])
-    good = f.fits(room, sites, (0.0, table.height))
+    good = f.fits(room, sites, table)
     wanted = int(f.rng.integers(least, most + 1))
-    for box in sites[best(sites, good, 14)]:
+    for box in sites[p.best(sites, good, 14)]:
         seats = _round_table(f, box, chair.size)
-        seats = seats[f.fits(room, seats, (0.0, chair.height))][:wanted]
+        seats = seats[f.fits(room, seats, chair)][:wanted]
         if len(seats) >= least and f.set_down([(table, box), *((chair, seat) for seat in seats)], room):
             return True
     return False
@@ -177,14 +162,12 @@ def _round_table(f: Furnisher, table: np.ndarray, chair: np.ndarray) -> np.ndarr
     """Places ``(n, 5)`` for chairs of one size round a table, the most natural first."""
     (depth, width, _), (hx, hy) = chair, table[2:4]
     count = 1 if abs(hx - hy) < 0.1 else max(1, int(2 * hy / (width + 0.12)))
-    sides = [(sign, (i + 0.5) * 2 * hy / count - hy, True) for i in range(count) for sign in (1, -1)]
+    sides = [(sign, (i + 0.5) * 2 * hy / count - hy, 0) for i in range(count) for sign in (1, -1)]
     places = []
-    for sign, left, long_side in [*sides, (1, 0.0, False), (-1, 0.0, False)]:
+    for front, left, end in [*sides, (0, 0.0, 1), (0, 0.0, -1)]:
         out, turn = f.rng.uniform(0.05, 0.12) + depth / 2, f.rng.uniform(-0.07, 0.07)
-        if long_side:
-            places.append(relative(table, sign * (hx + out), left, chair, (math.pi if sign > 0 else 0.0) + turn))
-        else:
-            places.append(relative(table, 0.0, sign * (hy + out), chair, turn - sign * math.pi / 2))
+        turn += math.pi if front > 0 else -end * math.pi / 2
+        places.append(p.relative(table, front * (hx + out), left + end * (hy + out), chair, turn))
     return np.array(places)
 
 
@@ -192,12 +175,11 @@ def workplace(f: Furnisher, room: int) -> None:
     """A desk at a wall or window with a chair that faces it."""
     desk, chair = f.make("desk"), f.make("chair", f.habits["chair"])
     sites = f.along_walls(room, desk.size, corner=0.3, gap=0.05)
-    good = f.stands(room, sites, desk) & f.open_before(room, before(sites, chair.size[0] + 0.35))
-    for box in sites[best(sites, good, 8)]:
+    good = f.stands(room, sites, desk) & f.open_before(f.space[room], p.before(sites, chair.size[0] + 0.35))
+    for box in sites[p.best(sites, good, 8)]:
         turn = math.pi + f.rng.uniform(-0.1, 0.1)
-        seat = relative(box, (desk.size[0] + chair.size[0]) / 2 + 0.04, 0.0, chair.size, turn)
-        fits = f.fits(room, seat[None], (0.0, chair.height))[0]
-        if fits and f.set_down([(desk, box), (chair, seat)], room):
+        seat = p.relative(box, (desk.size[0] + chair.size[0]) / 2 + 0.04, 0.0, chair.size, turn)
+        if f.fits(room, seat[None], chair)[0] and f.set_down([(desk, box), (chair, seat)], room):
             return
 
 
@@ -206,26 +188,23 @@ def sleeping(f: Furnisher, room: int) -> bool:
     for _ in range(3):  # beds vary a lot in width
         made = f.make("bed")
         double = made.size[1] > 1.3
-        corner, middle = (0.0, 0.4) if double else (0.5, 0.0)
-        sites = f.along_walls(room, made.size, corner=corner, middle=middle, side=0.06)
-        wide = sites + np.array([0, 0, 0, 0.45, 0, 0])
-        sites[:, 5] += 0.6 * f.inside(f.space[room], wide) * double
-        bed = f.settle(made, room, sites, front=0.35, reserve=False)
-        if bed:
+        sites = f.along_walls(room, made.size, corner=0.5 * (not double), middle=0.4 * double, side=0.06)
+        sites[:, 5] += 0.6 * f.inside(f.space[room], sites + np.array([0, 0, 0, 0.45, 0, 0])) * double
+        if f.settle(made, room, sites, 0.35, reserve=False):
             break
     else:
         return False
-    stand = f.make("nightstand")
+    bed, stand = f.pieces[-1].box, f.make("nightstand")
     for side in (1, -1) if f.rng.random() < 0.8 else (1,):
-        left = side * (bed.box[3] + stand.size[1] / 2 + 0.04)
-        box = relative(bed.box, stand.size[0] / 2 - bed.box[2], left, stand.size)
-        f.settle(stand, room, candidates((box[None], 0.0)), front=0.3, reserve=False)
+        left = side * (bed[3] + stand.size[1] / 2 + 0.04)
+        box = p.relative(bed, stand.size[0] / 2 - bed[2], left, stand.size)
+        f.settle(stand, room, np.append(box, 0.0)[None], 0.3, reserve=False)
     return True
 
 
 def fit_kitchen(f: Furnisher, room: int) -> bool:
     """A row of units along one wall, as many as fit; the others stand elsewhere if there is room."""
-    start = f.mark()
+    start = len(f.pieces)
     units = {
         name: f.make(name, "grey" if name == "sink" else None) for name in ("cabinet", "sink", "stove", "refrigerator")
     }
@@ -233,7 +212,7 @@ def fit_kitchen(f: Furnisher, room: int) -> bool:
         rest = [made for name, made in units.items() if name not in row]
         if _row(f, room, [units[name] for name in row]) and all([_at_wall(f, room, made, 0.6) for made in rest]):
             return True
-        f.back_to(start)
+        del f.pieces[start:]
     return False
 
 
@@ -241,86 +220,74 @@ def _row(f: Furnisher, room: int, units: list[Model]) -> bool:
     """Place units side by side, flush with the wall, where there is room for all of them."""
     widths, deepest = np.array([model.size[1] for model in units]) + 0.004, max(model.size[0] for model in units)
     left = np.cumsum(widths) - widths / 2 - widths.sum() / 2
-    sites = f.along_walls(room, np.array([deepest, widths.sum()]), corner=0.5, side=GAP)
-    for site in sites[best(sites, np.ones(len(sites), dtype=bool), 30)]:
+    sites = f.along_walls(room, np.array([deepest, widths.sum()]), corner=0.5, side=p.GAP)
+    for site in sites[p.best(sites, np.ones(len(sites), dtype=bool), 30)]:
         spots = zip(units, left, strict=True)
-        boxes = np.array([relative(site, (unit.size[0] - deepest) / 2, at, unit.size) for unit, at in spots])
-        zone, group = before(boxes, 0.7), list(zip(units, boxes, strict=True))
-        fit = all(_unit_fits(f, room, unit, box[None]) for unit, box in group)
-        if fit and f.open_before(room, zone).all() and f.set_down(group, room):
-            f.kept.extend(zone)
+        boxes = np.array([p.relative(site, (unit.size[0] - deepest) / 2, at, unit.size) for unit, at in spots])
+        zones, group = p.before(boxes, 0.7), list(zip(units, boxes, strict=True))
+        fit = all(f.stands(room, box[None], unit, 0.004)[0] for unit, box in group)
+        if fit and f.open_before(f.space[room], zones).all() and f.set_down(group, room, zones):
             return True
     return False
-
-
-def _unit_fits(f: Furnisher, room: int, model: Model, box: np.ndarray) -> bool:
-    """Whether a unit fits into its place ``(1, 5)`` in a row; only a sink, with its tap, may stand before a window."""
-    sill = 1.0 if model.category == "sink" else model.height
-    return bool(f.fits(room, box, (0.0, model.height), 0.004)[0] and f.beside_windows(box, sill)[0])
 
 
 def fit_bathroom(f: Furnisher, room: int) -> bool:
     """Toilet, sink and, where it fits, a bathtub."""
-    start = f.mark()
+    start = len(f.pieces)
     fixtures = [f.make("toilet"), f.make("sink", "white")]
     for bathtub in (True, True, True, False, False):
         if bathtub:
-            _at_wall(f, room, f.make("bathtub"), 0.45, side=GAP)
+            _at_wall(f, room, f.make("bathtub"), 0.45, side=p.GAP)
         if all(_at_wall(f, room, made, 0.5, side=0.15) for made in fixtures):
             return True
-        f.back_to(start)
+        del f.pieces[start:]
     return False
 
 
 def _at_wall(f: Furnisher, room: int, made: Model, front: float, side: float = 0.03) -> bool:
-    return f.settle(made, room, f.along_walls(room, made.size, corner=0.6, side=side), front=front) is not None
-
-
-# --- what is no obstacle ----------------------------------------------------------------------------------------------
+    return f.settle(made, room, f.along_walls(room, made.size, corner=0.6, side=side), front)
 
 
 def rug(f: Furnisher, room: int) -> None:
     """A rug: under the coffee table or the dining table, beside the bed, or where the floor is free."""
     made = f.make("rug")
-    size = made.size
-    anywhere = f.in_room(room, size, 30)
-    sites = [anywhere[f.clear(anywhere)]]
+    sites, size = f.in_room(room, made.size, 30), made.size
+    more: list[tuple[np.ndarray, float]] = []
     for category, bonus in (("coffee table", 3.0), ("table", 2.0)):
         for table in f.of(category, room):
-            boxes = np.array([relative(table.box, 0, 0, size, turn) for turn in (0.0, math.pi / 2)])
-            sites.append(candidates((boxes, np.array([bonus + 0.1, bonus]))))
+            more.append((p.relative(table.box, 0, 0, size), bonus + 0.1))
+            more.append((p.relative(table.box, 0, 0, size, math.pi / 2), bonus))
     for bed in f.of("bed", room):
         out = bed.box[3] + size[0] / 2 - 0.1
-        beside = [relative(bed.box, 0.2, side * out, size, math.pi / 2) for side in (-1, 1)]
-        sites.append(candidates((np.array([relative(before(bed.box, 1.0)[0], 0, 0, size), *beside]), 1.0)))
-    every = np.concatenate(sites)
-    doors = [from_rectangle(d.leaf_box) for d in f.plan.doorways if d.leaf_box is not None]
-    good = f.inside([room], every) & untouched(every, doors + [piece.box for piece in f.of("rug")])
-    for box in every[best(every, good, 1), :5]:
-        f.record(made, room, box, 0.0)
+        more.append((p.relative(p.before(bed.box, 1.0)[0], 0, 0, size), 1.0))
+        more += [(p.relative(bed.box, 0.2, side * out, size, math.pi / 2), 1.0) for side in (-1, 1)]
+    free = sites[f.open_before([room], sites)]
+    sites = np.reshape([*free, *((*box, score) for box, score in more)], (-1, 6))
+    taken = [p.from_rectangle(door.leaf_box) for door in f.plan.doorways if door.leaf_box]
+    good = f.inside([room], sites) & p.untouched(sites, taken + [piece.box for piece in f.of("rug")])
+    for box in sites[p.best(sites, good, 1), :5]:
+        f.pieces.append(Piece(room, made, box))
 
 
 def painting(f: Furnisher, room: int) -> None:
     """A picture on a free patch of wall, best over the middle of a sofa, a bed or a low piece."""
     made = f.make("painting")
     depth, _, height = made.size
-    z = min(_EYE_LEVEL + 0.08, f.plan.height - height / 2 - 0.25)
+    z = min(_EYE_LEVEL, f.plan.height - height / 2 - 0.25)
     sites = f.along_walls(room, made.size, gap=0.0, side=0.15)
-    left = np.stack([-np.sin(sites[:, 4]), np.cos(sites[:, 4])], axis=1)
     for piece in (piece for category in ("sofa", "bed", "dresser", "desk") for piece in f.of(category, room)):
-        over = sites[~untouched(before(sites, 0.3), [piece.box])]
-        way = left[~untouched(before(sites, 0.3), [piece.box])]
-        over[:, :2] += ((piece.box[:2] - over[:, :2]) * way).sum(axis=1, keepdims=True) * way
+        over = sites[~p.untouched(p.before(sites, 0.3), [piece.box])]
+        left = np.stack([-np.sin(over[:, 4]), np.cos(over[:, 4])], axis=1)
+        over[:, :2] += ((piece.box[:2] - over[:, :2]) * left).sum(axis=1, keepdims=True) * left
         over[:, 5] += 1.0
-        sites, left = np.concatenate([sites, over]), np.concatenate([left, way])
-    wide = advanced(sites, 0.18 - depth / 2)  # free air around and before it
+        sites = np.concatenate([sites, over])
+    wide = p.advanced(sites, 0.18 - depth / 2)  # free air around and before it
     wide[:, 2], wide[:, 3] = 0.18, wide[:, 3] + 0.1
-    good = f.fits(room, wide, (z - height / 2 - 0.04, z + height / 2 + 0.04), 0.0, kept=False)
+    good = f.in_air(room, wide, z - height / 2 - 0.04, z + height / 2 + 0.04, 0.0)
     good &= f.beside_windows(wide, z + height / 2)
-    good &= untouched(wide, [from_rectangle(d.approach(0.4, 0.1)) for d in f.plan.doorways])
-    for box in sites[best(sites, good, 1), :5]:
-        f.solid.append(np.array([*box, z - height / 2, z + height / 2]))
-        f.pieces.append(Piece(room, made, box, np.array([*advanced(box, -depth / 2)[0, :2], z]), solid=False))
+    good &= p.untouched(wide, [p.from_rectangle(door.approach(0.4, 0.1)) for door in f.plan.doorways])
+    for box in sites[p.best(sites, good, 1), :5]:
+        f.pieces.append(Piece(room, made, box, z, (z - height / 2, z + height / 2)))
 
 
 def small_things(f: Furnisher) -> None:
@@ -333,21 +300,19 @@ def small_things(f: Furnisher) -> None:
         for _ in range(int(f.rng.integers(1, 3))):
             made = f.make(str(f.rng.choice(categories)))
             room = piece.box[2:4] - np.hypot(made.size[0], made.size[1]) / 2 - 0.05
-            if piece.category in ("table", "coffee table"):
-                room = room * 0.6  # tops may be round
+            room = room * (0.6 if "table" in piece.category else 1.0)  # tops may be round
             if (room < 0).any():
                 continue
             forward, left = f.rng.uniform(-room, room)
-            box = relative(piece.box, forward, left, made.size, f.rng.uniform(-0.6, 0.6))
-            if untouched(box[None], taken)[0]:
+            box = p.relative(piece.box, forward, left, made.size, f.rng.uniform(-0.6, 0.6))
+            if p.untouched(box[None], taken)[0]:
                 taken.append(box)
-                f.record(made, piece.room, box, piece.top)
+                f.pieces.append(Piece(piece.room, made, box, piece.model.size[2]))
 
 
 def ceiling_lamps(f: Furnisher, room: int) -> None:
-    """One lamp in the middle of each part of a room, two in a large or long one; `NoRoom` if none fits."""
-    made, ceiling = f.make("ceiling lamp"), f.plan.height
-    air = ceiling - made.height, ceiling
+    """One lamp in each part of a room, two in a large or long one, as bright as suits it; `WorldError` if none fits."""
+    made, height = f.make("ceiling lamp"), f.plan.height
     for part, (x0, y0, x1, y1) in enumerate(f.rooms[room].rectangles):
         sides = np.array([x1 - x0, y1 - y0])
         if part > 0 and sides.prod() < 2.0:
@@ -357,21 +322,22 @@ def ceiling_lamps(f: Furnisher, room: int) -> None:
             boxes = np.tile([(x0 + x1) / 2, (y0 + y1) / 2, made.size[0] / 2, made.size[1] / 2, 0.0], (91, 1))
             boxes[:, sides.argmax()] += ((i + 0.5) / count - 0.5) * sides.max()
             boxes[1:, :2] += f.rng.normal(0, 0.4, (90, 2))
-            for box in boxes[f.fits(room, boxes, air, 0.05, kept=False)][:1]:
-                f.solid.append(np.array([*box, *air]))
-                f.record(made, room, box, ceiling)
-    if not f.of("ceiling lamp", room):
-        raise NoRoom(f"no place for a lamp in the {f.rooms[room].name}")
-
-
-# --- colours ----------------------------------------------------------------------------------------------------------
+            for box in boxes[f.in_air(room, boxes, height - made.size[2], height, 0.05)][:1]:
+                f.pieces.append(Piece(room, made, box, height, (height - made.size[2], height)))
+    count = len(f.of("ceiling lamp", room))
+    if not count:
+        raise WorldError(f"no place for a lamp in the {f.rooms[room].name}")
+    x0, y0, x1, y1 = f.rooms[room].rectangles.T
+    surface = 2 * f.rooms[room].area + float((2 * (x1 - x0 + y1 - y0)).sum()) * height
+    share = float(np.clip(surface / _LIT / count, *_SHARES))
+    made = replace(made, lamps=tuple(replace(lamp, power=share * lamp.power) for lamp in made.lamps))
+    f.pieces[-count:] = [replace(piece, model=made) for piece in f.pieces[-count:]]
 
 
 def tell_apart(f: Furnisher) -> None:
     """Recolour single pieces, mostly a chair, so that "the red chair" is one of several chairs.
 
-    Afterwards at least three solid pieces have a unique name although their category occurs more than once, and at
-    least one name occurs several times. Raises `NoRoom` if that fails.
+    Raises `WorldError` unless three solid pieces get a unique name within a category, and one name occurs repeatedly.
     """
     chairs = f.of("chair")
     odd = int(f.rng.choice([0, 1, 2], p=[0.12, 0.7, 0.18])) if len(chairs) > 3 else 0
@@ -380,16 +346,16 @@ def tell_apart(f: Furnisher) -> None:
     for _ in range(40):
         solid = [piece for piece in f.pieces if piece.solid]
         names, categories = Counter(piece.name for piece in solid), Counter(piece.category for piece in solid)
-        unique = [p for p in solid if names[p.name] == 1 and categories[p.category] > 1]
-        repeated = [p for p in solid if names[p.name] > 1]
+        unique = [piece for piece in solid if names[piece.name] == 1 and categories[piece.category] > 1]
+        repeated = [piece for piece in solid if names[piece.name] > 1]
         if len(unique) >= _LEAST_UNIQUE and repeated:
             return
-        # At least two chairs stay alike.
-        pool = [p for p in repeated if p.category not in _FIXED and (p.category != "chair" or names[p.name] > 2)]
+        free = [piece for piece in repeated if piece.category not in _FIXED]
+        pool = [piece for piece in free if piece.category != "chair" or names[piece.name] > 2]  # two chairs stay alike
         if not pool:
             break
         _recolour(f, pool[f.rng.integers(len(pool))])
-    raise NoRoom("too few pieces to tell apart by colour")
+    raise WorldError("too few pieces to tell apart by colour")
 
 
 def _recolour(f: Furnisher, piece: Piece) -> None:

@@ -1,8 +1,7 @@
 """Meshes: moving and joining them, covering them with a material; solids, most of them by `trimesh.creation`.
 
-Model frame: x forward, y left, z up, right-handed, metres. Triangles run counter-clockwise seen from outside. Texture
-coordinates are metres along the surface until `part` divides them by the size of one repeat; textures with a direction
-(wood grain) run along u. The light decides by angles which edges are sharp.
+Model frame: x forward, y left, z up, right-handed, metres. Triangles run counter-clockwise seen from outside, and
+wood grain along u.
 """
 
 from __future__ import annotations
@@ -10,8 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -23,59 +21,49 @@ from eagor.sphere import rotation
 need("an apartment", "sim", "trimesh")
 import trimesh  # noqa: E402
 
-Triple = Sequence[float] | np.ndarray
+Numbers = Sequence[float] | np.ndarray
 
+_BARE = Material("bare")
 _BOX = trimesh.creation.box()
-CORNERS = np.asarray(_BOX.vertices) + 0.5  # of a box, x slowest
+_CORNERS = np.asarray(_BOX.vertices) + 0.5  # x slowest
+_FINE = _BOX.subdivide().subdivide()  # what cushions are blown up from
+# Of a cube with its edges cut off: three points at each corner, their signs, and how far they stand out of its faces.
+_SIGNS = np.repeat(2 * _CORNERS - 1, 3, axis=0)
+_OUTWARD = _SIGNS * np.tile(np.eye(3), (8, 1))
+_HULL = trimesh.convex.convex_hull(2 * _SIGNS + _OUTWARD)  # its vertices are in another order
+_CUT = np.linalg.norm(_HULL.vertices[:, None] - (2 * _SIGNS + _OUTWARD), axis=2).argmin(axis=1)[_HULL.faces]
+QUAD = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)  # the triangles of a face with four corners
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """`vertices` ``(V, 3)`` float32 metres; `triangles` ``(T, 3)`` int32; `uv` ``(T, 3, 2)`` float32 metres."""
+    """`vertices` ``(V, 3)`` float32 metres; `triangles` ``(T, 3)`` int32; `uv` ``(T, 3, 2)`` float32.
+
+    `uv` is in metres until a `Cover` gives the mesh its material; then in repeats of the texture, u to the right, v up.
+    """
 
     vertices: np.ndarray
     triangles: np.ndarray
     uv: np.ndarray
-
-    @property
-    def low(self) -> np.ndarray:
-        """Lowest corner ``(3,)`` of the bounds."""
-        return self.vertices.min(axis=0)
-
-    @property
-    def high(self) -> np.ndarray:
-        """Highest corner ``(3,)`` of the bounds."""
-        return self.vertices.max(axis=0)
-
-
-@dataclass(frozen=True, eq=False)
-class Part(Mesh):
-    """A mesh with one material; `uv` ``(T, 3, 2)`` in repeats of the material's texture, u to the right, v up."""
-
-    material: Material
+    material: Material = _BARE
 
 
 def bounds(meshes: Sequence[Mesh]) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corner ``(3,)``, float64, of several together."""
-    low, high = np.min([mesh.low for mesh in meshes], axis=0), np.max([mesh.high for mesh in meshes], axis=0)
-    return low.astype(np.float64), high.astype(np.float64)
-
-
-def part(mesh: Mesh, material: Material, repeat: float | tuple[float, float] = 1.0) -> Part:
-    """`mesh` covered with `material`; one repeat of its texture measures `repeat` metres (or (u, v) metres)."""
-    uv = mesh.uv / np.broadcast_to(np.asarray(repeat, dtype=np.float32), (2,))
-    return Part(mesh.vertices, mesh.triangles, uv.astype(np.float32), material)
+    vertices = np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float64)
+    return vertices.min(axis=0), vertices.max(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """A material and the metres that one repeat of its texture measures; called with meshes, it makes a `Part`."""
+    """A material and the metres, or (u, v) metres, of one repeat of its texture; it covers meshes, as one."""
 
     material: Material
-    repeat: float
+    repeat: float | tuple[float, float]
 
-    def __call__(self, *meshes: Mesh) -> Part:
-        return part(merged(*meshes), self.material, self.repeat)
+    def __call__(self, *meshes: Mesh) -> Mesh:
+        mesh = merged(*meshes)
+        return replace(mesh, uv=mesh.uv / np.asarray(self.repeat, np.float32), material=self.material)
 
 
 def finish(kind: str, colour: str | None, rng: np.random.Generator) -> Cover:
@@ -83,21 +71,16 @@ def finish(kind: str, colour: str | None, rng: np.random.Generator) -> Cover:
     return Cover(material(kind, colour, rng), KINDS[kind].repeat)
 
 
-def moved(mesh: Mesh, offset: Triple) -> Mesh:
+def moved(mesh: Mesh, offset: Numbers) -> Mesh:
     """`mesh` shifted by `offset` ``(3,)`` metres."""
     return replace(mesh, vertices=mesh.vertices + np.asarray(offset, dtype=np.float32))
 
 
-def turned(mesh: Mesh, rotation: np.ndarray, about: Triple = (0.0, 0.0, 0.0)) -> Mesh:
-    """`mesh` turned by a rotation matrix ``(3, 3)`` about a point; see `eagor.sphere.rotation`."""
-    centre = np.asarray(about, dtype=np.float64)
-    vertices = (mesh.vertices - centre) @ np.asarray(rotation, dtype=np.float64).T + centre
-    return replace(mesh, vertices=vertices.astype(np.float32))
-
-
-def leaning(mesh: Mesh, angle: float, about: Triple = (0.0, 0.0, 0.0)) -> Mesh:
+def leaning(mesh: Mesh, angle: float, about: Numbers = (0.0, 0.0, 0.0)) -> Mesh:
     """`mesh` turned by `angle` radians about an axis along y through a point; its top goes towards -x."""
-    return turned(mesh, rotation((0.0, 1.0, 0.0), -angle), about)
+    centre = np.asarray(about, dtype=np.float64)
+    vertices = (mesh.vertices - centre) @ rotation((0.0, 1.0, 0.0), -angle).T + centre
+    return replace(mesh, vertices=vertices.astype(np.float32))
 
 
 def merged(*meshes: Mesh) -> Mesh:
@@ -119,102 +102,71 @@ def turned_about_z(angle: float) -> np.ndarray:
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def placed(parts: Sequence[Part], angle: float, position: Triple) -> tuple[Part, ...]:
-    """Parts of a model turned by `angle` radians about z, then shifted to `position` ``(3,)``."""
+def placed(parts: Sequence[Mesh], angle: float, position: Numbers) -> tuple[Mesh, ...]:
+    """The parts of a model turned by `angle` radians about z, then shifted to `position` ``(3,)``."""
     rotation, offset = turned_about_z(angle), np.asarray(position, dtype=np.float64)
     return tuple(replace(part, vertices=(part.vertices @ rotation.T + offset).astype(np.float32)) for part in parts)
 
 
-def planar_uv(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> np.ndarray:
-    """Texture coordinates ``(T, 3, 2)`` by projection along the axis that each triangle faces most, metres.
+def solid(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> Mesh:
+    """The mesh of these vertices ``(V, 3)`` and triangles ``(T, 3)``, its texture projected along the nearest axis.
 
     Without `grain`, u runs to the right and v up for someone who looks at the triangle (x and y on horizontal ones).
     With it, u runs along that axis wherever the triangle contains it.
     """
+    vertices, triangles = np.asarray(vertices, dtype=np.float32), np.asarray(triangles, dtype=np.int32)
     corners = vertices[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     axis = np.abs(normal).argmax(axis=1)
-    sign = np.sign(np.take_along_axis(normal, axis[:, None], axis=1)[:, 0])
+    sign = np.sign(np.take_along_axis(normal, axis[:, None], axis=1)[:, 0]) * np.array([1, -1, 1])[axis]
     u_axis, v_axis = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
-    sign = sign * np.array([1, -1, 1])[axis]
     if grain is not None:
         along = axis != grain
         u_axis, v_axis = np.where(along, grain, u_axis), np.where(along, 3 - axis - grain, v_axis)
         sign = np.where(along, 1, sign)
-    rows, points = np.arange(len(triangles))[:, None], np.arange(3)
-    u = corners[rows, points, u_axis[:, None]] * sign[:, None]
-    return np.stack([u, corners[rows, points, v_axis[:, None]]], axis=-1).astype(np.float32)
+    uv = np.take_along_axis(corners, np.stack([u_axis, v_axis], axis=1)[:, None], axis=2)
+    uv[..., 0] *= sign[:, None]
+    return Mesh(vertices, triangles, uv)
 
 
-# --- solids -----------------------------------------------------------------------------------------------------------
-
-
-def solid(vertices: np.ndarray, triangles: np.ndarray, grain: int | None = None) -> Mesh:
-    """The mesh of these vertices ``(V, 3)`` and triangles ``(T, 3)`` with a texture by `planar_uv`."""
-    vertices, triangles = np.asarray(vertices, dtype=np.float32), np.asarray(triangles, dtype=np.int32)
-    return Mesh(vertices, triangles, planar_uv(vertices, triangles, grain))
-
-
-def quad_triangles(count: int) -> np.ndarray:
-    """Two triangles for each of `count` faces with four corners of their own ``(2 count, 3)``."""
-    return (np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.int32)
-
-
-def quad(corners: Sequence[Triple] | np.ndarray) -> Mesh:
+def quad(corners: Sequence[Numbers] | np.ndarray) -> Mesh:
     """A flat four-sided face ``(4, 3)``, counter-clockwise; uv is (0, 0) at corner 0, u towards 1, v towards 3."""
     corners = np.asarray(corners, dtype=np.float64)
     u, v = np.linalg.norm(corners[1] - corners[0]), np.linalg.norm(corners[3] - corners[0])
-    triangles, uv = quad_triangles(1), np.array([[0, 0], [u, 0], [u, v], [0, v]], dtype=np.float32)
-    return Mesh(corners.astype(np.float32), triangles, uv[triangles])
+    uv = np.array([[0, 0], [u, 0], [u, v], [0, v]], dtype=np.float32)
+    return Mesh(corners.astype(np.float32), QUAD, uv[QUAD])
 
 
-def box(low: Triple, high: Triple, grain: int | None = None) -> Mesh:
+def box(low: Numbers, high: Numbers, grain: int | None = None) -> Mesh:
     """A box between two corners ``(3,)``, 12 triangles; the grain along the axis `grain`, or its longest side."""
     size = np.subtract(high, low)
-    return solid(np.asarray(low) + CORNERS * size, _BOX.faces, int(size.argmax()) if grain is None else grain)
+    return solid(np.asarray(low) + _CORNERS * size, _BOX.faces, int(size.argmax()) if grain is None else grain)
 
 
-def post(foot: Triple, top: Triple, foot_size: Triple, top_size: Triple) -> Mesh:
+def post(foot: Numbers, top: Numbers, foot_size: Numbers, top_size: Numbers) -> Mesh:
     """A leg, perhaps leaning and tapered, from `foot` ``(3,)`` to `top`, with sizes (x, y) there; grain along z."""
-    share = CORNERS[:, 2:]
+    share = _CORNERS[:, 2:]
     size = (1 - share) * [*foot_size, 0] + share * [*top_size, 0]
-    return solid((1 - share) * foot + share * np.asarray(top) + (CORNERS - 0.5) * size, _BOX.faces, grain=2)
+    return solid((1 - share) * foot + share * np.asarray(top) + (_CORNERS - 0.5) * size, _BOX.faces, grain=2)
 
 
-@cache
-def _bevelled_cube() -> tuple[np.ndarray, np.ndarray]:
-    """Corners ``(24, 3)`` of a cube, one on the edge of each face, as the face's axis and signs; and the triangles."""
-    signs, faces = np.repeat(2 * CORNERS - 1, 3, axis=0), np.tile(np.eye(3), (8, 1))
-    places = signs * (2 + faces)
-    hull = trimesh.convex.convex_hull(places)  # its vertices are in another order
-    order = np.linalg.norm(hull.vertices[:, None] - places, axis=2).argmin(axis=1)
-    return np.stack([signs, signs * faces]), order[hull.faces]
-
-
-def bevelled(low: Triple, high: Triple, radius: float, grain: int | None = None) -> Mesh:
-    """A box with edges cut off by `radius` (or half of the shortest side): 44 triangles; `grain` as in `planar_uv`."""
+def bevelled(low: Numbers, high: Numbers, radius: float, grain: int | None = None) -> Mesh:
+    """A box with edges cut off by `radius` (or half of the shortest side): 44 triangles; `grain` as in `solid`."""
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     half = (high - low) / 2
     radius = min(float(radius), 0.998 * float(half.min()))
-    (signs, outward), triangles = _bevelled_cube()
-    return solid((low + high) / 2 + signs * (half - radius) + outward * radius, triangles, grain)
+    return solid((low + high) / 2 + _SIGNS * (half - radius) + _OUTWARD * radius, _CUT, grain)
 
 
-@cache
-def _cube() -> tuple[np.ndarray, np.ndarray]:
-    fine = _BOX.subdivide().subdivide()
-    return 2 * np.asarray(fine.vertices), np.asarray(fine.faces)
-
-
-def cushion(low: Triple, high: Triple, power: float = 5.0) -> Mesh:
+def cushion(low: Numbers, high: Numbers, power: float = 5.0) -> Mesh:
     """A soft box that fills `low` to `high` ``(3,)``: a superellipsoid, rounder for less `power`; 192 triangles."""
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-    cube, triangles = _cube()
+    cube = 2 * np.asarray(_FINE.vertices)
     place = cube / (np.abs(cube) ** power).sum(axis=1, keepdims=True) ** (1 / power)
-    return solid((low + high) / 2 + place * (high - low) / 2, triangles)
+    return solid((low + high) / 2 + place * (high - low) / 2, _FINE.faces)
 
 
-def lathe(profile: Sequence[Triple] | np.ndarray, sides: int = 20, stretch: Triple = (1.0, 1.0)) -> Mesh:
+def lathe(profile: Sequence[Numbers] | np.ndarray, sides: int = 20, stretch: Numbers = (1.0, 1.0)) -> Mesh:
     """A shape turned about the z axis from `profile` ``(n, 2)`` of (r, z), drawn from its bottom upwards.
 
     It is closed where the profile starts and ends at r = 0, else open; `stretch` makes it oval along x and y.
@@ -223,18 +175,15 @@ def lathe(profile: Sequence[Triple] | np.ndarray, sides: int = 20, stretch: Trip
     return solid(np.asarray(made.vertices) * [*stretch, 1.0], made.faces)
 
 
-def cylinder(centre: Triple, radius: float, height: float, sides: int = 16) -> Mesh:
+def cylinder(centre: Numbers, radius: float, height: float, sides: int = 16) -> Mesh:
     """An upright cylinder on `centre` ``(3,)``, the middle of its base."""
     return moved(lathe([(0, 0), (radius, 0), (radius, height), (0, height)], sides), centre)
 
 
-def tube(path: Sequence[Triple] | np.ndarray, radius: float, sides: int = 6) -> Mesh:
+def tube(path: Sequence[Numbers] | np.ndarray, radius: float, sides: int = 6) -> Mesh:
     """Round bars from point to point of `path` ``(n, 3)``."""
     bars = [trimesh.creation.cylinder(radius, sections=sides, segment=np.array(ends)) for ends in pairwise(path)]
     return merged(*(solid(bar.vertices, bar.faces) for bar in bars))
-
-
-# --- common joinery ---------------------------------------------------------------------------------------------------
 
 
 def polar(radius: np.ndarray | float, azimuth: np.ndarray | float, z: np.ndarray | float) -> np.ndarray:
@@ -271,8 +220,10 @@ def pull(x: float, y: float, z: float, length: float, upright: bool = False) -> 
     return tube([middle - half, middle - half + out, middle + half + out, middle + half], 0.006, sides=5)
 
 
-def drawers(x: float, y0: float, y1: float, cuts: Sequence[float] | np.ndarray) -> tuple[list[Mesh], list[Mesh]]:
-    """Fronts with their backs at `x`, one from each of the heights `cuts` to the next, and their handles."""
-    fronts = [front(x, y0 + 0.006, y1 - 0.006, z0 + 0.004, z1 - 0.004) for z0, z1 in pairwise(cuts)]
-    length = min(0.3 * (y1 - y0), 0.18) + 0.04
-    return fronts, [pull(x + 0.018, (y0 + y1) / 2, (z0 + z1) / 2, length) for z0, z1 in pairwise(cuts)]
+def drawers(x: float, ends: Numbers, cuts: Numbers) -> tuple[list[Mesh], list[Mesh]]:
+    """Fronts and handles between neighbours of `ends` (along y) and of the heights `cuts`, their backs at `x`."""
+    fronts, handles = [], []
+    for (y0, y1), (z0, z1) in product(pairwise(ends), pairwise(cuts)):
+        fronts.append(front(x, y0 + 0.006, y1 - 0.006, z0 + 0.004, z1 - 0.004))
+        handles.append(pull(x + 0.018, (y0 + y1) / 2, (z0 + z1) / 2, min(0.3 * (y1 - y0), 0.18) + 0.04))
+    return fronts, handles

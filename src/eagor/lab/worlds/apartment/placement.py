@@ -8,7 +8,7 @@ numbers may follow it. Candidates ``(n, 6)`` are footprints with a score, more i
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,6 @@ from scipy import ndimage
 from eagor.lab.worlds.apartment.building import Cells, wall_faces
 from eagor.lab.worlds.apartment.furniture import KINDS, Model, build
 from eagor.lab.worlds.apartment.plans import OUTSIDE, Opening, Plan
-from eagor.lab.worlds.scene import Room
 from eagor.queries import Query
 
 CELL = 0.05
@@ -91,17 +90,10 @@ def advanced(boxes: np.ndarray, reach: np.ndarray | float) -> np.ndarray:
 
 
 def before(boxes: np.ndarray, depth: float) -> np.ndarray:
-    """The floor ``(n, 5)`` in front of footprints, `depth` metres deep."""
-    zone = advanced(boxes, np.atleast_2d(boxes)[:, 2] + depth / 2)
-    zone[:, 2] = depth / 2 - 1e-3
+    """The floor ``(n, 5)`` in front of footprints, `depth` metres deep; behind them if it is negative."""
+    zone = advanced(boxes, np.copysign(np.atleast_2d(boxes)[:, 2], depth) + depth / 2)
+    zone[:, 2] = abs(depth) / 2 - 1e-3
     return zone
-
-
-def reversed_(boxes: np.ndarray) -> np.ndarray:
-    """Footprints ``(n, 5)`` that look the other way."""
-    back = boxes.copy()
-    back[:, 4] = np.remainder(boxes[:, 4] + 2 * math.pi, 2 * math.pi) - math.pi
-    return back
 
 
 def leaf_footprint(doorway: Opening) -> np.ndarray:
@@ -111,35 +103,35 @@ def leaf_footprint(doorway: Opening) -> np.ndarray:
     return np.array([*doorway.at(length / 2, 0.02), length / 2, 0.14 / 2, math.atan2(along[1], along[0])])
 
 
-def candidates(*several: tuple[np.ndarray, np.ndarray | float]) -> np.ndarray:
-    """Footprints ``(n, 5)`` and their scores ``(n,)`` together, ``(n, 6)``."""
-    rows = [np.column_stack([boxes[:, :5], np.broadcast_to(scores, len(boxes))]) for boxes, scores in several]
-    return np.concatenate([np.zeros((0, 6)), *rows])
-
-
 def best(sites: np.ndarray, good: np.ndarray, most: int) -> np.ndarray:
     """Indices of the `most` best candidates ``(n, 6)`` among those that are `good` ``(n,)``, best first."""
     places = np.flatnonzero(good)
     return places[np.argsort(-sites[places, 5], kind="stable")][:most]
 
 
-class NoRoom(Exception):
-    """A required piece does not fit."""
-
-
 @dataclass(frozen=True, eq=False)
 class Piece:
     """A placed model.
 
-    `room`: its index in the plan; `box`: its footprint ``(5,)``; `position` ``(3,)`` of the model's origin; `solid`:
-    whether it is an obstacle.
+    `room`: its index in the plan; `box`: its footprint ``(5,)``; `z`: the height of the model's origin, metres; `air`:
+    from where to where it takes up space, None if others may overlap it; `zones`: footprints that stay free for it. If
+    it stands in the way, `near`: the cells where the middle of a body cannot be; `ring`: those from which it can be
+    reached, as flat indices.
     """
 
     room: int
     model: Model
     box: np.ndarray
-    position: np.ndarray
-    solid: bool = True
+    z: float = 0.0
+    air: tuple[float, float] | None = None
+    zones: Iterable[np.ndarray] = ()
+    near: np.ndarray | None = None
+    ring: np.ndarray | None = None
+
+    @property
+    def solid(self) -> bool:
+        """Whether it is an obstacle."""
+        return self.near is not None
 
     @property
     def category(self) -> str:
@@ -151,57 +143,44 @@ class Piece:
         """Colour and category, as in `Instance.name`."""
         return str(Query(self.category, self.model.colour))
 
-    @property
-    def bottom(self) -> float:
-        """Height of its lowest point."""
-        return float(self.position[2] + min(part.low[2] for part in self.model.parts))
-
-    @property
-    def top(self) -> float:
-        """Height of its highest point."""
-        return self.bottom + self.model.height
-
 
 class Furnisher:
     """An apartment while it is being furnished (mutable): it builds pieces and finds places for them.
 
-    `pieces`: the placed ones; `solid`: footprints with their lowest and highest z ``(7,)``; `kept`: footprints that
-    stay free of solids; `habits`: the usual colour of each category in this home; `space`: for each room those that
-    are open to it, including itself. In cells ``(rows, columns)``, `_centres`: their middles; `_owner`: their rooms;
-    `_near`: where the middle of a body cannot be; `_around`: from where each piece can be reached, as flat indices.
+    `pieces`: the placed ones; `habits`: the usual colour of each category in this home; `space`: for each room those
+    that are open to it, including itself. `_leaves`: open doors, as footprints with lowest and highest z ``(7,)``.
+    In cells ``(rows, columns)``, `_centres`: their middles; `_owner`: their rooms; `_walls`: those too near to walls.
     """
 
-    def __init__(self, plan: Plan, cells: Cells, rooms: tuple[Room, ...], rng: np.random.Generator) -> None:
+    def __init__(self, plan: Plan, cells: Cells, rng: np.random.Generator) -> None:
         """The empty floor, with walls and open doors in place and passages through the doors kept clear."""
-        self.plan, self.rooms, self.faces, self.rng = plan, rooms, wall_faces(cells), rng
+        self.plan, self.rooms, self.faces, self.rng = plan, cells.rooms, wall_faces(cells), rng
         self.habits: dict[str, str] = {}
         self.pieces: list[Piece] = []
-        self.solid: list[np.ndarray] = []
-        self.kept: list[np.ndarray] = []
-        self.space = _spaces(plan)
-        self._around: list[np.ndarray] = []
+        group = list(range(len(plan.spaces)))
+        for a, b in sorted(plan.open_to):
+            group = [group[a] if g == group[b] else g for g in group]
+        self.space = [np.flatnonzero(np.equal(group, own)) for own in group]
         x, y = (-0.3 + (np.arange(math.ceil((end + 0.6) / CELL)) + 0.5) * CELL for end in plan.extent)
         self._centres = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
         xs, ys, _ = cells.lines
         i = np.clip(np.searchsorted(xs, x) - 1, 0, len(xs) - 2)
         j = np.clip(np.searchsorted(ys, y) - 1, 0, len(ys) - 2)
         self._owner = np.maximum(cells.air[:, :, 0], OUTSIDE)[np.ix_(i, j)]
-        self._near = np.asarray(ndimage.distance_transform_edt(self._owner >= 0, sampling=CELL)) < BODY
+        self._walls = np.asarray(ndimage.distance_transform_edt(self._owner >= 0, sampling=CELL)) < BODY
         anchors = []  # a cell on either side of each doorway
         for doorway in plan.doorways:
             for room, side in zip(doorway.boundary.rooms, (-0.45, 0.45), strict=True):
                 if room != OUTSIDE:
-                    middle = from_rectangle(doorway.boundary.box(doorway.start, doorway.end, side, side))[:2]
+                    middle = np.array(doorway.boundary.point((doorway.start + doorway.end) / 2, side))
                     anchors.append(np.floor((middle + 0.3) / CELL).astype(int))
-            self.kept.append(from_rectangle(doorway.approach(0.8, 0.06)))
-            if doorway.leaf:
-                leaf = leaf_footprint(doorway)
-                self._block(leaf)
-                self.solid.append(np.array([*leaf, 0.0, doorway.head]))
         self._anchors = tuple(np.transpose(anchors))
-        self._least = np.minimum(0.8, 0.3 * self._areas(~self._near))  # square metres to walk on, for each room
+        self._leaves = [np.array([*leaf_footprint(door), 0.0, door.head]) for door in plan.doorways if door.leaf]
+        for leaf in self._leaves:
+            self._walls |= distances(leaf, self._centres) < BODY
+        self._least = np.minimum(0.8, 0.3 * self._areas(~self._walls))  # square metres to walk on, for each room
 
-    def inside(self, rooms: Sequence[int], boxes: np.ndarray) -> np.ndarray:
+    def inside(self, rooms: Iterable[int], boxes: np.ndarray) -> np.ndarray:
         """Whether footprints ``(n, 5)`` lie in the union of some rooms: ``(n,)`` bool."""
         rectangles = np.concatenate([self.rooms[room].rectangles for room in rooms])
         points = corners(boxes, 6)
@@ -213,26 +192,30 @@ class Furnisher:
         """The footprints ``(n, 5)`` that do not stand before a window whose sill is lower than `height`."""
         return untouched(boxes, [from_rectangle(w.approach(0.4)) for w in self.plan.windows if w.sill < height + 0.03])
 
-    def fits(
-        self, room: int, boxes: np.ndarray, z: tuple[float, float], margin: float = 0.02, kept: bool = True
-    ) -> np.ndarray:
-        """The footprints ``(n, 5)`` from z[0] to z[1] in the room that hit nothing and keep clear of `kept`."""
+    def in_air(self, room: int, boxes: np.ndarray, low: float, high: float, margin: float) -> np.ndarray:
+        """The footprints ``(n, 5)`` in the room that hit nothing from `low` to `high`, `margin` metres round them."""
         grown = boxes[:, :5] + np.array([0.0, 0.0, margin, margin, 0.0])
-        solid = [other for other in self.solid if other[5] < z[1] and other[6] > z[0]]
-        good = self.inside([room], boxes) & untouched(grown, solid)
-        return good & untouched(boxes, self.kept) if kept else good
+        return self.inside([room], boxes) & untouched(grown, self._solids(low, high))
 
-    def stands(self, room: int, boxes: np.ndarray, model: Model) -> np.ndarray:
-        """The footprints ``(n, 5)`` with room for a model on the floor, and not before a window that it would cover."""
-        return self.fits(room, boxes, (0.0, model.height)) & self.beside_windows(boxes, model.height)
+    def fits(self, room: int, boxes: np.ndarray, model: Model, margin: float = 0.02) -> np.ndarray:
+        """The footprints ``(n, 5)`` with room for a model on the floor, clear of doorways and of zones."""
+        zones = [from_rectangle(doorway.approach(0.8, 0.06)) for doorway in self.plan.doorways]
+        zones += [zone for piece in self.pieces for zone in piece.zones]
+        return self.in_air(room, boxes, 0.0, model.size[2], margin) & untouched(boxes, zones)
 
-    def clear(self, boxes: np.ndarray) -> np.ndarray:
-        """Which footprints ``(n, 5)`` are clear of all solids on the floor: ``(n,)`` bool."""
-        return untouched(boxes, [solid for solid in self.solid if solid[5] < 1.0])
+    def stands(self, room: int, boxes: np.ndarray, model: Model, margin: float = 0.02) -> np.ndarray:
+        """Those of `fits` that are not before a window which the model would cover; the tap of a sink may."""
+        height = 1.0 if model.category == "sink" else model.size[2]
+        return self.fits(room, boxes, model, margin) & self.beside_windows(boxes, height)
 
-    def open_before(self, room: int, zone: np.ndarray) -> np.ndarray:
-        """The pieces of floor ``(n, 5)`` that are free and lie in the room or in those that are open to it."""
-        return self.clear(zone) & self.inside(self.space[room], zone)
+    def open_before(self, rooms: Iterable[int], zone: np.ndarray) -> np.ndarray:
+        """The pieces of floor ``(n, 5)`` that are free of solids and lie in the union of some rooms."""
+        return untouched(zone, self._solids(-1.0, 1.0)) & self.inside(rooms, zone)
+
+    def _solids(self, low: float, high: float) -> list[np.ndarray]:
+        """What takes up space between two heights: footprints, each with its own lowest and highest z ``(7,)``."""
+        pieces = [np.array([*piece.box, *piece.air]) for piece in self.pieces if piece.air]
+        return [solid for solid in self._leaves + pieces if solid[5] < high and solid[6] > low]
 
     def of(self, category: str, room: int | None = None) -> list[Piece]:
         """The pieces of a category, in a room or anywhere."""
@@ -242,20 +225,20 @@ class Furnisher:
         self, room: int, size: np.ndarray, *, corner: float = 0.0, middle: float = 0.0, gap: float = GAP,
         side: float = 0.04,
     ) -> np.ndarray:  # fmt: skip
-        """Backs to walls: in the corners (score `corner`), the `middle`, and between; `side` metres free at the ends.
-
-        `gap`: metres between the back and the wall.
-        """
-        found = []
+        """Backs to walls, `gap` metres away, `side` free at the ends; scored for the `corner` and the `middle`."""
+        found = [np.zeros((0, 6))]
         for face in self.faces:
-            if face.room != room or face.end - face.start - size[1] - 2 * side < 0:
+            if max(face.rooms) != room or face.end - face.start - size[1] - 2 * side < 0:
                 continue
+            way = 1 if face.rooms[1] == room else -1  # into the room
+            angle = (0.0 if way > 0 else math.pi) if face.axis else way * math.pi / 2
             first, last = face.start + side + size[1] / 2, face.end - side - size[1] / 2
-            boxes = np.tile([0.0, 0.0, size[0] / 2, size[1] / 2, face.angle], (8, 1))
+            boxes = np.tile([0.0, 0.0, size[0] / 2, size[1] / 2, angle], (8, 1))
             boxes[:, face.axis] = [first, last, (first + last) / 2, *self.rng.uniform(first, last, 5)]
-            boxes[:, 1 - face.axis] = face.line + face.side * (gap + size[0] / 2)
-            found.append((boxes, self.rng.uniform(0, 0.5, 8) + np.array([corner, corner, middle, 0, 0, 0, 0, 0])))
-        return candidates(*found)
+            boxes[:, 1 - face.axis] = face.line + way * (gap + size[0] / 2)
+            scores = self.rng.uniform(0, 0.5, 8) + np.array([corner, corner, middle, 0, 0, 0, 0, 0])
+            found.append(np.column_stack([boxes, scores]))
+        return np.concatenate(found)
 
     def in_room(self, room: int, size: np.ndarray, count: int) -> np.ndarray:
         """Anywhere in a room, axis-aligned or turned by a quarter, preferably near its middle."""
@@ -265,9 +248,8 @@ class Furnisher:
         spots = picked[:, :2] + self.rng.random((count, 2)) * (picked[:, 2:] - picked[:, :2])
         middle = (rectangles[area.argmax(), :2] + rectangles[area.argmax(), 2:]) / 2
         turns = self.rng.integers(0, 2, count) * (math.pi / 2)
-        boxes = np.column_stack([spots, np.tile(size[:2] / 2, (count, 1)), turns])
-        off = np.linalg.norm(spots - middle, axis=1)
-        return candidates((boxes, self.rng.uniform(0, 0.3, count) - 0.3 * off))
+        scores = self.rng.uniform(0, 0.3, count) - 0.3 * np.linalg.norm(spots - middle, axis=1)
+        return np.column_stack([spots, np.tile(size[:2] / 2, (count, 1)), turns, scores])
 
     def make(self, category: str, colour: str | None = None) -> Model:
         """A new model. Without a colour, mostly in the usual one of its kind in this home."""
@@ -278,77 +260,39 @@ class Furnisher:
             colour = habit if self.rng.random() < 0.45 else str(self.rng.choice(colours))
         return build(category, colour, seed)
 
-    def record(self, model: Model, room: int, box: np.ndarray, z: float) -> None:
-        """Add a piece at the height `z` that is no obstacle and whose place has been checked."""
-        self.pieces.append(Piece(room, model, box, np.array([box[0], box[1], z]), solid=False))
-
-    def set_down(self, group: Sequence[tuple[Model, np.ndarray]], room: int) -> bool:
-        """Place models together on the floor if all rooms and pieces stay reachable; otherwise do nothing."""
-        start = self.mark()
+    def set_down(self, group: Iterable[tuple[Model, np.ndarray]], room: int, zones: Iterable[np.ndarray] = ()) -> bool:
+        """Place models together if all rooms and pieces stay reachable, and keep `zones` free; otherwise do nothing."""
+        start, around = len(self.pieces), np.isin(self._owner, self.space[room])  # nobody reaches it through a wall
         for model, box in group:
-            away = self._block(box)
-            around = np.isin(self._owner, self.space[room])  # nobody reaches it through a wall
-            self._around.append(np.flatnonzero((away < REACH) & (away >= BODY) & around))
-            self.solid.append(np.array([*box[:5], 0.0, model.height]))
-            self.pieces.append(Piece(room, model, box[:5], np.array([box[0], box[1], 0.0])))
+            away = distances(box, self._centres)
+            ring = np.flatnonzero((away < REACH) & (away >= BODY) & around)
+            self.pieces.append(Piece(room, model, box[:5], 0.0, (0.0, model.size[2]), zones, away < BODY, ring))
+            zones = ()
         if not self._walkable():
-            self.back_to(start)
-            return False
-        return True
+            del self.pieces[start:]
+        return len(self.pieces) > start
 
-    def settle(
-        self, model: Model, room: int, sites: np.ndarray, *, front: float = 0.5, reserve: bool = True
-    ) -> Piece | None:
-        """Place a model on the best candidate with `front` metres of free floor before it; None if there is none.
-
-        `reserve` keeps that floor free from then on.
-        """
-        good = self.stands(room, sites, model)
+    def settle(self, model: Model, room: int, sites: np.ndarray, front: float, reserve: bool = True) -> bool:
+        """Place a model on the best candidate with `front` metres of free floor before it; `reserve` keeps it free."""
+        good, reserve = self.stands(room, sites, model), reserve and front > 0
         if front > 0:
-            good &= self.open_before(room, before(sites, front))
-        for box in sites[best(sites, good, 10)]:
-            if self.set_down([(model, box)], room):
-                if front > 0 and reserve:
-                    self.kept.append(before(box, front)[0, :5])
-                return self.pieces[-1]
-        return None
-
-    def mark(self) -> tuple[np.ndarray, list[int]]:
-        """The state, for `back_to`."""
-        return self._near.copy(), [len(things) for things in (self.solid, self.kept, self._around, self.pieces)]
-
-    def back_to(self, mark: tuple[np.ndarray, list[int]]) -> None:
-        """Remove everything placed since `mark`."""
-        self._near = mark[0].copy()
-        for things, count in zip((self.solid, self.kept, self._around, self.pieces), mark[1], strict=True):
-            del things[count:]
+            good &= self.open_before(self.space[room], before(sites, front))
+        tries = sites[best(sites, good, 10), :5]
+        return any(self.set_down([(model, box)], room, before(box, front) if reserve else ()) for box in tries)
 
     def _walkable(self) -> bool:
         """Whether one walk leads through all doorways, into all rooms and near all pieces."""
-        free = np.empty(self._near.shape, dtype=np.int32)
-        ndimage.label(~self._near, output=free)
+        free = np.empty(self._walls.shape, dtype=np.int32)
+        near = [piece.near for piece in self.pieces if piece.near is not None]
+        ndimage.label(~np.logical_or.reduce([self._walls, *near]), output=free)
         marks = free[self._anchors]
         if marks[0] == 0 or (marks != marks[0]).any():
             return False
         main = free == marks[0]
         if (self._areas(main) < self._least).any():
             return False
-        return all(main.ravel()[ring].any() for ring in self._around)
+        return all(main.ravel()[piece.ring].any() for piece in self.pieces if piece.solid)
 
     def _areas(self, cells: np.ndarray) -> np.ndarray:
         """Square metres of these cells in each room."""
         return np.bincount(self._owner[cells] + 1, minlength=len(self.rooms) + 1)[1:] * CELL**2
-
-    def _block(self, box: np.ndarray) -> np.ndarray:
-        """Take the floor of a footprint and around it; the distances of all cells from it."""
-        away = distances(box, self._centres)
-        self._near |= away < BODY
-        return away
-
-
-def _spaces(plan: Plan) -> tuple[tuple[int, ...], ...]:
-    """For each room all rooms that are open to it, directly or through others."""
-    group = list(range(len(plan.spaces)))
-    for a, b in sorted(plan.open_to):
-        group = [group[a] if g == group[b] else g for g in group]
-    return tuple(tuple(i for i, g in enumerate(group) if g == own) for own in group)

@@ -6,7 +6,6 @@ large. An outer wall grows outwards from where an inner one would have its face.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,25 +28,22 @@ _WINDOWS: dict[str, tuple[float, float, float, float, list[float]]] = {
     "living room": (1.0, 0.65, 1.2, 2.0, [0.45, 0.95]), "kitchen": (1.0, 0.65, 0.9, 1.5, [1.2]),  # above the worktop
 }  # fmt: skip
 _OTHER_WINDOWS = (1.0, 0.65, 0.9, 1.5, [0.85, 0.95, 1.1])
-# Shortest side, and range of area in square metres, between centre lines.
-_SIZES = {
-    "living room": (3.2, 13.0, 42.0), "bedroom": (2.6, 8.6, 20.0), "kitchen": (2.1, 5.6, 17.0),
-    "bathroom": (1.7, 3.9, 9.5), "hall": (1.2, 2.2, 18.0), "study": (2.1, 5.5, 15.0), "dining room": (2.4, 7.0, 17.0),
-}  # fmt: skip
 _NET_AREA = (45.0, 110.0)
-# Range of a room's width in a row.
-_WIDTHS = {
-    "living room": (4.0, 5.6), "bedroom": (3.0, 4.3), "kitchen": (2.6, 3.8), "bathroom": (1.75, 2.5),
-    "study": (2.3, 3.2), "dining room": (2.8, 3.6), "hall": (1.8, 2.4),
+# Of each kind of room, between centre lines: its shortest side, its range of area, and that of its width in a row (m).
+_SIZES = {
+    "living room": (3.2, (13.0, 42.0), (4.0, 5.6)), "bedroom": (2.6, (8.6, 20.0), (3.0, 4.3)),
+    "kitchen": (2.1, (5.6, 17.0), (2.6, 3.8)), "bathroom": (1.7, (3.9, 9.5), (1.75, 2.5)),
+    "hall": (1.2, (2.2, 18.0), (1.8, 2.4)), "study": (2.1, (5.5, 15.0), (2.3, 3.2)),
+    "dining room": (2.4, (7.0, 17.0), (2.8, 3.6)),
 }  # fmt: skip
 
 # --- the families of floor plans --------------------------------------------------------------------------------------
-
 
 # Rooms, each of a kind and its rectangles; doors and openings as pairs of rooms, first the front door (to `OUTSIDE`).
 Rooms = list[tuple[str, list[Rectangle]]]
 Pairs = list[tuple[int, int]]
 Layout = tuple[Rooms, Pairs, Pairs]
+Spaces = tuple[Room, ...]  # by their centre lines
 Generator = np.random.Generator
 
 
@@ -158,12 +154,11 @@ def studio(rng: Generator) -> Layout:
     return rooms, doors, openings
 
 
-_DRAWN = (corridor, open_plan, central_hall, railroad, studio)
-FAMILIES: dict[str, Callable[[Generator], Layout]] = {draw.__name__.replace("_", " "): draw for draw in _DRAWN}
+FAMILIES = {draw.__name__.replace("_", " "): draw for draw in (corridor, open_plan, central_hall, railroad, studio)}
 
 
 def _widths(rng: Generator, kinds: list[str]) -> np.ndarray:
-    return np.array([rng.uniform(*_WIDTHS[kind]) for kind in kinds])
+    return np.array([rng.uniform(*_SIZES[kind][2]) for kind in kinds])
 
 
 def _row(kinds: list[str], widths: np.ndarray, y0: float, y1: float, x0: float = 0.0) -> Rooms:
@@ -253,22 +248,18 @@ class Opening:
 class Plan:
     """A floor plan. `spaces`: its rooms between the centre lines of their walls; `walls`: all of them.
 
-    `open_to` holds the pairs of rooms without a wall between, the smaller index first.
+    `open_to`: pairs of rooms without a wall between, the smaller index first; `extent`: length along x and y between
+    the outer lines, from (0, 0).
     """
 
     family: str
-    spaces: tuple[Room, ...]
+    spaces: Spaces
     walls: tuple[Boundary, ...]
     open_to: frozenset[tuple[int, int]]
     doorways: tuple[Opening, ...]
     windows: tuple[Opening, ...]
+    extent: tuple[float, float]
     height: float
-
-    @property
-    def extent(self) -> tuple[float, float]:
-        """Length along x and y between the outer lines; the corner is at (0, 0)."""
-        width, depth = np.concatenate([space.rectangles for space in self.spaces])[:, 2:].max(axis=0).tolist()
-        return width, depth
 
 
 def draw_plan(rng: Generator) -> Plan:
@@ -277,9 +268,11 @@ def draw_plan(rng: Generator) -> Plan:
     for _ in range(400):
         rooms, doors, openings = FAMILIES[family](rng)
         spaces = _spaces(rooms, rng)
-        if not _sizes_fit(spaces):
+        if spaces is None:
             continue
-        boundaries = find_boundaries(spaces)
+        ends = np.concatenate([space.rectangles for space in spaces])
+        lines = np.unique(ends[:, ::2]), np.unique(ends[:, 1::2])
+        boundaries = find_boundaries(owners(spaces, *lines), *lines)
         doorways = cut_doorways(doors, spaces, boundaries, rng)
         if doorways is None:
             continue
@@ -289,57 +282,50 @@ def draw_plan(rng: Generator) -> Plan:
             continue
         open_to = frozenset((min(pair), max(pair)) for pair in openings)
         walls = tuple(wall for wall in boundaries if tuple(sorted(wall.rooms)) not in open_to)
-        height = round(float(rng.uniform(2.5, 2.8)), 2)
-        return Plan(family, spaces, walls, open_to, tuple(doorways), tuple(windows), height)
+        extent, height = (float(lines[0][-1]), float(lines[1][-1])), round(float(rng.uniform(2.5, 2.8)), 2)
+        return Plan(family, spaces, walls, open_to, tuple(doorways), tuple(windows), extent, height)
     raise WorldError(f"no floor plan of the family {family!r} came out in 400 tries; use another seed")
 
 
-def _spaces(layout: Rooms, rng: Generator) -> tuple[Room, ...]:
-    """The rooms of a layout, mirrored and with its axes exchanged at random; several of one kind are numbered."""
+def _spaces(layout: Rooms, rng: Generator) -> Spaces | None:
+    """The numbered rooms of a layout, mirrored and with exchanged axes at random; None if their sizes do not fit."""
     mirrored, exchanged = rng.random(2) < 0.5, rng.random() < 0.5
     snapped = [np.round(np.multiply(rectangles, SNAP)) / SNAP for _, rectangles in layout]
     ends, kinds = np.concatenate(snapped)[:, 2:].max(axis=0), [kind for kind, _ in layout]
-    spaces = []
+    spaces, net = [], 0.0
     for place, (kind, rectangles) in enumerate(zip(kinds, snapped, strict=True)):
         number = f" {kinds[: place + 1].count(kind)}" if kinds.count(kind) > 1 else ""
         corners = rectangles.reshape(-1, 2, 2)
         corners = np.sort(np.where(mirrored, ends - corners, corners), axis=1)
         turned = corners[..., ::-1] if exchanged else corners
         spaces.append(Room(kind + number, kind, np.round(turned.reshape(-1, 4), 4)))
-    return tuple(spaces)
-
-
-def _sizes_fit(spaces: tuple[Room, ...]) -> bool:
-    net = 0.0
-    for space in spaces:
-        shortest, least, most = _SIZES[space.kind]
-        sides = space.rectangles[:, 2:] - space.rectangles[:, :2]
+        shortest, (least, most), _ = _SIZES[kind]
+        sides = spaces[-1].rectangles[:, 2:] - spaces[-1].rectangles[:, :2]
         net += (sides - 2 * HALF_WALL).prod(axis=1).sum()
-        long = space.kind != "hall" and sides[0].max() > 3.2 * sides[0].min()
-        if long or not least <= space.area <= most or sides[0].min() < shortest - 1e-6:
-            return False
-    return bool(_NET_AREA[0] <= net <= _NET_AREA[1])
+        long = kind != "hall" and sides[0].max() > 3.2 * sides[0].min()
+        if long or not least <= spaces[-1].area <= most or sides[0].min() < shortest - 1e-6:
+            return None
+    return tuple(spaces) if _NET_AREA[0] <= net <= _NET_AREA[1] else None
 
 
-def find_boundaries(spaces: tuple[Room, ...]) -> list[Boundary]:
-    """Every maximal straight piece of line with one room (or none) on each side."""
-    ends = np.concatenate([space.rectangles for space in spaces])
-    lines = [np.unique(ends[:, [0, 2]]), np.unique(ends[:, [1, 3]])]
-    owner = np.pad(owners(spaces, *lines), 1, constant_values=OUTSIDE)
+def find_boundaries(owner: np.ndarray, *lines: np.ndarray) -> list[Boundary]:
+    """Every maximal straight piece of the grid's lines in x and y with one room on each side.
+
+    `owner` ``(nx, ny)``: the room of each cell, or a negative number down to -2.
+    """
+    owner = np.pad(owner, 1, constant_values=OUTSIDE)
     found = []
     for axis in (0, 1):
         along, across = lines[axis].tolist(), lines[1 - axis].tolist()
-        cells = (owner if axis == 1 else owner.T)[:, 1:-1] + 1  # the first axis runs across the lines; 0: outside
+        cells = (owner if axis == 1 else owner.T)[:, 1:-1] + 2  # the first axis runs across the lines
         for line, low, high in zip(across, cells, cells[1:], strict=False):
             key = np.where(low != high, low * 16 + high, 0)[None]  # both rooms in one number
             for value, _, start, _, end in rectangles_of(key):
-                found.append(Boundary(axis, line, along[start], along[end], (value // 16 - 1, value % 16 - 1)))
+                found.append(Boundary(axis, line, along[start], along[end], (value // 16 - 2, value % 16 - 2)))
     return found
 
 
-def cut_doorways(
-    doors: Pairs, spaces: tuple[Room, ...], boundaries: list[Boundary], rng: Generator
-) -> list[Opening] | None:
+def cut_doorways(doors: Pairs, spaces: Spaces, boundaries: list[Boundary], rng: Generator) -> list[Opening] | None:
     """A doorway for every pair of rooms in `doors`; None if one does not fit."""
     doorways: list[Opening] = []
     for pair in doors:
@@ -353,7 +339,7 @@ def cut_doorways(
     return doorways
 
 
-def _doorway(boundary: Boundary, spaces: tuple[Room, ...], rng: Generator) -> Opening | None:
+def _doorway(boundary: Boundary, spaces: Spaces, rng: Generator) -> Opening | None:
     """One attempt at a doorway in a boundary."""
     entrance, corner = OUTSIDE in boundary.rooms, HALF_WALL + 0.09
     width = round(float(rng.uniform(0.92, 1.0) if entrance else rng.uniform(0.8, 0.95)), 2) + 2 * LINING
@@ -401,9 +387,7 @@ def _overlap(a: Rectangle, b: Rectangle) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
-def cut_windows(
-    spaces: tuple[Room, ...], boundaries: list[Boundary], doorways: list[Opening], rng: Generator
-) -> list[Opening]:
+def cut_windows(spaces: Spaces, boundaries: list[Boundary], doorways: list[Opening], rng: Generator) -> list[Opening]:
     """Windows in the outer walls: wide ones in living rooms, small high ones in bathrooms."""
     windows: list[Opening] = []
     kept = [d.approach(0.3, 0.15) for d in doorways] + [d.leaf_box for d in doorways if d.leaf_box]
@@ -427,7 +411,7 @@ def cut_windows(
     return windows
 
 
-def owners(spaces: tuple[Room, ...], xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
+def owners(spaces: Spaces, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:
     """The room of each cell between lines along y at `xs` and along x at `ys`, `OUTSIDE` where there is none."""
     middles = np.meshgrid((xs[1:] + xs[:-1]) / 2, (ys[1:] + ys[:-1]) / 2, indexing="ij")
     owner = np.full(middles[0].shape, OUTSIDE)

@@ -1,13 +1,11 @@
 """Materials of a home and what draws them: cloth, wood, tiles, plaster; rugs, paintings, books and screens.
 
-Textures are periodic and grey if one drawing serves every colour (the colour of the `Material` tints them); rugs,
-paintings, books and screens are coloured pictures. Each is drawn once per process, from a generator of its own, so that
-it depends on its name alone. Drawings are linear light ``(h, w, 3)``, or ``(h, w)`` if they are grey, first row at the
-top.
+Textures are periodic, and the colour of the `Material` tints them; rugs, paintings, books and screens are coloured
+pictures. Each is drawn once per process, from a generator of its own, so that it depends on its name alone. Drawings
+are linear light ``(h, w, 3)``, or ``(h, w)`` if they are grey, first row at the top.
 
-Named colours are tones of cloth, paint and wood rather than pure primaries; the names are those of
-`eagor.queries.COLOURS`. Each has a few tones, and every call of `sRGB` varies the tone a little, so that two red chairs
-are both red but not identical. All other colours are linear RGB ``(3,)``.
+The colours of `eagor.queries.COLOURS` are tones of cloth, paint and wood rather than pure primaries, and each call of
+`sRGB` varies the tone a little: two red chairs are both red but not identical. All other colours are linear RGB.
 """
 
 from __future__ import annotations
@@ -23,7 +21,6 @@ from eagor._arrays import frozen
 from eagor._srgb import to_coded, to_linear
 from eagor.lab.worlds.scene import Material
 
-RGB = tuple[float, float, float]
 Tone = tuple[int, int, int]  # sRGB, 0 to 255
 
 # Each keeps its name from full light down to a third of it, as far as possible: beige and pink in deep shade look brown
@@ -46,11 +43,9 @@ TONES: dict[str, tuple[Tone, ...]] = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of material.
+    """A kind of material: metres that a `repeat` of its texture covers, its default colours, and what draws it, if any.
 
-    `repeat`: metres that one repeat of its texture covers; leaves, lampshades and pictures are drawn from edge to edge,
-    and their builders set uv from 0 to 1. `natural`: its default colours, names or tones; a picture is drawn in those
-    alone (empty: it has none). `draw`: draws one of so many `variants`; None: plain.
+    Leaves, lampshades and pictures are drawn from edge to edge; a picture is drawn in the `natural` colours alone.
     """
 
     repeat: float
@@ -70,61 +65,43 @@ def material(kind: str, colour: str | None, rng: np.random.Generator) -> Materia
     variant = int(rng.integers(look.variants))
     if look.picture:
         emission = 0.5 if kind == "screen" else 0.0
-        return Material(
-            name, (1.0, 1.0, 1.0), _picture(kind, None if choice is None else str(choice), variant), emission
-        )
+        return Material(name, (1.0, 1.0, 1.0), _texture(kind, choice, variant)[0], emission)
     if isinstance(choice, str):
         tone = sRGB(choice, rng)
     else:
-        tone = _triple(np.minimum(np.array(choice) / 255 * rng.uniform(0.97, 1.03), 1.0))
+        tone = np.minimum(np.array(choice) / 255 * rng.uniform(0.97, 1.03), 1.0)
     # At full strength a coloured shade would saturate to a primary.
     emission = 0.0 if kind != "lampshade" else 1.5 if colour in (None, "white", "beige") else 0.9
     if look.draw is None:
-        return Material(name, tone, None, emission)
-    texture, mean = _surface(kind, variant)
-    tint = to_linear(np.array(tone)) / mean  # so that the mean of texture times colour is the tone
-    return Material(name, _triple(np.where(tint < 1, to_coded(tint), 1.0)), texture, emission)
+        return Material(name, tuple(tone.tolist()), None, emission)
+    texture, mean = _texture(kind, None, variant)
+    tint = to_linear(tone) / mean  # so that the mean of texture times colour is the tone
+    return Material(name, tuple(np.where(tint < 1, to_coded(tint), 1.0).tolist()), texture, emission)
 
 
-def sRGB(colour: str, rng: np.random.Generator) -> RGB:
-    """A tone of a named colour, sRGB in [0, 1]."""
+def sRGB(colour: str, rng: np.random.Generator) -> np.ndarray:
+    """A tone of a named colour ``(3,)``, sRGB in [0, 1]."""
     tones = TONES[colour]
     tone = np.array(tones[rng.integers(len(tones))]) / 255
     hue = 0.005 if colour in ("black", "white", "grey") else 0.015  # more would turn white into pink or green
-    return _triple(np.clip(tone * rng.uniform(0.95, 1.05) * rng.uniform(1 - hue, 1 + hue, size=3), 0.0, 0.97))
-
-
-def _triple(rgb: np.ndarray) -> RGB:
-    r, g, b = rgb.tolist()
-    return r, g, b
+    return np.clip(tone * rng.uniform(0.95, 1.05) * rng.uniform(1 - hue, 1 + hue, size=3), 0.0, 0.97)
 
 
 @cache
-def _surface(kind: str, variant: int) -> tuple[np.ndarray, np.ndarray]:
-    """A tintable texture ``(h, w, 3)`` uint8, as bright as 8 bits allow, and its mean ``(3,)`` in linear light."""
-    draw = KINDS[kind].draw
-    assert draw is not None
-    relative = draw(_generator(kind, variant), variant)
-    if relative.ndim == 2:
-        relative = relative[..., None] * np.ones(3)
-    texture = _coded(relative / np.percentile(relative, 99))
+def _texture(kind: str, colour: str | Tone | None, variant: int) -> tuple[np.ndarray, np.ndarray]:
+    """A texture ``(h, w, 3)`` uint8 and its mean ``(3,)`` in linear light.
+
+    A picture in this colour, as bright as it is drawn; or what will be tinted, as bright as 8 bits allow.
+    """
+    look = KINDS[kind]
+    assert look.draw is not None
+    name, arguments = (f"{kind} {colour}", (colour, variant)) if look.picture else (kind, (variant,))
+    light = look.draw(np.random.default_rng([zlib.crc32(name.encode()), variant]), *arguments)
+    if light.ndim == 2:
+        light = light[..., None] * np.ones(3)
+    light = light if look.picture else light / np.percentile(light, 99)
+    texture = frozen(np.rint(255 * to_coded(light)).astype(np.uint8))
     return texture, frozen(to_linear(texture / 255).mean(axis=(0, 1)))
-
-
-@cache
-def _picture(kind: str, colour: str | None, variant: int) -> np.ndarray:
-    """A coloured texture with its brightness as drawn."""
-    draw = KINDS[kind].draw
-    assert draw is not None
-    return _coded(draw(_generator(f"{kind} {colour}", variant), colour, variant))
-
-
-def _generator(name: str, variant: int) -> np.random.Generator:
-    return np.random.default_rng([zlib.crc32(name.encode()), variant])
-
-
-def _coded(light: np.ndarray) -> np.ndarray:
-    return frozen(np.rint(255 * to_coded(light)).astype(np.uint8))
 
 
 # --- surfaces that are tinted -----------------------------------------------------------------------------------------
