@@ -6,9 +6,8 @@ Electronic Systems 50(4), 2014), exact for one target in a look. Given them, eac
 
 - Habits: the hits of a place are beta-binomial, since its share of looks is drawn once.
 - Errors: normal, of what differs from look to look and of what a place keeps. A box counts as round.
-- Scores: the ratio of two densities is a logistic regression of "right or false" on the score (Prentice and Pyke,
-  Biometrika 66(3), 1979). Its logarithm is linear in the score's own log odds and rises, or is flat (Platt, Advances in
-  Large Margin Classifiers, 1999); a normal prior on its rise draws the ratio towards 1.
+- Scores: a logistic regression of "right or false" on the log odds of the score gives the ratio of two densities
+  (Prentice and Pyke, Biometrika 66(3), 1979). It rises, or is flat; a normal prior on its rise draws it towards 1.
 - Look-alikes: a Poisson process of places. False detections that lie near each other in the world are of one
   look-alike, or transient and met by chance. Places that were never detected count as well.
 
@@ -31,7 +30,7 @@ from scipy.special import betaln, digamma, logit, ndtr, stdtrit
 from eagor.evidence.detections import bump_norms
 from eagor.evidence.detector import LEAST_OF_SIZE, LEAST_SCORE, LOOK_ALIKES, Alarms, DetectorModel
 from eagor.grids import ErpGrid
-from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, in_time, sums
+from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, in_time
 from eagor.sphere import angular_distance, unit
 from eagor.statistics import bootstrap_interval
 
@@ -42,7 +41,6 @@ DEVIATION = 2.0  # of the logarithm of the ratio between the lowest and the high
 WIDE = 2.5  # times the stated spread: what is far from a narrow start would stay a false alarm
 STEPS, SETTLED = 60, 1e-3  # most steps, and the change of every probability at which they end
 ROUNDS, STILL = 100, 1e-6  # of belief propagation: most rounds, and the change of a message at which it ends
-RECALLS = 0.001, 0.99  # of a place: no fewer and no more
 RATES = math.log(1e-3), math.log(1e3)  # logarithms: of transient false alarms in a look, and of look-alikes
 HABITS = math.log(0.05), math.log(200)  # logarithms: of the two numbers of a habit
 ERRORS = ("spread", "spread_of_size", "offset", "offset_of_size")  # fields of `DetectorModel`, and what is tried
@@ -99,27 +97,18 @@ def deviations(model: DetectorModel) -> np.ndarray:
 
 
 def variances(errors: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Variances ``(2, n)``, per axis: of what differs from look to look, of what a place keeps.
-
-    `errors` ``(4,)``: as `deviations`; `own` ``(n,)``: the variance of a box's area.
-    """
+    """Variances ``(2, n)`` per axis, of each look and of each place; `own` ``(n,)``: the variance of a box's area."""
     return np.square(errors[::2, None]) + np.square(errors[1::2, None]) * own
 
 
 # --- which detections are of which targets, and the numbers -----------------------------------------------------------
 
-# A model, whose false alarms are all that is false; how often each place of a target is detected ``(C,)``.
-Estimate = tuple[DetectorModel, np.ndarray]
 
-
-def assign(table: DetectionTable, model: DetectorModel, recalls: np.ndarray) -> np.ndarray:
-    """The probabilities ``(P,)`` that a detection is of a target, by belief propagation.
-
-    `recalls` ``(C,)``: how often each place of a target is detected.
-    """
+def assign(table: DetectionTable, model: DetectorModel) -> np.ndarray:
+    """The probabilities ``(P,)`` that a detection is of a target, by belief propagation."""
     rate, square = model.false_alarms_per_look, variances(deviations(model), table.own).sum(axis=0)[table.detection]
     ratios = model.ratios(table.scores, len(table.scores)) * table.areas[table.look] / (rate * table.clutter)
-    logs = np.log(ratios)[table.detection] + logit(recalls)[table.place[table.target]]
+    logs = np.log(ratios)[table.detection] + np.log(np.divide(*stated_habit(model)))
     logs += np.log(bump_norms(square[:, None] ** [-0.5, -0.5])) - (table.offsets**2).sum(axis=1) / (2 * square)
     pairs = np.exp(np.clip(logs, math.log(TINY), -math.log(TINY) / 4))
     back, forth = np.ones_like(pairs), np.zeros_like(pairs)  # messages from detections to targets, and there
@@ -129,12 +118,12 @@ def assign(table: DetectionTable, model: DetectorModel, recalls: np.ndarray) -> 
         if np.abs(back - before).max(initial=0.0) < STILL:
             break
     weights = pairs * back
-    return weights / (1 + sums(table.target, weights)[table.target])
+    return weights / (1 + np.bincount(table.target, weights)[table.target])
 
 
 def _others(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
     """For each of `values` ``(P,)`` the sum of the others of its group."""
-    return np.maximum(sums(groups, values)[groups] - values, 0.0)
+    return np.maximum(np.bincount(groups, values)[groups] - values, 0.0)
 
 
 def log_hits(hits: np.ndarray, looks: np.ndarray, habit: np.ndarray) -> np.ndarray:
@@ -142,17 +131,15 @@ def log_hits(hits: np.ndarray, looks: np.ndarray, habit: np.ndarray) -> np.ndarr
     return betaln(habit[0] + hits, habit[1] + looks - hits) - betaln(*habit)
 
 
-def fitted_habit(
-    hits: np.ndarray, looks: np.ndarray, weights: np.ndarray, prior: np.ndarray, start: tuple[float, float]
-) -> np.ndarray:
+def fitted_habit(hits: np.ndarray, looks: np.ndarray, weights: np.ndarray, prior: Prior, start: Any) -> np.ndarray:
     """The likeliest beta distribution ``(2,)`` of places ``(n,)`` with so many `hits` in so many `looks`.
 
-    `weights` ``(n,)``: how often each counts. `prior` ``(2,)``: mean logarithms of shares (`Prior`).
+    `weights` ``(n,)``: how often each counts.
     """
 
     def loss(logs: np.ndarray) -> float:
         habit = np.exp(logs)
-        return -float(weights @ log_hits(hits, looks, habit) + HABIT_PRIOR * (prior @ habit - betaln(*habit)))
+        return -float(weights @ log_hits(hits, looks, habit) + HABIT_PRIOR * (prior.habit @ habit - betaln(*habit)))
 
     return np.exp(minimize(loss, np.clip(np.log(start), *HABITS), bounds=[HABITS] * 2).x)
 
@@ -193,14 +180,14 @@ def fitted_errors(
         each[mask] for each in (table.offsets, table.home, counts, table.own[table.detection])
     )
     number, squares = len(times), (offsets**2).sum(axis=1)
-    area = sums(home, counts * own, number) / np.maximum(sums(home, counts, number), TINY)
+    area = np.bincount(home, counts * own, number) / np.maximum(np.bincount(home, counts, number), TINY)
 
     def loss(logs: np.ndarray) -> float:
         errors = np.append(np.exp(logs), stated[free:])
         per_look, kept = variances(errors, own)[0], variances(errors, area)[1]
         precise = counts / per_look
-        pull = sum(sums(home, precise * along, number) ** 2 for along in offsets.T)
-        mixed = 1 + kept * sums(home, precise, number)
+        pull = sum(np.bincount(home, precise * along, number) ** 2 for along in offsets.T)
+        mixed = 1 + kept * np.bincount(home, precise, number)
         likelihood = times @ (kept * pull / (2 * mixed) - np.log(mixed))
         likelihood -= (times[home] * counts) @ (np.log(per_look) + squares / (2 * per_look))
         # Spreads are normal in their logarithms; each of two axes of a detection brings a Fisher information of 2.
@@ -214,22 +201,25 @@ def fitted_errors(
     return np.append(np.clip(found, LOW[:free], HIGH[:free]), stated[free:])
 
 
-def _estimate(table: DetectionTable, weights: np.ndarray, prior: Prior, start: Estimate | None = None) -> Estimate:
-    """The likeliest numbers for looks that count `weights` ``(L,)``, by expectation-maximisation from `start` on."""
+def estimated(
+    table: DetectionTable, weights: np.ndarray, prior: Prior, start: DetectorModel | None = None
+) -> DetectorModel:
+    """The likeliest model for looks that count `weights` ``(L,)``, whose false alarms are all that is false.
+
+    By expectation-maximisation from `start` on.
+    """
     of_target, of_detection = weights[table.target_look], weights[table.look]
-    of_pair, habit = of_detection[table.detection], stated_habit(table.base)
-    if start is None:
-        alarms, spread = max(float(of_detection.sum() / weights.sum()), 0.1), WIDE * table.base.spread
-        model = replace(table.base, false_alarms_per_look=alarms, spread=float(np.clip(spread, LOW[0], HIGH[0])))
-        model = replace(model, score_ratios=FLAT) if len(table.scores) else model
-        model = replace(model, detection_probability=None, habit=tuple(habit.tolist())) if table.places else model
-        start = model, np.full(table.places, habit[0] / habit.sum())
-    (model, recalls), last = start, np.full(len(table.target), np.inf)
+    of_pair, last = of_detection[table.detection], np.full(len(table.target), np.inf)
     visits = np.bincount(table.place, minlength=table.places)
-    times = sums(table.place, of_target, table.places) / visits  # how often each place counts
-    spans = sums(table.home, of_pair, table.homes) / np.bincount(table.home, minlength=table.homes)
+    times = np.bincount(table.place, of_target, table.places) / visits  # how often each place counts
+    spans = np.bincount(table.home, of_pair, table.homes) / np.bincount(table.home, minlength=table.homes)
+    if (model := start) is None:
+        alarms, spread = max(float(of_detection.sum() / weights.sum()), 0.1), WIDE * table.base.spread
+        known: dict[str, Any] = {"score_ratios": FLAT} if len(table.scores) else {}
+        known |= {"detection_probability": None, "habit": tuple(stated_habit(table.base))} if table.places else {}
+        model = replace(table.base, false_alarms_per_look=alarms, spread=np.clip(spread, LOW[0], HIGH[0]), **known)
     for _ in range(STEPS):
-        shares = assign(table, model, recalls)
+        shares = assign(table, model)
         right = table.right(shares)
         alarms = max(of_detection @ (1 - right), 0.0) + prior.alarms
         counts = of_pair * shares / np.maximum(spans[table.home], TINY)
@@ -237,29 +227,30 @@ def _estimate(table: DetectionTable, weights: np.ndarray, prior: Prior, start: E
         numbers: dict[str, Any] = dict(zip(ERRORS, errors.tolist(), strict=True))
         numbers["false_alarms_per_look"] = float(alarms / (weights.sum() + 1))
         if table.places:
-            hit = np.minimum(sums(table.target, shares, len(table.place)), 1.0)
-            hits = np.minimum(sums(table.place, of_target * hit, table.places) / np.maximum(times, TINY), visits)
-            habit = fitted_habit(hits, visits, times, prior.habit, model.habit)
-            recalls = np.clip((habit[0] + hits) / (habit.sum() + visits), *RECALLS)
-            numbers["habit"] = tuple(habit.tolist())
+            hit = np.minimum(np.bincount(table.target, shares, len(table.place)), 1.0)
+            hits = np.minimum(np.bincount(table.place, of_target * hit, table.places) / np.maximum(times, TINY), visits)
+            numbers["habit"] = tuple(fitted_habit(hits, visits, times, prior, model.habit).tolist())
         if len(table.scores):
             numbers["score_ratios"] = fitted_curve(table.scores, right, of_detection * table.score_weights)
         model = replace(model, **numbers)
         if np.abs(shares - last).max(initial=0.0) < SETTLED:
             break
         last = shares
-    return model, recalls
+    return model
 
 
 # --- what comes again and again --------------------------------------------------------------------------------------
 
 
-def look_alike_fit(table: DetectionTable, at: Estimate) -> Callable[[DetectorModel, np.ndarray, Prior], DetectorModel]:
-    """What tells the look-alikes of a model from transient false alarms; `at`: the estimate that counts them together.
+Refine = Callable[[DetectorModel, np.ndarray, Prior], DetectorModel]
+
+
+def look_alike_fit(table: DetectionTable, at: DetectorModel) -> Refine:
+    """What tells the look-alikes of a model from transient false alarms; `at`: the model that counts them together.
 
     C candidates are places of false detections in looks with poses; a second detection beside a target is none.
     """
-    errors, false = deviations(at[0]), 1 - table.right(assign(table, *at))
+    errors, false = deviations(at), 1 - table.right(assign(table, at))
     wanted, square = false > 0.5, variances(errors, table.own).sum(axis=0)[table.detection]
     wanted[table.detection[(table.offsets**2).sum(axis=1) < NEAR**2 * square]] = False
     errors[1] = table.base.spread_of_size  # what is false scatters more than what is right
@@ -274,15 +265,15 @@ def look_alike_fit(table: DetectionTable, at: Estimate) -> Callable[[DetectorMod
         rows.append((table.segment[table.look[of[0]]], len(of), together))
     of_segment, hits, together = np.reshape(rows, (-1, 3)).T
     segment, exposure = of_segment.astype(int), np.zeros((int(table.segment.max()) + 1, len(places)))
-    for index in np.flatnonzero(table.posed).tolist():  # how many looks covered each direction and each candidate
-        exposure[table.segment[index]] += table.looks[index].covers(places @ table.looks[index].world)
+    for look, number in zip(table.looks, table.segment, strict=True):  # how many covered each direction and candidate
+        exposure[number] += look.covers(places @ look.world)
     seen = np.maximum(exposure[segment, SKY.weights.size + np.arange(len(rows))], hits)
     views, view = np.unique(exposure[:, : SKY.weights.size], return_inverse=True)
 
     def fitted(model: DetectorModel, weights: np.ndarray, prior: Prior) -> DetectorModel:
         times = np.bincount(table.segment, weights) / np.bincount(table.segment)  # how often each segment counts
         total, alarms = weights.sum() + 1, weights[table.look] @ false + prior.alarms
-        often = sums(view.ravel(), np.outer(times, SKY.weights / (4 * math.pi)).ravel())
+        often = np.bincount(view.ravel(), np.outer(times, SKY.weights / (4 * math.pi)).ravel())
 
         def loss(logs: np.ndarray) -> float:
             (rate, number), habit = np.exp(logs[:2]), np.exp(logs[2:])
@@ -303,10 +294,9 @@ def look_alike_fit(table: DetectionTable, at: Estimate) -> Callable[[DetectorMod
 
 
 class HeldOut(NamedTuple):
-    """By how much looks that the fit had not seen are read better than with the model before, nats per look.
+    """The gain in `log_score` over the model before, nats per look, on looks that the fit had not seen.
 
-    Of the log density at the truth and the log probability of the truth about presence, together (`log_score`); `low`
-    to `high`: the 95 % interval over the parts that were left out.
+    `low` to `high`: the 95 % interval over the parts that were left out.
     """
 
     gain: float
@@ -344,28 +334,29 @@ def fit_detector(
 
     Raises `EagorError` without looks.
     """
-    base, table = base or DetectorModel(), DetectionTable(looks, base or DetectorModel())
+    table = DetectionTable(looks, base or DetectorModel())
     model, estimate, told_apart = _fitted(table)
-    right = table.right(assign(table, *estimate))
+    right = table.right(assign(table, estimate))
+    matched = round(float(right.sum()), 1)
     counts = {"looks": len(looks), "groups": len({look.group for look in looks}), "targets": len(table.place)}
-    counts |= {"detections": len(right), "matched": round(float(right.sum()), 1)}
-    counts["false_alarms"] = round(counts["detections"] - counts["matched"], 1)
-    parts, rng = _parts(looks), np.random.default_rng(0)
-    number, draws = int(parts.max()) + 1, {name: [] for name in (*ERRORS, "false_alarms_per_look")}
-    draws |= {name: [] for name, known in {"detection_share": table.places, "look_alikes": told_apart}.items() if known}
+    counts |= {"detections": len(right), "matched": matched, "false_alarms": round(len(right) - matched, 1)}
+    parts, rng, draws = _parts(looks), np.random.default_rng(0), []
+    number = int(parts.max()) + 1
     for _ in range(resamples):
-        weights, prior = number * rng.dirichlet(np.ones(number))[parts], Prior.of(base, rng)
-        drawn = _estimate(table, weights, prior, estimate)[0]
-        drawn = told_apart(drawn, weights, prior) if told_apart else drawn
-        for name, values in draws.items():
-            values.append(drawn.habit[0] / sum(drawn.habit) if name == "detection_share" else getattr(drawn, name))
+        weights, prior = number * rng.dirichlet(np.ones(number))[parts], Prior.of(table.base, rng)
+        drawn = estimated(table, weights, prior, estimate)
+        draws.append(told_apart(drawn, weights, prior) if told_apart else drawn)
         on_step()
-    # Expanded percentiles, wider for few parts (Hesterberg, The American Statistician 69(4), 2015). The quantile is of
-    # Student's t; scipy.stats takes long to import.
+    names = (*ERRORS, "false_alarms_per_look", *(("look_alikes",) if told_apart else ()))
+    values = {name: [getattr(drawn, name) for drawn in draws] for name in names}
+    if table.places:
+        values["detection_share"] = [drawn.habit[0] / sum(drawn.habit) for drawn in draws]
+    # Expanded percentiles, wider for few parts (Hesterberg, The American Statistician 69(4), 2015).
     few = max(number, 2)
-    levels = ndtr(math.sqrt(few / (few - 1)) * stdtrit(few - 1, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
-    intervals = {name: tuple(np.quantile(values, levels).tolist()) for name, values in draws.items() if values}
-    return DetectorFit(model, counts, intervals, _held_out(looks, base, parts) if number > 1 else None)
+    ends = stdtrit(few - 1, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])  # of Student's t; scipy.stats takes long to import
+    levels = ndtr(math.sqrt(few / (few - 1)) * ends)
+    intervals = {name: tuple(np.quantile(each, levels).tolist()) for name, each in values.items() if draws}
+    return DetectorFit(model, counts, intervals, _held_out(looks, table.base, parts) if number > 1 else None)
 
 
 def fitted_model(looks: Sequence[LabelledLook], base: DetectorModel) -> DetectorModel:
@@ -373,15 +364,13 @@ def fitted_model(looks: Sequence[LabelledLook], base: DetectorModel) -> Detector
     return _fitted(DetectionTable(looks, base))[0]
 
 
-def _fitted(table: DetectionTable):
-    """The model, with the digits that mean something; its estimate; what tells look-alikes, where anything does."""
+def _fitted(table: DetectionTable) -> tuple[DetectorModel, DetectorModel, Refine | None]:
+    """The model, to three digits; its estimate before look-alikes were told apart, and what does so if anything can."""
     every, prior = np.ones(len(table.looks)), Prior.of(table.base)
-    estimate = _estimate(table, every, prior)
-    found, told_apart = estimate[0], None
-    if table.posed.any() and table.base.look_alikes != 0:
-        told_apart = look_alike_fit(table, estimate)
-        found = told_apart(found, every, prior)
-    return replace(found, **{name: short(getattr(found, name)) for name in FITTED}), estimate, told_apart
+    estimate = model = estimated(table, every, prior)
+    told_apart = look_alike_fit(table, estimate) if table.posed and table.base.look_alikes != 0 else None
+    model = estimate if told_apart is None else told_apart(estimate, every, prior)
+    return replace(model, **{name: short(getattr(model, name)) for name in FITTED}), estimate, told_apart
 
 
 def short(value: Any) -> Any:
@@ -396,9 +385,7 @@ def _parts(looks: Sequence[LabelledLook]) -> np.ndarray:
     names = list(dict.fromkeys(look.group for look in looks))
     if len(names) > 1:
         return np.array([names.index(look.group) for look in looks])
-    parts = np.empty(len(looks), dtype=int)
-    parts[in_time(looks)] = np.arange(len(looks)) * min(BLOCKS, len(looks)) // len(looks)
-    return parts
+    return np.argsort(in_time(looks)) * min(BLOCKS, len(looks)) // len(looks)
 
 
 def _held_out(looks: Sequence[LabelledLook], base: DetectorModel, parts: np.ndarray) -> HeldOut:
