@@ -37,7 +37,7 @@ from eagor.lab.tasks.sim.play import Rollout, Runner
 from eagor.lab.tasks.sim.tracking import TrackingEpisode
 from eagor.lab.worlds.render import PAINTS
 from eagor.perception import load
-from eagor.perception.calibrated import Calibrated
+from eagor.perception.calibrated import READING, Calibrated
 from eagor.statistics import bootstrap_interval
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.follower import Follower
@@ -48,29 +48,23 @@ EVERY = 3  # steps between the readings that are scored: neighbours say nearly t
 SMALLEST = 1e-9  # a probability of presence below it counts as this
 DRAWS, ELITE = 16, 4  # settings in a round, of which so many are kept
 SPREAD, LEAST = 0.25, 0.03  # standard deviation of the first round, of the range of each parameter; the least of any
-# The ranges of `Calibration` that are drawn from, evenly in the logarithm; of the persistence, of 1 minus it. The
+# The ranges of the fields in `READING`, drawn from evenly in the logarithm; of the persistence, of 1 minus it. The
 # spread is 0 at its lowest place.
-READING = {
-    "floor": (0.01, 1.0),
-    "neutral": (0.003, 0.3),
-    "temperature": (0.03, 30.0),
-    "persistence": (0.05, 1.0),
-    "spread": (math.radians(2), math.radians(12)),
-}
-_LOW, _HIGH = np.array([*READING.values()]).T
+LOW = np.array([0.01, 0.003, 0.03, 0.05, math.radians(2)])
+HIGH = np.array([1.0, 0.3, 30.0, 1.0, math.radians(12)])
 
 
 def at_places(calibration: Calibration, places: np.ndarray) -> Calibration:
     """`calibration` with the numbers of `READING` at `places` ``(5,)``, each in [0, 1] of its range."""
-    *values, persistence, spread = (_LOW * (_HIGH / _LOW) ** places).tolist()
+    *values, persistence, spread = (LOW * (HIGH / LOW) ** places).tolist()
     values += [max(1 - persistence, 0.0), spread * (places[-1] > 0)]
     return replace(calibration, **dict(zip(READING, map(short, values), strict=True)))
 
 
 def places_of(calibration: Calibration) -> np.ndarray:
     """The places ``(5,)`` of a calibration's numbers; the nearest, where one is beyond its range."""
-    values = np.array([1 - calibration.persistence if n == "persistence" else getattr(calibration, n) for n in READING])
-    return np.log(np.clip(values, _LOW, _HIGH) / _LOW) / np.log(_HIGH / _LOW)
+    *values, persistence, spread = (getattr(calibration, name) for name in READING)
+    return np.log(np.clip([*values, 1 - persistence, spread], LOW, HIGH) / LOW) / np.log(HIGH / LOW)
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
@@ -216,15 +210,8 @@ def fit(
         configs = BASE.fitted(start, None, {}), BASE.fitted(best, detector, {})
         groups = [of[index] for index in halves[1]]
         before, after = (_means(scores, groups) for scores in run(partial(_scores, halves[1]), configs))
-    found_by = {
-        "apartments": seeds,
-        "episodes": len(recordings),
-        "trials": 0 if start is None else trials,
-        "judged by": sorted(set(groups)),
-        "before": before,
-        "after": after,
-        "version": __version__,
-    }
+    found_by = {"apartments": seeds, "episodes": len(recordings), "trials": 0 if start is None else trials}
+    found_by |= {"judged by": sorted(set(groups)), "before": before, "after": after, "version": __version__}
     return Calibrated(perception, best, found_by=found_by, detector=detector)
 
 

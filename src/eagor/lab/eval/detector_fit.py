@@ -32,7 +32,7 @@ from eagor.evidence.detector import LEAST_OF_SIZE, LEAST_SCORE, LOOK_ALIKES, Ala
 from eagor.grids import ErpGrid
 from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, in_time
 from eagor.sphere import angular_distance, unit
-from eagor.statistics import bootstrap_interval
+from eagor.statistics import PairedDifference, paired_difference
 
 NEAR = 2.5  # deviations: a detection nearer to a target is beside it
 SKY = ErpGrid(8, 16)  # directions at which it is counted how many looks covered them
@@ -57,7 +57,7 @@ FLAT = (0.0, 1.0), (1.0, 1.0)  # ratio 1 for every score
 
 
 class Prior(NamedTuple):
-    """What the priors stand for: as if this had been counted before the looks.
+    """As if this had been counted before the looks.
 
     The mean logarithms ``(2,)`` of the shares of hits and of misses, at `HABIT_PRIOR` places of targets (`habit`) and
     at `ALIKE_PRIOR` look-alikes (`alike`); `alikes` in `NUMBER_PRIOR` views; the `spread` and `spread_of_size` of
@@ -104,8 +104,8 @@ def variances(errors: np.ndarray, own: np.ndarray) -> np.ndarray:
 # --- which detections are of which targets, and the numbers -----------------------------------------------------------
 
 
-def assign(table: DetectionTable, model: DetectorModel) -> np.ndarray:
-    """The probabilities ``(P,)`` that a detection is of a target, by belief propagation."""
+def assign(table: DetectionTable, model: DetectorModel) -> tuple[np.ndarray, np.ndarray]:
+    """The probabilities ``(P,)`` that a detection is of a target, and ``(D,)`` of any, by belief propagation."""
     rate, square = model.false_alarms_per_look, variances(deviations(model), table.own).sum(axis=0)[table.detection]
     ratios = model.ratios(table.scores, len(table.scores)) * table.areas[table.look] / (rate * table.clutter)
     logs = np.log(ratios)[table.detection] + np.log(np.divide(*stated_habit(model)))
@@ -118,7 +118,8 @@ def assign(table: DetectionTable, model: DetectorModel) -> np.ndarray:
         if np.abs(back - before).max(initial=0.0) < STILL:
             break
     weights = pairs * back
-    return weights / (1 + np.bincount(table.target, weights)[table.target])
+    shares = weights / (1 + np.bincount(table.target, weights)[table.target])
+    return shares, np.minimum(np.bincount(table.detection, shares, len(table.scores)), 1.0)
 
 
 def _others(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
@@ -175,21 +176,18 @@ def fitted_errors(
     Detections are normal about their places, and what a place keeps is of its mean box. `counts` ``(P,)``: how often
     each pair counts in its home; `times` ``(C,)``: how often each home counts.
     """
-    mask, stated, free = counts > 1e-6, deviations(table.base), 4 if table.revisits else 1
-    offsets, home, counts, own = (
-        each[mask] for each in (table.offsets, table.home, counts, table.own[table.detection])
-    )
-    number, squares = len(times), (offsets**2).sum(axis=1)
+    stated, free = deviations(table.base), 4 if table.revisits else 1
+    home, own, number = table.home, table.own[table.detection], len(times)
     area = np.bincount(home, counts * own, number) / np.maximum(np.bincount(home, counts, number), TINY)
 
     def loss(logs: np.ndarray) -> float:
         errors = np.append(np.exp(logs), stated[free:])
         per_look, kept = variances(errors, own)[0], variances(errors, area)[1]
         precise = counts / per_look
-        pull = sum(np.bincount(home, precise * along, number) ** 2 for along in offsets.T)
+        pull = sum(np.bincount(home, precise * along, number) ** 2 for along in table.offsets.T)
         mixed = 1 + kept * np.bincount(home, precise, number)
         likelihood = times @ (kept * pull / (2 * mixed) - np.log(mixed))
-        likelihood -= (times[home] * counts) @ (np.log(per_look) + squares / (2 * per_look))
+        likelihood -= (times[home] * counts) @ (np.log(per_look) + (table.offsets**2).sum(axis=1) / (2 * per_look))
         # Spreads are normal in their logarithms; each of two axes of a detection brings a Fisher information of 2.
         doubt = 2 * SPREAD_PRIOR * np.log(errors[:2] / prior.spreads) ** 2
         wide = errors[2:] ** 2 + prior.spreads**2
@@ -201,13 +199,8 @@ def fitted_errors(
     return np.append(np.clip(found, LOW[:free], HIGH[:free]), stated[free:])
 
 
-def estimated(
-    table: DetectionTable, weights: np.ndarray, prior: Prior, start: DetectorModel | None = None
-) -> DetectorModel:
-    """The likeliest model for looks that count `weights` ``(L,)``, whose false alarms are all that is false.
-
-    By expectation-maximisation from `start` on.
-    """
+def estimated(table: DetectionTable, weights: np.ndarray, prior: Prior, start: DetectorModel | None) -> DetectorModel:
+    """The likeliest model for looks that count `weights` ``(L,)``, with look-alikes among the false alarms."""
     of_target, of_detection = weights[table.target_look], weights[table.look]
     of_pair, last = of_detection[table.detection], np.full(len(table.target), np.inf)
     visits = np.bincount(table.place, minlength=table.places)
@@ -219,8 +212,7 @@ def estimated(
         known |= {"detection_probability": None, "habit": tuple(stated_habit(table.base))} if table.places else {}
         model = replace(table.base, false_alarms_per_look=alarms, spread=np.clip(spread, LOW[0], HIGH[0]), **known)
     for _ in range(STEPS):
-        shares = assign(table, model)
-        right = table.right(shares)
+        shares, right = assign(table, model)
         alarms = max(of_detection @ (1 - right), 0.0) + prior.alarms
         counts = of_pair * shares / np.maximum(spans[table.home], TINY)
         errors = fitted_errors(table, counts, spans, prior, deviations(model))
@@ -250,7 +242,7 @@ def look_alike_fit(table: DetectionTable, at: DetectorModel) -> Refine:
 
     C candidates are places of false detections in looks with poses; a second detection beside a target is none.
     """
-    errors, false = deviations(at), 1 - table.right(assign(table, at))
+    errors, false = deviations(at), 1 - assign(table, at)[1]
     wanted, square = false > 0.5, variances(errors, table.own).sum(axis=0)[table.detection]
     wanted[table.detection[(table.offsets**2).sum(axis=1) < NEAR**2 * square]] = False
     errors[1] = table.base.spread_of_size  # what is false scatters more than what is right
@@ -293,30 +285,20 @@ def look_alike_fit(table: DetectionTable, at: DetectorModel) -> Refine:
 # --- the fit ---------------------------------------------------------------------------------------------------------
 
 
-class HeldOut(NamedTuple):
-    """The gain in `log_score` over the model before, nats per look, on looks that the fit had not seen.
-
-    `low` to `high`: the 95 % interval over the parts that were left out.
-    """
-
-    gain: float
-    low: float
-    high: float
-
-
 @dataclass(frozen=True)
 class DetectorFit:
     """A fitted `model`, and what it rests on.
 
     `counts`: looks, groups, targets in view, detections; how many of these are of a target (`matched`, a sum of
     probabilities) and how many `false_alarms`. `intervals`: 95 % intervals by name of the number, over groups; with one
-    group over stretches of its looks. `held_out`: None for a single look.
+    group over stretches of its looks. `held_out`: the gain in `log_score` over the model before, nats per look, on
+    looks that the fit had not seen; None for a single look.
     """
 
     model: DetectorModel
     counts: dict[str, float]
     intervals: dict[str, tuple[float, float]]
-    held_out: HeldOut | None
+    held_out: PairedDifference | None
 
 
 def fit_detector(
@@ -330,13 +312,12 @@ def fit_detector(
 
     `base` (default: `DetectorModel()`): the prior of each number. What the looks cannot tell is taken from it: the
     habit without a target in view, the offset and the look-alikes without orientations, `kept_for` and `kept_within`
-    always. `resamples`: draws of the groups' weights, for the intervals; `on_step` is called after each.
-
-    Raises `EagorError` without looks.
+    always. `resamples`: draws of the groups' weights, for the intervals; `on_step` is called after each. Raises
+    `EagorError` without looks.
     """
     table = DetectionTable(looks, base or DetectorModel())
     model, estimate, told_apart = _fitted(table)
-    right = table.right(assign(table, estimate))
+    right = assign(table, estimate)[1]
     matched = round(float(right.sum()), 1)
     counts = {"looks": len(looks), "groups": len({look.group for look in looks}), "targets": len(table.place)}
     counts |= {"detections": len(right), "matched": matched, "false_alarms": round(len(right) - matched, 1)}
@@ -367,7 +348,7 @@ def fitted_model(looks: Sequence[LabelledLook], base: DetectorModel) -> Detector
 def _fitted(table: DetectionTable) -> tuple[DetectorModel, DetectorModel, Refine | None]:
     """The model, to three digits; its estimate before look-alikes were told apart, and what does so if anything can."""
     every, prior = np.ones(len(table.looks)), Prior.of(table.base)
-    estimate = model = estimated(table, every, prior)
+    estimate = estimated(table, every, prior, None)
     told_apart = look_alike_fit(table, estimate) if table.posed and table.base.look_alikes != 0 else None
     model = estimate if told_apart is None else told_apart(estimate, every, prior)
     return replace(model, **{name: short(getattr(model, name)) for name in FITTED}), estimate, told_apart
@@ -388,16 +369,15 @@ def _parts(looks: Sequence[LabelledLook]) -> np.ndarray:
     return np.argsort(in_time(looks)) * min(BLOCKS, len(looks)) // len(looks)
 
 
-def _held_out(looks: Sequence[LabelledLook], base: DetectorModel, parts: np.ndarray) -> HeldOut:
+def _held_out(looks: Sequence[LabelledLook], base: DetectorModel, parts: np.ndarray) -> PairedDifference:
     """Each look read by `base`, and by the model that was fitted on the other parts alone."""
-    gains = np.empty(len(looks))
+    after, before = np.empty((2, len(looks)))
     for left_out in range(min(FOLDS, int(parts.max()) + 1)):
         fold = parts % FOLDS == left_out
         model = fitted_model([look for look, out in zip(looks, fold, strict=True) if not out], base)
         for index in np.flatnonzero(fold).tolist():
-            gains[index] = log_score(looks[index], model) - log_score(looks[index], base)
-    ends = bootstrap_interval(gains, np.random.default_rng(0), LEVEL, groups=parts)
-    return HeldOut(float(gains.mean()), ends.low, ends.high)
+            after[index], before[index] = log_score(looks[index], model), log_score(looks[index], base)
+    return paired_difference(after, before, np.random.default_rng(0), parts, LEVEL)
 
 
 def log_score(look: LabelledLook, model: DetectorModel) -> float:

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.cluster.hierarchy import fclusterdata
 from scipy.optimize import linear_sum_assignment
 
 from eagor._checks import checked_stamp
@@ -100,7 +100,7 @@ class LabelledLook:
 class DetectionTable:
     """Labelled `looks` as flat tables: L looks, D detections, T targets in view, P pairs of both in one look.
 
-    - Of looks: `areas` (covered, steradians), `segment` (`segments`); `posed`: whether all orientations are known.
+    - Of looks: `areas` (covered, steradians), `segment` (`segments`). `posed`: whether all have an orientation.
     - Of detections: `look`; `directions` ``(D, 3)`` in the axes of the world, or of the body without a pose; `scores`,
       relative `clutter`; `own`: the mean variance of a box's area along its axes, 0 for points; `score_weights`: one
       over the number of detections at its place, since a score is a habit, too.
@@ -128,11 +128,9 @@ class DetectionTable:
         self.place = _places(looks, self.segment, targets if self.posed else None)
         self.places = int(self.place.max(initial=-1)) + 1
         self.revisits = self.posed and len(self.place) > self.places
-        # Every target with every detection of its look.
-        first, end = (np.searchsorted(self.look, self.target_look, side) for side in ("left", "right"))
-        count = end - first
-        self.target = np.repeat(np.arange(len(count)), count)
-        self.detection = np.arange(len(self.target)) - np.repeat(np.cumsum(count) - count - first, count)
+        spans = np.searchsorted(self.look, [self.target_look, self.target_look + 1]).T  # the detections of its look
+        pairs = [(target, detection) for target, span in enumerate(spans) for detection in range(*span)]
+        self.target, self.detection = np.reshape(pairs, (-1, 2)).astype(int).T
         centres, seen = np.concatenate(targets)[self.target], self.directions[self.detection]
         scale = np.sqrt(2 / np.maximum(1 + np.einsum("pi,pi->p", seen, centres), 1e-9))
         self.offsets = np.einsum("pij,pj->pi", tangent_frames(centres), seen) * scale[:, None]
@@ -150,16 +148,11 @@ class DetectionTable:
         found, segment = [], self.segment[self.look]
         for number in np.unique(segment[wanted]) if self.posed else ():
             members = np.flatnonzero(wanted & (segment == number))
-            one, other = np.triu_indices(len(members), 1)
-            apart = np.linalg.norm(self.directions[members[one]] - self.directions[members[other]], axis=1)
-            apart /= np.sqrt((variances[members[one]] + variances[members[other]]) / 2)
-            labels = fcluster(linkage(apart, "average"), FAR, "distance") if len(members) > 1 else np.ones(1)
+            most, labels = FAR * math.sqrt(variances[members].mean()), np.ones(1)
+            if len(members) > 1:
+                labels = fclusterdata(self.directions[members], most, "distance", method="average")
             found += [members[labels == label] for label in np.unique(labels)]
         return found
-
-    def right(self, shares: np.ndarray) -> np.ndarray:
-        """The probability of each detection ``(D,)`` to be of any target, from `shares` ``(P,)``."""
-        return np.minimum(np.bincount(self.detection, shares, len(self.scores)), 1.0)
 
 
 def in_time(looks: Sequence[LabelledLook]) -> np.ndarray:
@@ -209,8 +202,6 @@ def _places(looks: Sequence[LabelledLook], segment: np.ndarray, targets: Sequenc
 
 # --- labelled looks from a replay file (docs/replay-format.md) and a file of true directions --------------------------
 
-Pose = tuple[np.ndarray, np.ndarray | None]  # world_R_body ``(3, 3)``, and the position ``(3,)`` if it is known
-
 
 class _Target(msgspec.Struct, forbid_unknown_fields=True):
     azimuth_deg: Turn
@@ -218,20 +209,12 @@ class _Target(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Truth(msgspec.Struct, forbid_unknown_fields=True, eq=False):
-    """A line: the directions, body frame, of ALL that `query` names at `stamp`; no `targets`: it is absent.
-
-    `group`: which recording.
-    """
+    """A line: ALL that `query` names at `stamp`, body frame; no `targets`: it is absent. `group`: which recording."""
 
     stamp: Finite
     query: Annotated[str, msgspec.Meta(pattern=r"[^\W_]")]
     targets: list[_Target]
     group: Annotated[str, msgspec.Meta(min_length=1)] | None = None
-
-    @property
-    def source(self) -> str:
-        """Which recording of which thing: the group of its look."""
-        return self.query if self.group is None else f"{self.group}: {self.query}"
 
 
 def read_truth(path: str | os.PathLike[str]) -> tuple[Truth, ...]:
@@ -249,31 +232,33 @@ def read_truth(path: str | os.PathLike[str]) -> tuple[Truth, ...]:
 
 
 def replayed_looks(
-    replay: ReplayPerception, truths: Sequence[Truth], pose: Callable[[float], Pose] | None = None
+    replay: ReplayPerception, truths: Sequence[Truth], pose: Callable[[float], tuple] = lambda stamp: (None, None)
 ) -> tuple[list[LabelledLook], list[Truth]]:
     """The looks of `replay` at the stamps of `truths`, and the truths without one.
 
-    `pose` tells how the camera stood at a stamp. A look is used once for each query, with the truth that is nearest in
-    time. Raises `QueryError` where no label fits a query that has targets, `ResponseError` for response maps.
+    `pose` tells how the camera stood at a stamp: `world_R_body` and `position`, as for `LabelledLook`. A look is used
+    once for each query, with the truth that is nearest in time. Raises `QueryError` where no label fits a query that
+    has targets, `ResponseError` for response maps.
     """
     present = {truth.query for truth in truths if truth.targets}
-    # What is never there may have no label either: the detector looked and saw none.
-    views = {truth: replay.looks_near(truth.query, truth.stamp, strict=truth.query in present) for truth in truths}
-    pairs = [(truth, seen, float(seen[0].stamp or 0.0)) for truth, seen in views.items() if seen]
-    nearest: dict[tuple[str, float], Truth] = {}
-    for truth, _, stamp in sorted(pairs, key=lambda pair: abs(pair[2] - pair[0].stamp)):
-        nearest.setdefault((truth.source, stamp), truth)
+    nearest: dict[tuple[str, float], tuple[Truth, Sequence[Evidence]]] = {}
+    for truth in truths:
+        # What is never there may have no label either: the detector looked and saw none.
+        if views := replay.looks_near(truth.query, truth.stamp, strict=truth.query in present):
+            stamp, group = float(views[0].stamp or 0.0), "" if truth.group is None else f"{truth.group}: "
+            other, _ = nearest.setdefault((group + truth.query, stamp), (truth, views))
+            if abs(truth.stamp - stamp) < abs(other.stamp - stamp):
+                nearest[group + truth.query, stamp] = truth, views
     looks = []
-    for truth, seen, stamp in pairs:
-        if nearest[truth.source, stamp] is not truth:
-            continue
+    for (group, stamp), (truth, views) in nearest.items():
         angles = np.radians([(target.azimuth_deg, target.elevation_deg) for target in truth.targets]).reshape(-1, 2)
-        mapped = [view for view in seen if view.detections is None]  # response maps, which `LabelledLook` refuses
-        sets = [view.detections for view in seen if view.detections is not None]
-        look = mapped[0] if mapped else Evidence.from_detections(reduce(Detections.joined, sets), seen[0].grid, stamp)
-        at = (None, None) if pose is None else pose(stamp)
-        looks.append(LabelledLook(look, direction(*angles.T).reshape(-1, 3), stamp, truth.source, *at))
-    return looks, [truth for truth in truths if truth not in nearest.values()]
+        look = min(views, key=lambda view: view.detections is not None)  # a response map, which `LabelledLook` refuses
+        if look.detections is not None:
+            sets = [view.detections for view in views if view.detections is not None]
+            look = Evidence.from_detections(reduce(Detections.joined, sets), look.grid, stamp)
+        looks.append(LabelledLook(look, direction(*angles.T).reshape(-1, 3), stamp, group, *pose(stamp)))
+    used = [truth for truth, _ in nearest.values()]
+    return looks, [truth for truth in truths if truth not in used]
 
 
 # --- development apartments, and labelled panoramas of them from what the simulator knows -----------------------------
