@@ -147,10 +147,8 @@ def replay(options: Calibrate) -> int:
         lines.append("One look is not enough to judge the fit")
     else:
         low, high = judged.interval.low, judged.interval.high
-        lines.append(
-            f"On looks that the fit had not seen, the log score gains {judged.difference:.3f} [{low:.3f} {high:.3f}] per "
-            "look over the default model"
-        )
+        gain = f"{judged.difference:.3f} [{low:.3f} {high:.3f}]"
+        lines.append(f"On looks that the fit had not seen, the log score gains {gain} per look over the default model")
         if low <= 0:
             terminal.warning("the fit is not surely better than the default model on looks that it has not seen")
     use = f"other commands take it as --calibration {out}"

@@ -71,10 +71,7 @@ def places_of(calibration: Calibration) -> np.ndarray:
 
 
 def make_runners(perception: str, rows: int | None = None) -> dict[str, Runner]:
-    """For each of `TASKS` what records its episodes as this perception sees them.
-
-    `rows` of the panoramas; None: what the perception works at. Raises `EagorError` if it cannot be made.
-    """
+    """For each of `TASKS` what records its episodes as this perception sees them, in panoramas of so many `rows`."""
     loaded = load(perception)
     return {task: Runner({"task": task, "perception": perception, "rows": rows}, loaded) for task in TASKS}
 

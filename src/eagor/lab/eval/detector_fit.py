@@ -30,7 +30,7 @@ from scipy.special import betaln, digamma, logit, ndtr, stdtrit
 from eagor.evidence.detections import bump_norms
 from eagor.evidence.detector import LEAST_OF_SIZE, LEAST_SCORE, LOOK_ALIKES, Alarms, DetectorModel
 from eagor.grids import ErpGrid
-from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, in_time
+from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook
 from eagor.sphere import angular_distance, unit
 from eagor.statistics import PairedDifference, paired_difference
 
@@ -99,9 +99,6 @@ def deviations(model: DetectorModel) -> np.ndarray:
 def variances(errors: np.ndarray, own: np.ndarray) -> np.ndarray:
     """Variances ``(2, n)`` per axis, of each look and of each place; `own` ``(n,)``: the variance of a box's area."""
     return np.square(errors[::2, None]) + np.square(errors[1::2, None]) * own
-
-
-# --- which detections are of which targets, and the numbers -----------------------------------------------------------
 
 
 def assign(table: DetectionTable, model: DetectorModel) -> tuple[np.ndarray, np.ndarray]:
@@ -234,10 +231,7 @@ def estimated(table: DetectionTable, weights: np.ndarray, prior: Prior, start: D
 # --- what comes again and again --------------------------------------------------------------------------------------
 
 
-Refine = Callable[[DetectorModel, np.ndarray, Prior], DetectorModel]
-
-
-def look_alike_fit(table: DetectionTable, at: DetectorModel) -> Refine:
+def look_alike_fit(table: DetectionTable, at: DetectorModel) -> Callable[..., DetectorModel]:
     """What tells the look-alikes of a model from transient false alarms; `at`: the model that counts them together.
 
     C candidates are places of false detections in looks with poses; a second detection beside a target is none.
@@ -306,17 +300,22 @@ def fit_detector(
     base: DetectorModel | None = None,
     *,
     resamples: int = RESAMPLES,
+    judged: bool = True,
     on_step: Callable[[], object] = lambda: None,
 ) -> DetectorFit:
     """The model of the detector that gave `looks`, fitted by penalised maximum likelihood.
 
     `base` (default: `DetectorModel()`): the prior of each number. What the looks cannot tell is taken from it: the
     habit without a target in view, the offset and the look-alikes without orientations, `kept_for` and `kept_within`
-    always. `resamples`: draws of the groups' weights, for the intervals; `on_step` is called after each. Raises
-    `EagorError` without looks.
+    always. `resamples`: draws of the groups' weights, for the intervals; `on_step` is called after each. `judged`:
+    whether looks are left out in turn. Raises `EagorError` without looks.
     """
-    table = DetectionTable(looks, base or DetectorModel())
-    model, estimate, told_apart = _fitted(table)
+    table, every = DetectionTable(looks, base or DetectorModel()), np.ones(len(looks))
+    prior, told_apart = Prior.of(table.base), None
+    model = estimate = estimated(table, every, prior, None)
+    if table.posed and table.base.look_alikes != 0:
+        told_apart = look_alike_fit(table, estimate)
+        model = told_apart(estimate, every, prior)
     right = assign(table, estimate)[1]
     matched = round(float(right.sum()), 1)
     counts = {"looks": len(looks), "groups": len({look.group for look in looks}), "targets": len(table.place)}
@@ -337,21 +336,14 @@ def fit_detector(
     ends = stdtrit(few - 1, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])  # of Student's t; scipy.stats takes long to import
     levels = ndtr(math.sqrt(few / (few - 1)) * ends)
     intervals = {name: tuple(np.quantile(each, levels).tolist()) for name, each in values.items() if draws}
-    return DetectorFit(model, counts, intervals, _held_out(looks, table.base, parts) if number > 1 else None)
+    model = replace(model, **{name: short(getattr(model, name)) for name in FITTED})
+    held_out = _held_out(looks, table.base, parts) if judged and number > 1 else None
+    return DetectorFit(model, counts, intervals, held_out)
 
 
 def fitted_model(looks: Sequence[LabelledLook], base: DetectorModel) -> DetectorModel:
     """The model alone, as `fit_detector` finds it."""
-    return _fitted(DetectionTable(looks, base))[0]
-
-
-def _fitted(table: DetectionTable) -> tuple[DetectorModel, DetectorModel, Refine | None]:
-    """The model, to three digits; its estimate before look-alikes were told apart, and what does so if anything can."""
-    every, prior = np.ones(len(table.looks)), Prior.of(table.base)
-    estimate = estimated(table, every, prior, None)
-    told_apart = look_alike_fit(table, estimate) if table.posed and table.base.look_alikes != 0 else None
-    model = estimate if told_apart is None else told_apart(estimate, every, prior)
-    return replace(model, **{name: short(getattr(model, name)) for name in FITTED}), estimate, told_apart
+    return fit_detector(looks, base, resamples=0, judged=False).model
 
 
 def short(value: Any) -> Any:
@@ -366,7 +358,8 @@ def _parts(looks: Sequence[LabelledLook]) -> np.ndarray:
     names = list(dict.fromkeys(look.group for look in looks))
     if len(names) > 1:
         return np.array([names.index(look.group) for look in looks])
-    return np.argsort(in_time(looks)) * min(BLOCKS, len(looks)) // len(looks)
+    in_time = np.argsort([look.stamp or 0.0 for look in looks], kind="stable")
+    return np.argsort(in_time) * min(BLOCKS, len(looks)) // len(looks)
 
 
 def _held_out(looks: Sequence[LabelledLook], base: DetectorModel, parts: np.ndarray) -> PairedDifference:
@@ -386,8 +379,7 @@ def log_score(look: LabelledLook, model: DetectorModel) -> float:
     After this look alone, from a uniform direction and an even chance of presence. One look cannot tell a look-alike
     from a false alarm, nor an offset from a spread.
     """
-    spread = min(math.hypot(model.spread, model.offset), math.radians(60))
-    of_size = min(math.hypot(model.spread_of_size, model.offset_of_size), 2.0)
+    spread, of_size = np.minimum(np.hypot(*deviations(model).reshape(2, 2)), [math.radians(60), 2.0])
     targets, habits = look.in_view, model.habits
     lasting = habits.look_alikes * float(habits.alike_levels @ habits.alike_shares)
     alarms = Alarms.prior(model).after(np.full(len(look.detections), lasting))

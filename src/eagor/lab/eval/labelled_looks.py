@@ -16,7 +16,7 @@ from scipy.cluster.hierarchy import fclusterdata
 from scipy.optimize import linear_sum_assignment
 
 from eagor._checks import checked_stamp
-from eagor.errors import DirectionError, EagorError, FormatError, ResponseError
+from eagor.errors import EagorError, FormatError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.detections import Detections, tangent_frames
 from eagor.evidence.detector import DetectorModel
@@ -47,7 +47,7 @@ class LabelledLook:
     other looks of the group. Where a look has no orientation, targets are the same where they have the same index, and
     nothing is known of look-alikes.
 
-    Raises `ResponseError` without detections, `DirectionError` for targets of another shape, `RotationError`.
+    Raises `ResponseError` without detections, `DirectionError` for targets that are none, `RotationError`.
     """
 
     evidence: Evidence
@@ -63,12 +63,9 @@ class LabelledLook:
                 f"{type(self.evidence).__name__} without detections to count; wanted eagor.Evidence of boxes, points "
                 "or masks. Response maps are read by a Calibration"
             )
-        targets = np.atleast_2d(np.asarray(self.targets, dtype=np.float64))
-        targets = targets.reshape(-1, 3) if targets.size == 0 else targets
-        if targets.ndim != 2 or targets.shape[1] != 3:
-            raise DirectionError(f"targets have shape {targets.shape}; wanted (n, 3), or (0, 3) if the thing is absent")
+        targets = unit(np.asarray(self.targets, dtype=np.float64)) if np.size(self.targets) else np.zeros((0, 3))
         stamp = self.evidence.stamp if self.stamp is None else self.stamp
-        object.__setattr__(self, "targets", unit(targets))
+        object.__setattr__(self, "targets", targets.reshape(-1, 3))
         object.__setattr__(self, "stamp", None if stamp is None else checked_stamp(stamp))
         if self.world_R_body is not None:
             object.__setattr__(self, "world_R_body", checked_pose(self.world_R_body))
@@ -92,9 +89,6 @@ class LabelledLook:
     def covers(self, directions: np.ndarray) -> np.ndarray:
         """Which of the directions ``(n, 3)``, body frame, it looked at ``(n,)``."""
         return np.broadcast_to(np.asarray(self.detections.share(directions)) >= IN_VIEW, len(directions))
-
-
-# --- the looks as flat tables -----------------------------------------------------------------------------------------
 
 
 class DetectionTable:
@@ -155,18 +149,13 @@ class DetectionTable:
         return found
 
 
-def in_time(looks: Sequence[LabelledLook]) -> np.ndarray:
-    """Indices ``(L,)`` of the looks by stamp; without stamps, as they came."""
-    return np.argsort([look.stamp or 0.0 for look in looks], kind="stable")
-
-
 def segments(looks: Sequence[LabelledLook], base: DetectorModel) -> np.ndarray:
     """A number for each look ``(L,)``, the same as long as a group's view stays the same.
 
     A view ends where places have lost their habits, by `kept_for` and `kept_within` of `base`.
     """
     numbers, starts = np.empty(len(looks), dtype=int), {}
-    for index in in_time(looks):
+    for index in np.argsort([look.stamp or 0.0 for look in looks], kind="stable"):
         look = looks[index]
         first = looks[starts.setdefault(look.group, index)]
         faded = ((look.stamp or 0.0) - (first.stamp or 0.0)) / (base.kept_for or math.inf)
@@ -285,10 +274,9 @@ def development_specs(tasks: Sequence[str], count: int, seed: int, per_place: in
 
 
 def apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
-    """`count` panoramas of `rows` rows from development apartments, each with one thing that a query singles out.
+    """`count` panoramas of `rows` rows from `development_specs`, each with one thing that a query singles out.
 
-    A panorama is left out where no thing is of a suitable size. Raises `EagorError` where the seeds reach apartments
-    that results are taken from.
+    A panorama is left out where no thing is of a suitable size.
     """
     specs = development_specs(("labels",), count, seed, PER_PLACE)
     return filter(None, (_apartment_label(spec, rows) for spec in specs))
