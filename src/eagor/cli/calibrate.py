@@ -92,7 +92,7 @@ def responses(options: Calibrate) -> int:
     for what in by["after"]:
         sides = [" ".join(f"{x:.2f}" for x in by[side][what] if x is not None) for side in ("before", "after")]
         lines.append("  {}: {} before, {} after".format(what, *sides))
-    return _finish(options, stored, out, lines, f"other commands take it as --calibration {out}")
+    return _finish(options, stored, out, lines)
 
 
 def replay(options: Calibrate) -> int:
@@ -151,16 +151,15 @@ def replay(options: Calibrate) -> int:
         lines.append(f"On looks that the fit had not seen, the log score gains {gain} per look over the default model")
         if low <= 0:
             terminal.warning("the fit is not surely better than the default model on looks that it has not seen")
-    use = f"other commands take it as --calibration {out}"
-    return _finish(options, fitted.as_json() | {"left_out": len(left_out)}, out, lines, use)
+    return _finish(options, fitted.as_json() | {"left_out": len(left_out)}, out, lines)
 
 
-def _finish(options: Calibrate, result: dict[str, Any], out: Path, lines: list[str], use: str) -> int:
+def _finish(options: Calibrate, result: dict[str, Any], out: Path, lines: list[str], use: str = "") -> int:
     """Give the result that is in `out`: as JSON, or in words that end with what it is of `use` for."""
     if options.json:
         terminal.emit(result | {"out": str(out)})
     else:
-        terminal.say(*lines, f"Written to {out}; {use}")
+        terminal.say(*lines, f"Written to {out}; {use or f'other commands take it as --calibration {out}'}")
     return terminal.OK
 
 

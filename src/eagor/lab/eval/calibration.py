@@ -13,12 +13,12 @@ start. Half of the apartments are searched on, the others judge.
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -196,8 +196,7 @@ def fit(
     detector, start, best = counted([recordings[index] for index in halves[0]]), None, None
     _begin(recordings)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the processes that start now
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(workers, _begin, (recordings,)) if workers > 1 else nullcontext() as pool:
+    with get_context("spawn").Pool(workers, _begin, (recordings,)) if workers > 1 else nullcontext() as pool:
         run = map if pool is None else pool.imap
         if detector is None:
             looks = (moment.evidence for index in halves[0] for moment in recordings[index].steps)
@@ -212,10 +211,8 @@ def fit(
     return Calibrated(perception, best, found_by=found_by, detector=detector)
 
 
-def _searched(
-    start: Calibration, trials: int, run: Callable[[Sequence[TrackerConfig]], Any], advance: Callable[[], object]
-) -> Calibration:
-    """The best of so many `trials`, of which `start` is the first."""
+def _searched(start: Calibration, trials: int, run: Callable[..., Any], advance: Callable[[], object]) -> Calibration:
+    """The best of so many `trials`, of which `start` is the first; `run` gives the scores of configurations."""
     rng, mean = np.random.default_rng(7), places_of(start)
     spread = np.full(len(mean), SPREAD)
     tried: list[tuple[float, np.ndarray]] = []
@@ -223,10 +220,9 @@ def _searched(
         draws = np.clip(mean + spread * rng.standard_normal((DRAWS, len(mean))), 0, 1)[: trials - len(tried)]
         if not tried:
             draws[0] = mean
-        for places, scores in zip(
-            draws, run([BASE.fitted(at_places(start, at), None, {}) for at in draws]), strict=True
-        ):
-            tried.append((float(np.mean([total for total, _ in scores])), places))
+        results = run([BASE.fitted(at_places(start, places), None, {}) for places in draws])
+        for places, scores in zip(draws, results, strict=True):
+            tried.append((float(np.nanmean([total for total, _ in scores])), places))
             advance()
         tried.sort(key=lambda entry: -entry[0])
         elite = np.array([places for _, places in tried[:ELITE]])

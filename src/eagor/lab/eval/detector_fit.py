@@ -228,9 +228,6 @@ def estimated(table: DetectionTable, weights: np.ndarray, prior: Prior, start: D
     return model
 
 
-# --- what comes again and again --------------------------------------------------------------------------------------
-
-
 def look_alike_fit(table: DetectionTable, at: DetectorModel) -> Callable[..., DetectorModel]:
     """What tells the look-alikes of a model from transient false alarms; `at`: the model that counts them together.
 
@@ -274,9 +271,6 @@ def look_alike_fit(table: DetectionTable, at: DetectorModel) -> Callable[..., De
         return replace(model, false_alarms_per_look=rate, look_alikes=number, look_alike_habit=tuple(habit))
 
     return fitted
-
-
-# --- the fit ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

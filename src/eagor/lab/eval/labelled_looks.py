@@ -241,12 +241,12 @@ def replayed_looks(
     looks = []
     for (group, stamp), (truth, views) in nearest.items():
         angles = np.radians([(target.azimuth_deg, target.elevation_deg) for target in truth.targets]).reshape(-1, 2)
-        look = min(views, key=lambda view: view.detections is not None)  # a response map, which `LabelledLook` refuses
+        look = min(views, key=lambda view: view.detections is not None)  # a response map if any: it is refused
         if look.detections is not None:
             sets = [view.detections for view in views if view.detections is not None]
             look = Evidence.from_detections(reduce(Detections.joined, sets), look.grid, stamp)
         looks.append(LabelledLook(look, direction(*angles.T).reshape(-1, 3), stamp, group, *pose(stamp)))
-    used = [truth for truth, _ in nearest.values()]
+    used = {truth for truth, _ in nearest.values()}
     return looks, [truth for truth in truths if truth not in used]
 
 
