@@ -247,7 +247,8 @@ def look_alike_fit(table: DetectionTable, at: DetectorModel) -> Callable[..., De
         together = np.log(each).sum() - far.sum() / 2 - math.log(precise[of].sum() / (2 * math.pi))
         rows.append((table.segment[table.look[of[0]]], len(of), together))
     of_segment, hits, together = np.reshape(rows, (-1, 3)).T
-    segment, exposure = of_segment.astype(int), np.zeros((int(table.segment.max()) + 1, len(places)))
+    segment, places = of_segment.astype(int), np.array(places)
+    exposure = np.zeros((int(table.segment.max()) + 1, len(places)))
     for look, number in zip(table.looks, table.segment, strict=True):  # how many covered each direction and candidate
         exposure[number] += look.covers(places @ look.world)
     seen = np.maximum(exposure[segment, SKY.weights.size + np.arange(len(rows))], hits)
@@ -310,10 +311,9 @@ def fit_detector(
     if table.posed and table.base.look_alikes != 0:
         told_apart = look_alike_fit(table, estimate)
         model = told_apart(estimate, every, prior)
-    right = assign(table, estimate)[1]
-    matched = round(float(right.sum()), 1)
+    found, matched = len(table.scores), round(float(assign(table, estimate)[1].sum()), 1)
     counts = {"looks": len(looks), "groups": len({look.group for look in looks}), "targets": len(table.place)}
-    counts |= {"detections": len(right), "matched": matched, "false_alarms": round(len(right) - matched, 1)}
+    counts |= {"detections": found, "matched": matched, "false_alarms": round(found - matched, 1)}
     parts, rng, draws = _parts(looks), np.random.default_rng(0), []
     number = int(parts.max()) + 1
     for _ in range(resamples):
