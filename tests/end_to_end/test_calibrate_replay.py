@@ -71,11 +71,11 @@ def test_a_detector_that_was_replayed_is_fitted_and_used(files, tmp_path):
     assert model["spread"] == pytest.approx(SPREAD, rel=0.2)
     counts, judged = found["found_by"]["counts"], found["found_by"]["held_out"]
     assert (counts["looks"], counts["groups"], counts["targets"]) == (120, 4, 120)
-    assert judged["gain"] > 0
+    assert judged["difference"] > 0
     low, high = found["found_by"]["intervals"]["spread"]
     assert low < model["spread"] < high
     assert read_calibrated(out).detector.spread == model["spread"]
-    assert "120 looks in 4 groups: 120 targets in view" in said.stdout
+    assert "looks 120, groups 4, targets 120" in said.stdout
     assert "Without poses" in said.stdout
     assert "that the fit had not seen" in said.stdout
     assert f"--calibration {out}" in said.stdout
@@ -157,7 +157,7 @@ def test_wrong_usage_is_said(files, tmp_path):
         (("--replay", looks), "belong together"),
         (("--poses", looks), "belong together"),
         (("heads", *both), "belong together"),
-        ((*both, "--trials", "5"), "no meaning"),
+        ((*both, "--trials", "5"), "is for eagor calibrate responses"),
         ((*both, "--out", truth), "is an input"),
     ):
         assert says in refused("calibrate", *words)
@@ -166,7 +166,7 @@ def test_wrong_usage_is_said(files, tmp_path):
     for replay, text, says in (
         (looks, json.dumps(GOOD | {"stamp": 50.0, "query": "fridge"}), "wanted one clock"),
         (looks, "", "holds no true directions"),
-        (mapped, json.dumps(GOOD), "a response map has no detections"),
+        (mapped, json.dumps(GOOD), "Response maps are read by a Calibration"),
     ):
         path.write_text(text)
         assert says in refused("calibrate", "--replay", replay, "--truth", path, "--out", tmp_path / "a")

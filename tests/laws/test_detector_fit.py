@@ -12,17 +12,9 @@ from eagor.errors import DirectionError, EagorError, ResponseError, RotationErro
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
-from eagor.evidence.detector import DetectorModel
+from eagor.evidence.detector import LOOK_ALIKES, DetectorModel
 from eagor.grids import ErpGrid
-from eagor.lab.eval.detector_fit import (
-    Deviations,
-    Estimate,
-    assign,
-    expected_look_alikes,
-    fit_detector,
-    fitted_model,
-    log_score,
-)
+from eagor.lab.eval.detector_fit import assign, fit_detector, fitted_model, log_score
 from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, segments
 from eagor.sphere import FORWARD, direction, unit
 
@@ -38,12 +30,6 @@ def looks_of(rng, posed=True, **made):
     ]
 
 
-@pytest.fixture
-def unjudged(monkeypatch):
-    """Fits without a score on looks that were left out, which takes five more fits."""
-    monkeypatch.setattr("eagor.lab.eval.detector_fit._held_out", lambda *_: None)
-
-
 def share(model):
     return model.habit[0] / sum(model.habit)
 
@@ -56,15 +42,14 @@ MADE = {
 
 
 @pytest.mark.parametrize("name", ["usual", *(pytest.param(name, marks=pytest.mark.slow) for name in [*MADE][1:])])
-@pytest.mark.usefixtures("unjudged")
 def test_every_number_of_a_detector_is_recovered_and_lies_in_its_interval(name):
     """Also what a place keeps from what differs between looks, and look-alikes from false alarms that pass."""
     made = MADE[name]
     looks = looks_of(np.random.default_rng(2), groups=60, targets=(1, 2), **made)
-    found = fit_detector(looks, resamples=20)
+    found = fit_detector(looks, resamples=20, judged=False)
     model = found.model
     assert model.detection_probability is None
-    assert found.targets == sum(len(look.targets) for look in looks)
+    assert found.counts["targets"] == sum(len(look.targets) for look in looks)
     told = {"detection_share": share(model), "look_alikes": model.look_alikes, "spread": model.spread}
     told |= {"false_alarms_per_look": model.false_alarms_per_look, "offset": model.offset}
     wanted = {"detection_share": made["habit"][0] / sum(made["habit"]), "look_alikes": made.get("alikes", 0.0)}
@@ -137,13 +122,16 @@ def test_scores_that_tell_nothing_are_not_believed():
     assert np.abs(np.log(alike.ratios(np.linspace(0.3, 0.9, 7), 7))).mean() < 0.25
     same = [LabelledLook(Evidence.from_points([FORWARD], scores=[0.6]), FORWARD)] * 9
     assert fitted_model(same, BASE).score_ratios == ((0.0, 1.0), (1.0, 1.0)), "one score for all says nothing"
+    near = [Evidence.from_points([FORWARD, (-1, 0, 0)], scores=[0.85, 0.8504 + 1e-4 * n]) for n in range(9)]
+    curve = fitted_model([LabelledLook(look, FORWARD) for look in near], BASE).score_ratios
+    assert [score for score, _ in curve] == [0.85, 0.851], "scores that differ beyond the third digit are one"
 
 
 def test_the_fit_mends_looks_that_it_has_not_seen():
     looks = looks_of(np.random.default_rng(2), alarms=3.0, habit=(9.0, 1.0), spread=0.03)
     judged = fit_detector(looks, resamples=0).held_out
-    assert 0 < judged.low <= judged.gain <= judged.high
-    assert judged.gain > 0.5
+    assert 0 < judged.interval.low <= judged.difference <= judged.interval.high
+    assert judged.difference > 0.5
 
 
 def test_what_is_held_out_has_no_part_in_the_fit_that_it_judges():
@@ -155,7 +143,7 @@ def test_what_is_held_out_has_no_part_in_the_fit_that_it_judges():
     for group in "012":
         model = fitted_model([look for look in looks if look.group != group], BASE)
         alone += [log_score(look, model) - log_score(look, BASE) for look in looks if look.group == group]
-    assert fit_detector(looks, resamples=0).held_out.gain == pytest.approx(np.mean(alone))
+    assert fit_detector(looks, resamples=0).held_out.difference == pytest.approx(np.mean(alone))
 
 
 def test_one_target_is_assigned_as_the_model_says():
@@ -168,9 +156,8 @@ def test_one_target_is_assigned_as_the_model_says():
         look = LabelledLook(
             Evidence.from_points(places, scores=rng.uniform(0.1, 1, len(places)), detector=model), target
         )
-        table, (places, ratios) = DetectionTable([look], model), np.array(curve).T
-        stated = np.array([model.detection_probability]), model.false_alarms_per_look
-        shares = assign(table, Estimate(None, *stated, Deviations.of(model), (places, np.log(ratios))))
+        shares, right = assign(DetectionTable([look], model), model)
+        assert right == pytest.approx(shares), "every detection has one target only"
         missed = (1 - model.detection_probability) / look.detections.ratio(target[None])[0]
         assert math.log(1 - shares.sum()) == pytest.approx(math.log(missed), abs=1e-9)
 
@@ -203,7 +190,7 @@ def test_an_absent_thing_tells_of_false_alarms_only():
     assert found.model.spread == pytest.approx(BASE.spread, rel=1e-2)
     posed = [LabelledLook(look.evidence, [], look.stamp, "", np.eye(3)) for look in looks]
     lasting = fitted_model(posed, BASE)
-    assert lasting.look_alikes > expected_look_alikes(BASE), "the same two places, again and again"
+    assert lasting.look_alikes > LOOK_ALIKES, "the same two places, again and again"
     assert lasting.false_alarms_per_look < 0.1
 
 
@@ -212,11 +199,10 @@ def test_what_cannot_be_fitted_is_refused():
     mapped = Evidence.from_response(np.zeros((8, 16)), grid, Calibration())
     with pytest.raises(EagorError, match="there are no looks with detections"):
         fit_detector([])
-    with pytest.raises(ResponseError, match="a response map has no detections"):
-        LabelledLook(mapped, NOTHING)
-    with pytest.raises(ResponseError, match=r"wanted eagor\.Evidence"):
-        LabelledLook([[1, 2, 3]], NOTHING)
-    with pytest.raises(DirectionError, match=r"wanted \(n, 3\)"):
+    for evidence in (mapped, [[1, 2, 3]]):
+        with pytest.raises(ResponseError, match=r"without detections to count; wanted eagor\.Evidence"):
+            LabelledLook(evidence, NOTHING)
+    with pytest.raises(DirectionError, match=r"wanted \(\.\.\., 3\)"):
         LabelledLook(Evidence.from_points([]), [[0.1, 0.2]])
     with pytest.raises(RotationError, match="world_R_body"):
         LabelledLook(Evidence.from_points([]), NOTHING, world_R_body=2 * np.eye(3))

@@ -13,13 +13,13 @@ start. Half of the apartments are searched on, the others judge.
 from __future__ import annotations
 
 import math
-import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 
@@ -30,14 +30,14 @@ from eagor.evidence.detector import DetectorModel
 from eagor.lab.agents.methods import BASE
 from eagor.lab.agents.models import is_privileged
 from eagor.lab.envs.episodes import EpisodeSpec
-from eagor.lab.envs.places import APARTMENT, load_place
+from eagor.lab.envs.places import load_place
 from eagor.lab.eval.detector_fit import fitted_model, short
-from eagor.lab.eval.labelled_looks import LabelledLook, check_development
+from eagor.lab.eval.labelled_looks import LabelledLook, development_specs
 from eagor.lab.tasks.sim.play import Rollout, Runner
 from eagor.lab.tasks.sim.tracking import TrackingEpisode
 from eagor.lab.worlds.render import PAINTS
 from eagor.perception import load
-from eagor.perception.calibrated import Calibrated
+from eagor.perception.calibrated import READING, Calibrated
 from eagor.statistics import bootstrap_interval
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.follower import Follower
@@ -48,40 +48,30 @@ EVERY = 3  # steps between the readings that are scored: neighbours say nearly t
 SMALLEST = 1e-9  # a probability of presence below it counts as this
 DRAWS, ELITE = 16, 4  # settings in a round, of which so many are kept
 SPREAD, LEAST = 0.25, 0.03  # standard deviation of the first round, of the range of each parameter; the least of any
-# The ranges of `Calibration` that are drawn from, evenly in the logarithm; of the persistence, of 1 minus it. The
+# The ranges of the fields in `READING`, drawn from evenly in the logarithm; of the persistence, of 1 minus it. The
 # spread is 0 at its lowest place.
-READING = {
-    "floor": (0.01, 1.0),
-    "neutral": (0.003, 0.3),
-    "temperature": (0.03, 30.0),
-    "persistence": (0.05, 1.0),
-    "spread": (math.radians(2), math.radians(12)),
-}
-_LOW, _HIGH = np.array([*READING.values()]).T
+LOW = np.array([0.01, 0.003, 0.03, 0.05, math.radians(2)])
+HIGH = np.array([1.0, 0.3, 30.0, 1.0, math.radians(12)])
 
 
 def at_places(calibration: Calibration, places: np.ndarray) -> Calibration:
     """`calibration` with the numbers of `READING` at `places` ``(5,)``, each in [0, 1] of its range."""
-    values = dict(zip(READING, (_LOW * (_HIGH / _LOW) ** places).tolist(), strict=True))
-    values["persistence"] = max(1 - values["persistence"], 0.0)
-    values["spread"] *= places[-1] > 0
-    return replace(calibration, **{name: short(value) for name, value in values.items()})
+    *values, persistence, spread = (LOW * (HIGH / LOW) ** places).tolist()
+    values += [max(1 - persistence, 0.0), spread * (places[-1] > 0)]
+    return replace(calibration, **dict(zip(READING, map(short, values), strict=True)))
 
 
 def places_of(calibration: Calibration) -> np.ndarray:
     """The places ``(5,)`` of a calibration's numbers; the nearest, where one is beyond its range."""
-    values = np.array([1 - calibration.persistence if n == "persistence" else getattr(calibration, n) for n in READING])
-    return np.log(np.clip(values, _LOW, _HIGH) / _LOW) / np.log(_HIGH / _LOW)
+    *values, persistence, spread = (getattr(calibration, name) for name in READING)
+    return np.log(np.clip([*values, 1 - persistence, spread], LOW, HIGH) / LOW) / np.log(HIGH / LOW)
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
 
 
 def make_runners(perception: str, rows: int | None = None) -> dict[str, Runner]:
-    """For each of `TASKS` what records its episodes as this perception sees them.
-
-    `rows` of the panoramas; None: what the perception works at. Raises `EagorError` if it cannot be made.
-    """
+    """For each of `TASKS` what records its episodes as this perception sees them, in panoramas of so many `rows`."""
     loaded = load(perception)
     return {task: Runner({"task": task, "perception": perception, "rows": rows}, loaded) for task in TASKS}
 
@@ -106,13 +96,13 @@ def record_episodes(
     advance: Callable[[], object] = lambda: None,
     left_out: Callable[[str], object] = lambda why: None,
 ) -> list[Rollout]:
-    """The recordings of `development_specs`; `left_out` is told of what cannot be planned, and of unknown words.
+    """The recordings of `count` development episodes of `TASKS`, `PER_PLACE` of each in an apartment.
 
-    A task whose words the perception does not know is left out whole. Raises `EagorError` if nothing is left.
+    `left_out` is told of what cannot be planned, and of unknown words: a task whose words the perception does not know
+    is left out whole. Raises `EagorError` if nothing is left.
     """
-    runners, specs = make_runners(perception, rows), development_specs(count, seed)
-    recordings: list[Rollout] = []
-    for spec in specs:
+    runners, recordings = make_runners(perception, rows), []
+    for spec in development_specs(TASKS, count, seed, PER_PLACE):
         try:
             if spec.task in runners:
                 recordings.append(record(runners[spec.task], spec))
@@ -125,16 +115,6 @@ def record_episodes(
     if not recordings:
         raise EagorError(f"{perception} could be asked in none of {count} episodes; calibrate it where it knows words")
     return recordings
-
-
-def development_specs(count: int, seed: int) -> list[EpisodeSpec]:
-    """`count` specs, `PER_PLACE` of each task in an apartment. Raises `EagorError` where results are taken from."""
-    check_development(count, "episodes", seed, PER_PLACE * len(TASKS))
-    specs = []
-    for number in range(count):
-        pair, task = divmod(number, len(TASKS))
-        specs.append(EpisodeSpec(TASKS[task], APARTMENT, seed + pair // PER_PLACE, pair % PER_PLACE, pair))
-    return specs
 
 
 def counted(recordings: Sequence[Rollout]) -> DetectorModel | None:
@@ -156,22 +136,15 @@ def counted(recordings: Sequence[Rollout]) -> DetectorModel | None:
     return fitted_model(looks, looks[0].detections.model) if looks else None
 
 
-# --- the score --------------------------------------------------------------------------------------------------------
+# --- the score and the fit --------------------------------------------------------------------------------------------
 
 
-class Score(NamedTuple):
-    """How a tracker did on one recording, means over its readings, nats; NaN where the target was never there.
+def score(recording: Rollout, config: TrackerConfig) -> tuple[float, float]:
+    """The log score of a tracker with this configuration on one recording, and its log density, nats.
 
-    `density`: log density at the true direction; `presence`: log of the probability of the truth, of the target and of
-    what is not there in equal parts.
+    Means over its readings: log density at the true direction (NaN where the target was never there), plus the log of
+    the probability of the truth about presence, of the target and of what is not there in equal parts.
     """
-
-    density: float
-    presence: float
-
-
-def score(recording: Rollout, config: TrackerConfig) -> Score:
-    """A tracker with this configuration on one recording."""
     follower, absent = Follower(config), Follower(config)
     present, missing, densities = [], [], []
     for index, moment in enumerate(recording.steps):
@@ -187,96 +160,8 @@ def score(recording: Rollout, config: TrackerConfig) -> Score:
             estimate = follower.estimate(moment.stamp)
             present.append(math.log(max(estimate.presence, SMALLEST)))
             densities.append(estimate.log_density(recording.directions[index]))
-    presence = (np.mean(present or [math.nan]) + np.mean(missing or [0.0])) / 2
-    return Score(float(np.mean(densities or [math.nan])), float(presence))
-
-
-# --- the fit ----------------------------------------------------------------------------------------------------------
-
-
-def fit(
-    perception: str,
-    recordings: Sequence[Rollout],
-    trials: int = 96,
-    workers: int = 1,
-    on_trial: Callable[[], object] = lambda: None,
-    on_round: Callable[[Calibrated], object] = lambda fitted: None,
-) -> Calibrated:
-    """The calibration or the detector's model of a perception, on one half of the apartments of `recordings`.
-
-    The other half judges. `trials`: of response maps; `on_trial` is called after each, `on_round` with the best so far.
-    Raises `EagorError` if there are too few apartments.
-    """
-    of = [recording.episode.spec.seed for recording in recordings]
-    seeds = sorted(set(of))
-    halves = [[index for index, seed in enumerate(of) if seeds.index(seed) % 2 == half] for half in (0, 1)]
-    if not all(halves):
-        raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartment; calibrating needs at least two")
-    start = fitted = Calibrated(perception, None, detector=counted([recordings[index] for index in halves[0]]))
-    with _mapping(workers, recordings) as run:
-        if fitted.detector is None:
-            looks = (moment.evidence for index in halves[0] for moment in recordings[index].steps)
-            now = next(evidence.calibration for evidence in looks if evidence is not None)
-            start = replace(fitted, calibration=replace(now, scale_to_max=False))
-            for fitted in _searched(start, partial(_scores, halves[0]), trials, run, on_trial):
-                on_round(fitted)
-        configs = BASE.fitted(start.calibration, None, {}), BASE.fitted(fitted.calibration, fitted.detector, {})
-        groups = [of[index] for index in halves[1]]
-        before, after = (_means(scores, groups) for scores in run(partial(_scores, halves[1]), configs))
-    found_by = {
-        "apartments": seeds,
-        "episodes": len(recordings),
-        "trials": trials if start.calibration else 0,
-        "judged by": sorted(set(groups)),
-        "before": before,
-        "after": after,
-        "version": __version__,
-    }
-    return replace(fitted, found_by=found_by)
-
-
-Run = Callable[[Callable[[TrackerConfig], Any], Sequence[TrackerConfig]], Any]
-
-
-def _searched(
-    start: Calibrated,
-    trial: Callable[[TrackerConfig], list[Score]],
-    trials: int,
-    run: Run,
-    advance: Callable[[], object],
-) -> Iterator[Calibrated]:
-    """The best after each round."""
-    assert start.calibration is not None
-    rng, mean = np.random.default_rng(7), places_of(start.calibration)
-    spread, first = np.full(len(mean), SPREAD), mean
-    tried: list[tuple[float, np.ndarray]] = []
-    while len(tried) < trials:
-        draws = np.clip(mean + spread * rng.standard_normal((DRAWS, len(mean))), 0, 1)[: trials - len(tried)]
-        if not tried:
-            draws[0] = first
-        configs = [BASE.fitted(at_places(start.calibration, places), None, {}) for places in draws]
-        for places, scores in zip(draws, run(trial, configs), strict=True):
-            tried.append((float(np.mean([sum(each) for each in scores])), places))
-            advance()
-        tried.sort(key=lambda entry: -entry[0])
-        elite = np.array([places for _, places in tried[:ELITE]])
-        mean, spread = elite.mean(axis=0), np.maximum(elite.std(axis=0), LEAST)
-        yield replace(start, calibration=at_places(start.calibration, tried[0][1]))
-
-
-def _means(scores: Sequence[Score], groups: Sequence[int]) -> dict[str, list[float | None]]:
-    """Means with 95 % intervals over apartments, the `groups` of the scores; None where there is only one."""
-    rows = {"log score": [sum(each) for each in scores], "log density": [each.density for each in scores]}
-    means: dict[str, list[float | None]] = {}
-    for name, values in rows.items():
-        known = np.isfinite(values)  # a target that was never there has no density
-        kept, of = np.array(values)[known], np.array(groups)[known]
-        ends: list[float | None] = [None, None]  # one apartment says nothing about the spread
-        if len(np.unique(of)) > 1:
-            interval = bootstrap_interval(kept, np.random.default_rng(0), groups=of)
-            ends = [round(interval.low, 3), round(interval.high, 3)]
-        means[name] = [round(float(kept.mean()), 3), *ends]
-    return means
+    density, presence = np.mean(densities or [math.nan]), np.mean(present or [math.nan]) + np.mean(missing or [0.0])
+    return float(density + presence / 2), float(density)
 
 
 _recordings: list[Rollout] = []  # of this process: each is given them once
@@ -286,18 +171,72 @@ def _begin(recordings: Sequence[Rollout]) -> None:
     _recordings[:] = recordings
 
 
-def _scores(indices: Sequence[int], config: TrackerConfig) -> list[Score]:
+def _scores(indices: Sequence[int], config: TrackerConfig) -> list[tuple[float, float]]:
     """The scores of the recordings with these indices."""
     return [score(_recordings[index], config) for index in indices]
 
 
-@contextmanager
-def _mapping(workers: int, recordings: Sequence[Rollout]) -> Iterator[Run]:
-    """What maps a function over jobs, in this process or in several, where `_recordings` are these."""
-    if workers == 1:
-        _begin(recordings)
-        yield map
-        return
+def fit(
+    perception: str,
+    recordings: Sequence[Rollout],
+    trials: int = 96,
+    workers: int = 1,
+    on_trial: Callable[[], object] = lambda: None,
+) -> Calibrated:
+    """The calibration or the detector's model of a perception, on one half of the apartments of `recordings`.
+
+    The other half judges. `trials`: of response maps; `on_trial` is called after each. Raises `EagorError` if there are
+    too few apartments.
+    """
+    of = [recording.episode.spec.seed for recording in recordings]
+    seeds = sorted(set(of))
+    halves = [[index for index, seed in enumerate(of) if seeds.index(seed) % 2 == half] for half in (0, 1)]
+    if not all(halves):
+        raise EagorError(f"{len(recordings)} episodes of {len(seeds)} apartment; calibrating needs at least two")
+    detector, start, best = counted([recordings[index] for index in halves[0]]), None, None
+    _begin(recordings)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read by the processes that start now
-    with multiprocessing.get_context("spawn").Pool(workers, _begin, (recordings,)) as pool:
-        yield pool.imap
+    with get_context("spawn").Pool(workers, _begin, (recordings,)) if workers > 1 else nullcontext() as pool:
+        run = map if pool is None else pool.imap
+        if detector is None:
+            looks = (moment.evidence for index in halves[0] for moment in recordings[index].steps)
+            now = next(evidence.calibration for evidence in looks if evidence is not None)
+            start = replace(now, scale_to_max=False)
+            best = _searched(start, trials, lambda configs: run(partial(_scores, halves[0]), configs), on_trial)
+        configs = BASE.fitted(start, None, {}), BASE.fitted(best, detector, {})
+        groups = [of[index] for index in halves[1]]
+        before, after = (_means(scores, groups) for scores in run(partial(_scores, halves[1]), configs))
+    found_by = {"apartments": seeds, "episodes": len(recordings), "trials": 0 if start is None else trials}
+    found_by |= {"judged by": sorted(set(groups)), "before": before, "after": after, "version": __version__}
+    return Calibrated(perception, best, found_by=found_by, detector=detector)
+
+
+def _searched(start: Calibration, trials: int, run: Callable[..., Any], advance: Callable[[], object]) -> Calibration:
+    """The best of so many `trials`, of which `start` is the first; `run` gives the scores of configurations."""
+    rng, mean = np.random.default_rng(7), places_of(start)
+    spread = np.full(len(mean), SPREAD)
+    tried: list[tuple[float, np.ndarray]] = []
+    while len(tried) < trials:
+        draws = np.clip(mean + spread * rng.standard_normal((DRAWS, len(mean))), 0, 1)[: trials - len(tried)]
+        if not tried:
+            draws[0] = mean
+        results = run([BASE.fitted(at_places(start, places), None, {}) for places in draws])
+        for places, scores in zip(draws, results, strict=True):
+            tried.append((float(np.nanmean([total for total, _ in scores])), places))
+            advance()
+        tried.sort(key=lambda entry: -entry[0])
+        elite = np.array([places for _, places in tried[:ELITE]])
+        mean, spread = elite.mean(axis=0), np.maximum(elite.std(axis=0), LEAST)
+    return at_places(start, tried[0][1])
+
+
+def _means(scores: Sequence[tuple[float, float]], groups: Sequence[int]) -> dict[str, list[float | None]]:
+    """Means with 95 % intervals over apartments, the `groups` of the scores; None where there is only one."""
+    means: dict[str, list[float | None]] = {}
+    for name, values in zip(("log score", "log density"), np.array(scores).T, strict=True):
+        known = np.isfinite(values)  # a target that was never there has no density
+        means[name] = [round(float(values[known].mean()), 3), None, None]
+        if len(np.unique(of := np.array(groups)[known])) > 1:  # one apartment says nothing about the spread
+            interval = bootstrap_interval(values[known], np.random.default_rng(0), groups=of)
+            means[name][1:] = [round(interval.low, 3), round(interval.high, 3)]
+    return means

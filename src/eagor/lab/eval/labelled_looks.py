@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 import os
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from typing import Annotated
 
 import msgspec
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.cluster.hierarchy import fclusterdata
 from scipy.optimize import linear_sum_assignment
 
 from eagor._checks import checked_stamp
-from eagor.errors import DirectionError, EagorError, FormatError, ResponseError
+from eagor.errors import EagorError, FormatError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.detections import Detections, tangent_frames
 from eagor.evidence.detector import DetectorModel
@@ -24,12 +25,10 @@ from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, load_place
 from eagor.lab.envs.rules import Camera
 from eagor.perception.calibrated import Labelled, cap_radius
-from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
+from eagor.perception.json_files import Finite, Tilt, Turn, checked, object_of, parsed_lines
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.words import plain
 from eagor.sphere import angular_distance, checked_pose, direction, unit, world_R_body
-
-__all__ = ["DetectionTable", "LabelledLook", "Truth", "apartment_labels", "read_truth", "replayed_looks"]
 
 IN_VIEW = 0.5  # share v of a target's direction from which on the look counts as having looked at it
 APART = math.radians(10)  # from where it was first seen: the same thing, seen from elsewhere, is another place
@@ -45,10 +44,10 @@ class LabelledLook:
     of one recording of one thing. Groups are taken to be independent of each other, looks of one group are not.
 
     `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres: the camera's pose. It tells what is the same place in
-    other looks of the group. Without an orientation, targets are the same where they have the same index, and nothing
-    is known of look-alikes.
+    other looks of the group. Where a look has no orientation, targets are the same where they have the same index, and
+    nothing is known of look-alikes.
 
-    Raises `ResponseError` for a response map, `DirectionError` for targets of another shape, `RotationError`.
+    Raises `ResponseError` without detections, `DirectionError` for targets that are none, `RotationError`.
     """
 
     evidence: Evidence
@@ -59,22 +58,17 @@ class LabelledLook:
     position: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.evidence, Evidence):
-            raise ResponseError(f"evidence is a {type(self.evidence).__name__}; wanted eagor.Evidence of detections")
-        if self.evidence.detections is None:
+        if getattr(self.evidence, "detections", None) is None:
             raise ResponseError(
-                "a response map has no detections to count; wanted boxes, points or masks. Response maps are read by a "
-                "Calibration"
+                f"{type(self.evidence).__name__} without detections to count; wanted eagor.Evidence of boxes, points "
+                "or masks. Response maps are read by a Calibration"
             )
-        targets = np.atleast_2d(np.asarray(self.targets, dtype=np.float64))
-        targets = targets.reshape(-1, 3) if targets.size == 0 else targets
-        if targets.ndim != 2 or targets.shape[1] != 3:
-            raise DirectionError(f"targets have shape {targets.shape}; wanted (n, 3), or (0, 3) if the thing is absent")
+        targets = unit(np.asarray(self.targets, dtype=np.float64)) if np.size(self.targets) else np.zeros((0, 3))
         stamp = self.evidence.stamp if self.stamp is None else self.stamp
-        pose = None if self.world_R_body is None else checked_pose(self.world_R_body)
-        values = {"targets": unit(targets), "stamp": None if stamp is None else checked_stamp(stamp)}
-        for name, value in (values | {"world_R_body": pose}).items():
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "targets", targets.reshape(-1, 3))
+        object.__setattr__(self, "stamp", None if stamp is None else checked_stamp(stamp))
+        if self.world_R_body is not None:
+            object.__setattr__(self, "world_R_body", checked_pose(self.world_R_body))
 
     @property
     def detections(self) -> Detections:
@@ -97,19 +91,16 @@ class LabelledLook:
         return np.broadcast_to(np.asarray(self.detections.share(directions)) >= IN_VIEW, len(directions))
 
 
-# --- the looks as flat tables -----------------------------------------------------------------------------------------
-
-
 class DetectionTable:
     """Labelled `looks` as flat tables: L looks, D detections, T targets in view, P pairs of both in one look.
 
-    - Of looks: `posed` (whether the orientation is known), `areas` (covered, steradians), `segment` (`segments`).
+    - Of looks: `areas` (covered, steradians), `segment` (`segments`). `posed`: whether all have an orientation.
     - Of detections: `look`; `directions` ``(D, 3)`` in the axes of the world, or of the body without a pose; `scores`,
       relative `clutter`; `own`: the mean variance of a box's area along its axes, 0 for points; `score_weights`: one
       over the number of detections at its place, since a score is a habit, too.
     - Of targets: `target_look`, and `place`, the same number for one thing in one segment, of `places`.
     - Of pairs: `detection`, `target`; `offsets` ``(P, 2)`` of the detection in the target's tangent plane (Lambert's);
-      `home`, of `homes`: where errors are kept. That is the place; each pair without a pose has a home of its own.
+      `home`, of `homes`, where errors are kept: the place, or without poses one for each pair.
 
     `revisits`: whether any place was looked at again, with poses. `base`: the model by which boxes and habits are read,
     the prior of a fit. Raises `EagorError` without looks.
@@ -120,62 +111,42 @@ class DetectionTable:
             raise EagorError("there are no looks with detections; wanted at least one")
         sets = [look.detections.read(base).turned(look.world) for look in looks]
         targets = [look.in_view @ look.world.T for look in looks]
-        self.looks, self.base = tuple(looks), base
-        self.posed = np.array([look.world_R_body is not None for look in looks])
+        self.looks, self.base, self.segment = tuple(looks), base, segments(looks, base)
+        self.posed = all(look.world_R_body is not None for look in looks)
         self.areas = np.array([each.area for each in sets])
-        self.segment = segments(looks, base)
         self.look, self.target_look = (np.repeat(np.arange(len(looks)), list(map(len, of))) for of in (sets, targets))
         self.directions, self.scores, self.clutter = (
             np.concatenate([getattr(each, name) for each in sets]) for name in ("directions", "scores", "clutter")
         )
         self.own = np.concatenate([each.own.mean(axis=1) for each in sets])
-        self.place = _places(looks, self.segment, targets)
+        self.place = _places(looks, self.segment, targets if self.posed else None)
         self.places = int(self.place.max(initial=-1)) + 1
-        # Every target with every detection of its look.
-        first, end = (np.searchsorted(self.look, self.target_look, side) for side in ("left", "right"))
-        count = end - first
-        self.target = np.repeat(np.arange(len(count)), count)
-        self.detection = np.arange(len(self.target)) - np.repeat(np.cumsum(count) - count - first, count)
-        self.offsets = _offsets(np.concatenate(targets)[self.target], self.directions[self.detection])
-        posed = self.posed[self.target_look]
-        names = np.where(posed[self.target], self.place[self.target], -1 - np.arange(len(self.target)))
-        self.home = np.unique(names, return_inverse=True)[1]
-        self.homes = int(self.home.max(initial=-1)) + 1
-        self.revisits = int(posed.sum()) > len(np.unique(self.place[posed]))
+        self.revisits = self.posed and len(self.place) > self.places
+        spans = np.searchsorted(self.look, [self.target_look, self.target_look + 1]).T  # the detections of its look
+        pairs = [(target, detection) for target, span in enumerate(spans) for detection in range(*span)]
+        self.target, self.detection = np.reshape(pairs, (-1, 2)).astype(int).T
+        centres, seen = np.concatenate(targets)[self.target], self.directions[self.detection]
+        scale = np.sqrt(2 / np.maximum(1 + np.einsum("pi,pi->p", seen, centres), 1e-9))
+        self.offsets = np.einsum("pij,pj->pi", tangent_frames(centres), seen) * scale[:, None]
+        self.home = self.place[self.target] if self.posed else np.arange(len(self.target))
+        self.homes = self.places if self.posed else len(self.target)
         self.score_weights = np.ones(len(self.scores))
         for members in self.clusters(self.score_weights > 0, base.spread**2 + base.spread_of_size**2 * self.own):
             self.score_weights[members] = 1 / len(members)
 
     def clusters(self, wanted: np.ndarray, variances: np.ndarray) -> list[np.ndarray]:
-        """Indices of the `wanted` detections ``(D,)`` in looks with poses, place by place of each segment.
+        """Indices of the `wanted` detections ``(D,)``, place by place of each segment; none without poses.
 
         `variances` ``(D,)``, per axis, of their errors.
         """
-        found = []
-        segment = np.where(self.posed, self.segment, -1)[self.look]
-        for number in np.unique(segment[wanted & (segment >= 0)]):
+        found, segment = [], self.segment[self.look]
+        for number in np.unique(segment[wanted]) if self.posed else ():
             members = np.flatnonzero(wanted & (segment == number))
-            one, other = np.triu_indices(len(members), 1)
-            apart = np.linalg.norm(self.directions[members[one]] - self.directions[members[other]], axis=1)
-            apart /= np.sqrt((variances[members[one]] + variances[members[other]]) / 2)
-            labels = fcluster(linkage(apart, "average"), FAR, "distance") if len(members) > 1 else np.ones(1)
+            most, labels = FAR * math.sqrt(variances[members].mean()), np.ones(1)
+            if len(members) > 1:
+                labels = fclusterdata(self.directions[members], most, "distance", method="average")
             found += [members[labels == label] for label in np.unique(labels)]
         return found
-
-    def right(self, shares: np.ndarray) -> np.ndarray:
-        """The probability of each detection ``(D,)`` to be of any target, from `shares` ``(P,)``."""
-        return np.minimum(sums(self.detection, shares, len(self.scores)), 1.0)
-
-
-def sums(groups: np.ndarray, values: np.ndarray, count: int = 0) -> np.ndarray:
-    """The sum of the `values` ``(n,)`` of each of `count` groups."""
-    return np.bincount(groups, values, count).astype(np.float64)
-
-
-def _offsets(centres: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Where `directions` ``(n, 3)`` lie about `centres` ``(n, 3)``: ``(n, 2)`` in Lambert's plane, radians."""
-    near = np.maximum(1 + np.einsum("ni,ni->n", directions, centres), 1e-9)
-    return np.einsum("nij,nj->ni", tangent_frames(centres), directions) * np.sqrt(2 / near)[:, None]
 
 
 def segments(looks: Sequence[LabelledLook], base: DetectorModel) -> np.ndarray:
@@ -184,78 +155,41 @@ def segments(looks: Sequence[LabelledLook], base: DetectorModel) -> np.ndarray:
     A view ends where places have lost their habits, by `kept_for` and `kept_within` of `base`.
     """
     numbers, starts = np.empty(len(looks), dtype=int), {}
-    for index in in_time(looks):
+    for index in np.argsort([look.stamp or 0.0 for look in looks], kind="stable"):
         look = looks[index]
         first = looks[starts.setdefault(look.group, index)]
-        elapsed = (look.stamp or 0.0) - (first.stamp or 0.0)
-        here, there = look.position, first.position
-        moved = 0.0 if here is None or there is None else float(np.linalg.norm(here - there))
-        if elapsed / (base.kept_for or math.inf) + moved / (base.kept_within or math.inf) > 1:
+        faded = ((look.stamp or 0.0) - (first.stamp or 0.0)) / (base.kept_for or math.inf)
+        if look.position is not None and first.position is not None:
+            faded += float(np.linalg.norm(look.position - first.position)) / (base.kept_within or math.inf)
+        if faded > 1:
             starts[look.group] = index
         numbers[index] = starts[look.group]
     return np.unique(numbers, return_inverse=True)[1]
 
 
-def in_time(looks: Sequence[LabelledLook]) -> list[int]:
-    """Indices of the looks by stamp; without stamps, as they came."""
-    return sorted(range(len(looks)), key=lambda index: looks[index].stamp or 0.0)
-
-
-def _places(looks: Sequence[LabelledLook], segment: np.ndarray, targets: Sequence[np.ndarray]) -> np.ndarray:
+def _places(looks: Sequence[LabelledLook], segment: np.ndarray, targets: Sequence[np.ndarray] | None) -> np.ndarray:
     """A number for each target in view ``(T,)``, the same for one thing in one segment.
 
-    `targets`: their directions ``(m, 3)`` of each look. Where poses are known, the thing is what is nearest in the
-    world to where it first was, within `APART`; else it is what has the same index.
+    `targets`: their directions ``(m, 3)`` of each look, in the world. The thing is what is nearest to where it first
+    was, within `APART`. None, without poses: it is what has the same index.
     """
-    anchors: dict[int, list[np.ndarray]] = {}
-    names: list[tuple[int, int]] = []
-    for look, number, directions in zip(looks, segment.tolist(), targets, strict=True):
-        if look.world_R_body is None:
-            names += [(number, -1 - index) for index in np.flatnonzero(look.covers(look.targets)).tolist()]
+    anchors, names = defaultdict(list), []
+    for index, (look, number) in enumerate(zip(looks, segment.tolist(), strict=True)):
+        if targets is None:
+            names += [(number, index) for index in np.flatnonzero(look.covers(look.targets))]
             continue
-        known = anchors.setdefault(number, [])
+        known, directions = anchors[number], targets[index]
         apart = angular_distance(directions[:, None], np.reshape(known, (-1, 3)))
         pairs = dict(zip(*linear_sum_assignment(apart), strict=True))
         for row, at in enumerate(directions):
             if row not in pairs or apart[row, pairs[row]] >= APART:
                 pairs[row] = len(known)
                 known.append(at)
-            names.append((number, int(pairs[row])))
-    numbers = {name: index for index, name in enumerate(dict.fromkeys(names))}
-    return np.array([numbers[name] for name in names], dtype=int)
+            names.append((number, pairs[row]))
+    return np.unique(np.reshape(names, (-1, 2)).astype(int), axis=0, return_inverse=True)[1].ravel()
 
 
 # --- labelled looks from a replay file (docs/replay-format.md) and a file of true directions --------------------------
-
-Pose = tuple[np.ndarray, np.ndarray | None]  # world_R_body ``(3, 3)``, and the position ``(3,)`` if it is known
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """The directions `targets` ``(n, 3)``, body frame, of all that `query` names at `stamp`; n = 0: it is absent.
-
-    `group`: which recording of which thing (default in a file: the query).
-    """
-
-    stamp: float
-    query: str
-    targets: np.ndarray
-    group: str
-
-
-def read_truth(path: str | os.PathLike[str]) -> tuple[Truth, ...]:
-    """The lines of a file of true directions. `FormatError` names the file and the line of a fault."""
-    truths: dict[tuple[float, str, str], Truth] = {}
-    for truth, where in parsed_lines(path, _parsed):
-        key = truth.stamp, plain(truth.query), truth.group
-        if key in truths:
-            raise FormatError(
-                f"{where}: is a second line for {truth.query!r} at {truth.stamp:g} s; wanted all targets in one"
-            )
-        truths[key] = truth
-    if not truths:
-        raise FormatError(f"{os.fspath(path)} holds no true directions; wanted one JSON object per line, at least one")
-    return tuple(sorted(truths.values(), key=lambda each: each.stamp))
 
 
 class _Target(msgspec.Struct, forbid_unknown_fields=True):
@@ -263,55 +197,60 @@ class _Target(msgspec.Struct, forbid_unknown_fields=True):
     elevation_deg: Tilt
 
 
-class _Line(msgspec.Struct, forbid_unknown_fields=True):
+class Truth(msgspec.Struct, forbid_unknown_fields=True, eq=False):
+    """A line: ALL that `query` names at `stamp`, body frame; no `targets`: it is absent. `group`: which recording."""
+
     stamp: Finite
-    query: str
-    targets: list[_Target]  # none: the thing is absent
+    query: Annotated[str, msgspec.Meta(pattern=r"[^\W_]")]
+    targets: list[_Target]
     group: Annotated[str, msgspec.Meta(min_length=1)] | None = None
 
 
-def _parsed(line: bytes) -> Truth:
-    entry = checked(object_of(line), _Line, "a line of true directions", noted=True)
-    need(plain(entry.query) != "", "query", entry.query, "words")
-    angles = [(target.azimuth_deg, target.elevation_deg) for target in entry.targets]
-    azimuths, elevations = np.radians(angles).reshape(-1, 2).T
-    name = entry.query if entry.group is None else f"{entry.group}: {entry.query}"
-    return Truth(entry.stamp, entry.query, direction(azimuths, elevations).reshape(-1, 3), name)
+def read_truth(path: str | os.PathLike[str]) -> tuple[Truth, ...]:
+    """The lines of a file of true directions. `FormatError` names the file and the line of a fault."""
+    truths: dict[tuple[float, str, str | None], Truth] = {}
+    parse = partial(checked, kind=Truth, name="a line of true directions", noted=True)
+    for truth, where in parsed_lines(path, lambda line: parse(object_of(line))):
+        if truths.setdefault((truth.stamp, plain(truth.query), truth.group), truth) is not truth:
+            raise FormatError(
+                f"{where}: is a second line for {truth.query!r} at {truth.stamp:g} s; wanted all targets in one"
+            )
+    if not truths:
+        raise FormatError(f"{os.fspath(path)} holds no true directions; wanted one JSON object per line, at least one")
+    return tuple(sorted(truths.values(), key=lambda each: each.stamp))
 
 
 def replayed_looks(
-    replay: ReplayPerception, truths: Sequence[Truth], pose: Callable[[float], Pose] | None = None
+    replay: ReplayPerception, truths: Sequence[Truth], pose: Callable[[float], tuple] = lambda stamp: (None, None)
 ) -> tuple[list[LabelledLook], list[Truth]]:
     """The looks of `replay` at the stamps of `truths`, and the truths without one.
 
-    `pose` tells how the camera stood at a stamp. A look is used once for each query, with the truth that is nearest in
-    time. Raises `QueryError` where no label fits a query that has targets, `ResponseError` for response maps.
+    `pose` tells how the camera stood at a stamp: `world_R_body` and `position`, as for `LabelledLook`. A look is used
+    once for each query, with the truth that is nearest in time. Raises `QueryError` where no label fits a query that
+    has targets, `ResponseError` for response maps.
     """
-    present = {truth.query for truth in truths if len(truth.targets)}
-    pairs: list[tuple[float, float, Truth, Evidence]] = []
+    present = {truth.query for truth in truths if truth.targets}
+    nearest: dict[tuple[str, float], tuple[Truth, Sequence[Evidence]]] = {}
     for truth in truths:
         # What is never there may have no label either: the detector looked and saw none.
         if views := replay.looks_near(truth.query, truth.stamp, strict=truth.query in present):
-            stamp = float(views[0].stamp or 0.0)
-            pairs.append((abs(stamp - truth.stamp), stamp, truth, _joined(views)))
-    nearest: dict[tuple[str, float], tuple[Truth, LabelledLook]] = {}
-    for _, stamp, truth, evidence in sorted(pairs, key=lambda pair: pair[0]):
-        if (key := (truth.group, stamp)) not in nearest:
-            at = (None, None) if pose is None else pose(stamp)
-            nearest[key] = truth, LabelledLook(evidence, truth.targets, None, truth.group, *at)
-    used = dict(nearest.values())
-    return [used[truth] for truth in truths if truth in used], [truth for truth in truths if truth not in used]
+            stamp, group = float(views[0].stamp or 0.0), "" if truth.group is None else f"{truth.group}: "
+            other, _ = nearest.setdefault((group + truth.query, stamp), (truth, views))
+            if abs(truth.stamp - stamp) < abs(other.stamp - stamp):
+                nearest[group + truth.query, stamp] = truth, views
+    looks = []
+    for (group, stamp), (truth, views) in nearest.items():
+        angles = np.radians([(target.azimuth_deg, target.elevation_deg) for target in truth.targets]).reshape(-1, 2)
+        look = min(views, key=lambda view: view.detections is not None)  # a response map if any: it is refused
+        if look.detections is not None:
+            sets = [view.detections for view in views if view.detections is not None]
+            look = Evidence.from_detections(reduce(Detections.joined, sets), look.grid, stamp)
+        looks.append(LabelledLook(look, direction(*angles.T).reshape(-1, 3), stamp, group, *pose(stamp)))
+    used = {truth for truth, _ in nearest.values()}
+    return looks, [truth for truth in truths if truth not in used]
 
 
-def _joined(views: Sequence[Evidence]) -> Evidence:
-    """The views of one moment as one look."""
-    sets = [view.detections for view in views if view.detections is not None]
-    if len(sets) < len(views):  # a response map: `LabelledLook` refuses it
-        return next(view for view in views if view.detections is None)
-    return Evidence.from_detections(reduce(Detections.joined, sets), views[0].grid, views[0].stamp)
-
-
-# --- labelled panoramas of the built-in apartments, from what the simulator knows -------------------------------------
+# --- development apartments, and labelled panoramas of them from what the simulator knows -----------------------------
 
 PER_PLACE = 4  # panoramas in an apartment
 TRIES = 12  # places to stand that are looked at for one panorama
@@ -319,41 +258,43 @@ SIZES = (math.radians(3), math.radians(35))  # angular radii of the things that 
 LOOK_ROWS = 128  # of the id panoramas that labels are measured in
 
 
-def check_development(count: int, what: str, seed: int, per_place: int) -> None:
-    """Raise `EagorError` unless `count` of `what`, from apartment `seed` on, stay clear of those for results."""
-    last = seed + (count - 1) // per_place
+def development_specs(tasks: Sequence[str], count: int, seed: int, per_place: int) -> list[EpisodeSpec]:
+    """`count` specs of the `tasks` in turn, `per_place` of each in an apartment, from apartment `seed` on.
+
+    Raises `EagorError` where they reach apartments that results are taken from.
+    """
+    last = seed + (count - 1) // (per_place * len(tasks))
     if count < 1 or seed not in DEVELOPMENT or last not in DEVELOPMENT:
         raise EagorError(
-            f"{count} {what} from apartment {seed} on reach apartment {last}; wanted all between {DEVELOPMENT.start} "
+            f"{count} episodes from apartment {seed} on reach apartment {last}; wanted all between {DEVELOPMENT.start} "
             f"and {DEVELOPMENT.stop - 1}: the others are for results"
         )
+    numbers = (divmod(number, len(tasks)) for number in range(count))
+    return [EpisodeSpec(tasks[task], APARTMENT, seed + n // per_place, n % per_place, n) for n, task in numbers]
 
 
 def apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
-    """`count` panoramas of `rows` rows from development apartments, each with one thing that a query singles out.
+    """`count` panoramas of `rows` rows from `development_specs`, each with one thing that a query singles out.
 
-    A panorama is left out where no thing is of a suitable size. Raises `EagorError` where the seeds reach apartments
-    that results are taken from.
+    A panorama is left out where no thing is of a suitable size.
     """
-    check_development(count, "panoramas", seed, PER_PLACE)
-    return _apartment_labels(count, seed, rows)
+    specs = development_specs(("labels",), count, seed, PER_PLACE)
+    return filter(None, (_apartment_label(spec, rows) for spec in specs))
 
 
-def _apartment_labels(count: int, seed: int, rows: int) -> Iterator[Labelled]:
+def _apartment_label(spec: EpisodeSpec, rows: int) -> Labelled | None:
     camera, grid = Camera(), ErpGrid(LOOK_ROWS, 2 * LOOK_ROWS)
-    for number in range(count):
-        spec = EpisodeSpec("labels", APARTMENT, seed + number // PER_PLACE, number % PER_PLACE, number)
-        rng, place = spec.rng("labels"), load_place(spec.world, spec.seed, camera.radius)
-        names = place.nameable()
-        for _ in range(TRIES):
-            position = np.array([*place.ground.sample(rng), camera.height])
-            turned = world_R_body(float(rng.uniform(-math.pi, math.pi)))
-            ids = place.ids(position, turned, LOOK_ROWS)
-            sizes = {thing: cap_radius(float(grid.weights[ids == thing].sum())) for thing in names}
-            if fit := [thing for thing, size in sizes.items() if SIZES[0] <= size <= SIZES[1]]:
-                thing = int(rng.choice(fit))
-                centre = unit(((grid.weights * (ids == thing))[..., None] * grid.directions).sum(axis=(0, 1)))
-                picture = place.renderer.panorama(position, turned, rows, range=False, ids=False).rgb
-                assert picture is not None
-                yield Labelled(picture, str(names[thing]), centre, sizes[thing])
-                break
+    rng, place = spec.rng("labels"), load_place(spec.world, spec.seed, camera.radius)
+    names = place.nameable()
+    for _ in range(TRIES):
+        position = np.array([*place.ground.sample(rng), camera.height])
+        turned = world_R_body(float(rng.uniform(-math.pi, math.pi)))
+        ids = place.ids(position, turned, LOOK_ROWS)
+        sizes = {thing: cap_radius(float(grid.weights[ids == thing].sum())) for thing in names}
+        if fit := [thing for thing, size in sizes.items() if SIZES[0] <= size <= SIZES[1]]:
+            thing = int(rng.choice(fit))
+            centre = unit(((grid.weights * (ids == thing))[..., None] * grid.directions).sum(axis=(0, 1)))
+            picture = place.renderer.panorama(position, turned, rows, range=False, ids=False).rgb
+            assert picture is not None
+            return Labelled(picture, str(names[thing]), centre, sizes[thing])
+    return None
