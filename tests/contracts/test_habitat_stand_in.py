@@ -144,13 +144,11 @@ def test_a_scene_on_its_side_is_found_and_put_upright(flat, tmp_path):
         ("", "wants habitat:SCENE"),
         ("nowhere.glb", "the scene 'nowhere.glb' is missing"),
         ("nowhere.glb?dataset=none.json", "configuration 'none.json' is missing"),
-        ("x.glb?colour=red", r"has the option 'colour=red'; wanted dataset=\.\.\., storey"),
-        ("x.glb?storey=high", "storey = 'high'; wanted a number"),
-        ("x.glb?storey=inf", "wanted finite metres"),
-        ("x.glb?up=x", "wanted y or z"),
-        ("x.glb?body=0", "body = 0.0; wanted finite metres above 0"),
-        ("x.glb?body=0.88&voxel=nan", "voxel = nan; wanted finite metres above 0"),
-        ("x.glb?climb=0.1", "has no body; climb and voxel belong to body=HEIGHT"),
+        ("x.glb?colour=red", r"unknown field `colour`; wanted dataset=FILE, storey"),
+        ("x.glb?storey=high", r"Expected `float.*storey"),
+        ("x.glb?storey=inf", r"Expected `float` <= .*storey"),
+        ("x.glb?up=x", r"up`; wanted .*up=y or z"),
+        ("x.glb?up", r"wanted .*up=y or z"),
     ],
 )
 def test_what_cannot_be_opened_is_said_in_one_sentence(text, says):
@@ -159,41 +157,14 @@ def test_what_cannot_be_opened_is_said_in_one_sentence(text, says):
     assert "\n" not in str(raised.value)
 
 
-def test_the_mesh_for_a_body_is_habitat_labs(flat, monkeypatch):
-    """The scene's own mesh is taken only if each setting is the wanted one; otherwise habitat-lab's is made."""
-    asked = []
-    build = PathFinder.build
-    monkeypatch.setattr(PathFinder, "build", lambda self, scene, it: asked.append(it) or build(self, scene, it))
-    load_place(f"habitat:{flat}?body=0.88", 0, 0.18)
-    first, number = asked[-1], len(asked)
-    load_place(f"habitat:{flat}?body=1.41&climb=0.1&voxel=0.05", 0, 0.17)
-    assert len(asked) > number
-    names = ("cell_size", "cell_height", "agent_height", "agent_radius", "agent_max_climb", "agent_max_slope")
-    for settings, wanted in (
-        (first, (0.05, 0.2, 0.88, 0.18, 0.2, 45.0)),
-        (asked[-1], (0.05, 0.05, 1.41, 0.17, 0.1, 45.0)),
-    ):
-        assert tuple(getattr(settings, name) for name in names) == wanted
-        assert settings.include_static_objects is False
-    for change, used in ((0.0, True), (0.01, False)):
+def test_the_scenes_own_mesh_is_taken_for_its_own_body_and_a_new_one_for_another(flat):
+    for radius, used in ((0.18, True), (0.25, False)):
         own = PathFinder()
-        own.is_loaded, own.nav_mesh_settings = True, type(first)(**vars(first))
-        own.nav_mesh_settings.agent_max_climb += change
+        own.is_loaded, own.nav_mesh_settings = True, SimpleNamespace(agent_radius=0.18)
         sim = SimpleNamespace(pathfinder=own, recompute_navmesh=lambda found, it: found.build(two_rooms(), it))
-        found = world.mesh_for(parse(f"{flat}?body=0.88"), flat, sim, 0.18)
+        found = world.mesh_for(parse(str(flat)), flat, sim, radius)
         assert (found is own) == used
-
-
-def test_places_beside_the_mesh_are_moved_onto_it_as_habitat_does(flat):
-    ground = load_place(f"habitat:{flat}?body=0.88", 0, 0.18).ground
-    start, inside = np.array([2.0, 2.9]), np.array([-0.3, 2.9])  # the second in the outer wall
-    assert not ground.is_free(inside)
-    edge = ground.snap(inside)
-    way = ground.field_to_places(np.array([[*inside, 0.0]]))
-    assert float(way.distance(start)) == pytest.approx(float(ground.field(edge).distance(start)), abs=0.06)
-    assert float(ground.field(inside).distance(start)) == math.inf
-    above = ground.field_to_places(np.array([[*start, 0.45]]))
-    assert float(above.distance(start)) == pytest.approx(0.4, abs=0.01), "heights count, and the mesh floats 5 cm up"
+        assert used or found.nav_mesh_settings.agent_radius == radius
 
 
 class Levels:
@@ -220,8 +191,8 @@ class Levels:
 )
 def test_the_storey_is_the_nearest_one(height, island):
     roof, floor, ground, closet, table = (12.0, 2.8), (9.0, 3.05), (10.0, 0.05), (1.5, 3.0), (0.8, 0.3)
-    found = main_storey(Levels(roof, floor, ground, closet, table), lambda feet: 1.0, height)
-    assert found.island == island
+    found, _ = main_storey(Levels(roof, floor, ground, closet, table), lambda feet: 1.0, height)
+    assert found == island
 
 
 def test_the_simulator_with_the_graphics_context_is_closed_before_the_next_opens(flat, tmp_path):
