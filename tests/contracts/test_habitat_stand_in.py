@@ -114,15 +114,15 @@ def test_things_are_named_by_a_semantic_json_or_by_nodes(flat, tmp_path):
     stage = json.loads(flat.with_suffix(".stage_config.json").read_text())
     bare.with_suffix(".stage_config.json").write_text(json.dumps(stage))
     named = worlds.load(f"habitat:{bare}")(0)
-    assert named.facts["things"] == "nodes of flat.glb"
+    assert {thing.room for thing in named.instances} == {None}
     assert "chair" in {thing.category for thing in named.instances}
     names = tmp_path / "mine.semantic.json"
     box = {"category": "chair", "low": [1.2, 3.9, 3.0], "high": [1.65, 4.35, 3.9]}
     for change, says in (({}, None), ({"high": [0, 0, 0]}, "a box from"), ({"colour": "mauve"}, "none of black")):
         names.write_text(json.dumps({"format": "eagor semantic 1", "instances": [box | change]}))
         if says is None:
-            ((thing,), _, _, source) = world.things_of(None, None, names, Frames(3.0), dict)
-            assert (thing.category, thing.colour, source) == ("chair", None, "boxes of mine.semantic.json")
+            ((thing,), _, _) = world.things_of(None, None, names, Frames(3.0), dict)
+            assert (thing.category, thing.colour) == ("chair", None)
             np.testing.assert_allclose([thing.low, thing.high], [[1.2, 3.9, 0.0], [1.65, 4.35, 0.9]])
         else:
             with pytest.raises(WorldError, match=f"cannot be used .*{says}"):

@@ -66,7 +66,7 @@ class SimulatedScene(Protocol):
 
     Frames and names are those of a `Scene`: metres, z up, the floor at z = 0. The instances' indices are the ids in
     pictures. `source`: the simulator and the scene, in words; `hash`: hexadecimal digits that change with the scene, as
-    episodes are made for one scene alone; `facts`: what else is worth to be recorded.
+    episodes are made for one scene alone.
     """
 
     @property
@@ -77,8 +77,6 @@ class SimulatedScene(Protocol):
     def source(self) -> str: ...
     @property
     def hash(self) -> str: ...
-    @property
-    def facts(self) -> dict[str, str]: ...
 
     def ground(self, radius: float, /) -> Ground:
         """The ground for a body of this radius, metres. Raises `WorldError` if there is no room for it."""

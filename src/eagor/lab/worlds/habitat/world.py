@@ -198,13 +198,12 @@ FEWEST = 12  # pixels that a thing has to show
 TRIM = 0.5  # per cent of the points at each end: edges of things mix near and far
 
 Box = tuple[np.ndarray, np.ndarray]  # lowest and highest corner (3,)
-Things = tuple[tuple[Instance, ...], tuple[Room, ...], np.ndarray | None, str]
 
 
 def things_of(
     semantic: Any, file: Path | None, names: Path | None, frames: Frames, look: Callable[[], Mapping[int, Box]]
-) -> Things:
-    """The instances and rooms of a scene, our index of each semantic id (None: boxes tell), and where names come from.
+) -> tuple[tuple[Instance, ...], tuple[Room, ...], np.ndarray | None]:
+    """The instances and rooms of a scene, and our index of each semantic id (None: boxes tell).
 
     `semantic`: Habitat's semantic scene; `names`: the semantic JSON; `look` finds the extent of what is seen of each
     semantic id, Habitat's world. Raises `WorldError` if the scene names no things, or for a malformed file.
@@ -222,7 +221,7 @@ def things_of(
                 f"{names} cannot be used ({str(error)[:200]}); wanted what export_glb writes: remove it, or export "
                 "the scene again"
             ) from error
-        return lowered(known.instances), tuple(known.rooms), None, f"boxes of {names.name}"
+        return lowered(known.instances), tuple(known.rooms), None
     found: dict[int, tuple[str, np.ndarray]] = {}
     for thing in getattr(semantic, "objects", None) or []:
         if thing is not None and thing.category is not None:
@@ -242,11 +241,11 @@ def things_of(
         index = np.full(max(found) + 2, -1, dtype=np.int32)  # the last for ids beyond the table
         index[[*found]] = np.arange(len(found))
         ends = [(name, np.sort(frames.from_habitat(box), axis=0)) for name, box in found.values()]
-        return tuple(Instance(name, None, None, *box) for name, box in ends), (), index, "Habitat's semantic scene"
+        return tuple(Instance(name, None, None, *box) for name, box in ends), (), index
     if file is not None and file.suffix.lower() in GLB:
         named = [thing for thing in import_glb(file).instances if thing.category not in UNNAMED]
         if named:
-            return lowered(named), (), None, f"nodes of {file.name}"
+            return lowered(named), (), None
     raise WorldError(
         f"{file or 'the scene'} names no things: it has no semantic annotations, its nodes have no names, and no "
         "<scene>.semantic.json lies beside it; write one, as export_glb does"
@@ -294,8 +293,7 @@ class HabitatScene:
         self._grounds: dict[float, HabitatNavMesh] = {}
         self.frames, self.rooms, self.storey = Frames(), (), options.storey
         mesh = self._ground(RADIUS)
-        zero, self.storey = true_floor(self.session, mesh, options), mesh.level
-        self.frames = Frames(zero)
+        self.frames, self.storey = Frames(true_floor(self.session, mesh, options)), mesh.level
 
         def look() -> Mapping[int, Box]:
             spots = mesh.points[:: max(1, len(mesh.points) // SPOTS)]
@@ -305,14 +303,8 @@ class HabitatScene:
         names = None if file is None else file.with_name(f"{file.name.split('.')[0]}.semantic.json")
         names = names if names and names.is_file() else None
         semantic = getattr(self.session.sim, "semantic_scene", None)
-        self.instances, self.rooms, index, source = things_of(semantic, file, names, self.frames, look)
+        self.instances, self.rooms, index = things_of(semantic, file, names, self.frames, look)
         self._view = HabitatView(self.session, self.frames, self.instances, index)
-        self.facts = {
-            "simulator": f"Habitat-Sim {getattr(import_habitat(), '__version__', '')}".strip(),
-            "things": source,
-            "floor": f"{zero:.3f} m (Habitat's y of our z = 0)",
-            "storey": f"{self.storey:.2f} m (Habitat's y of the navigation mesh)",
-        }
         drawn = Path(str(getattr(self.session.sim.get_stage_initialization_template(), "render_asset_handle", "")))
         digest = hashlib.sha256(f"{options.storey}|{options.up}|None".encode())
         for each in dict.fromkeys((file, dataset, names, drawn)):
