@@ -129,6 +129,24 @@ def test_things_are_named_by_a_semantic_json_or_by_nodes(flat, tmp_path):
                 world.things_of(None, None, names, Frames(3.0), dict)
 
 
+def test_sides_of_boxes_that_habitat_puts_at_the_origin_are_those_of_what_is_seen():
+    """As Habitat-Sim 0.3.4 does with all boxes of HM3D; what is seen nowhere is left out."""
+    boxes = [("chair", (0, 0, -3), (2, 1, 0)), ("tv_monitor", (-1, 0, 0), (0, 2, 4)), ("bed", (0, 0, 0), (1, 1, 1))]
+    objects = [
+        SimpleNamespace(
+            semantic_id=3 * k, category=SimpleNamespace(name=lambda word=word: word),
+            aabb=SimpleNamespace(min=low, max=high),
+        )
+        for k, (word, low, high) in enumerate(boxes)
+    ]  # fmt: skip
+    seen = {0: np.array([[1.2, 0.3, -3.5], [1.9, 0.9, -2.0]]), 3: np.array([[-0.9, 0.1, 0.3], [-0.2, 1.9, 3.9]])}
+    semantic = SimpleNamespace(objects=objects)
+    (chair, tv), _, index = world.things_of(semantic, None, None, Frames(0.5), lambda: seen)
+    assert (chair.category, tv.category, index.tolist()) == ("chair", "tv", [0, -1, -1, 1, -1])
+    np.testing.assert_allclose([chair.low, chair.high], [[1.2, 2.0, -0.2], [2.0, 3.0, 0.5]])
+    np.testing.assert_allclose([tv.low, tv.high], [[-1.0, -4.0, -0.4], [-0.2, -0.3, 1.5]])
+
+
 def test_a_scene_on_its_side_is_found_and_put_upright(flat, tmp_path):
     bare = tmp_path / "flat.glb"
     bare.write_bytes(flat.read_bytes())
