@@ -84,12 +84,11 @@ def walk(seed: int, field: float, condition: str) -> Sequence:
     """What a camera shows that walks through an apartment; the head turns about the way."""
     from eagor.lab.worlds import ground_of
     from eagor.lab.worlds.apartment import generate
-    from eagor.lab.worlds.navmesh import stroll
     from eagor.lab.worlds.render import Renderer
 
     scene, random = generate(seed), np.random.default_rng(seed)
     ground, renderer = ground_of(scene, 0.3), Renderer(scene)
-    points = stroll(ground, ground.sample(random), 1.0 / RATE, random)
+    points = ground.stroll(ground.sample(random), 1.0 / RATE, random)
     down = world_R_body(0, math.radians(40 if condition == "floor" else 0))
     poses = [pose_at(number / RATE, math.radians(60)) @ down for number in range(SECONDS * RATE + 1)]
     pictures = []

@@ -188,7 +188,7 @@ class Simulator:
         return SimpleNamespace(render_asset_handle="")
 
     def get_active_scene_graph(self):
-        low, high = self.scene.bounds
+        low, high = self.scene.vertices.min(axis=0), self.scene.vertices.max(axis=0)
         box = SimpleNamespace(min=(low[0], low[2], -high[1]), max=(high[0], high[2], -low[1]))
         return SimpleNamespace(get_root_node=lambda: SimpleNamespace(cumulative_bb=box))
 
@@ -251,7 +251,6 @@ def stand_in():
     """The module."""
     kinds = SimpleNamespace(COLOR="COLOR", DEPTH="DEPTH", SEMANTIC="SEMANTIC")
     return SimpleNamespace(
-        __version__="stand-in",
         __spec__=None,
         EquirectangularSensorSpec=Spec,
         SensorType=kinds,

@@ -1,9 +1,13 @@
 """A small room and episodes in it, for tests of what is exported."""
 
+import gzip
+import json
+from functools import partial
+
 from box_scenes import scene_of, shell, thing
 
 from eagor.lab.worlds.glb import export_glb, import_glb
-from eagor.lab.worlds.objectnav import SceneSource, export_dataset
+from eagor.lab.worlds.objectnav import export_dataset
 
 
 def room(source="room"):
@@ -19,9 +23,14 @@ def room(source="room"):
 
 def exported(folder, episodes=4, names=("room",)):
     """A data folder with such rooms as GLB scenes; returns the path of its episodes."""
-    sources = []
+    scenes = {}
     for number, name in enumerate(names):
         path = export_glb(room(name), folder / "made" / f"{name}.glb")
-        sources.append(SceneSource(number, name, lambda path=path: import_glb(path)))
-    file, _ = export_dataset(sources, folder / "data", episodes=episodes, categories=("chair",))
+        scenes[f"{number:05d}-{name}"] = partial(import_glb, path)
+    file, _ = export_dataset(scenes, folder / "data", episodes=episodes, categories=("chair",))
     return file
+
+
+def contents(file):
+    """The parsed content files beside ``<split>.json.gz``, in the order of their names."""
+    return [json.loads(gzip.decompress(each.read_bytes())) for each in sorted((file.parent / "content").iterdir())]

@@ -3,19 +3,24 @@
 What Habitat itself makes of it is tested where Habitat is installed: `tests/oracles/test_habitat_lab.py`.
 """
 
+import gzip
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from box_scenes import scene_of, shell, thing
+from listed_rooms import contents
 
+from eagor.conventions import from_gltf, pose_from_habitat, rotation_from_xyzw
 from eagor.errors import WorldError
 from eagor.lab.worlds.glb import import_glb
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.objectnav import SceneSource, check_scene, export_dataset, make_goals, read_episodes, roomy_ground
+from eagor.lab.worlds.objectnav import export_dataset, make_goals, roomy_ground
 from eagor.lab.worlds.render import Renderer
 from eagor.lab.worlds.scene import Room
+
+SCENES = {"00007-first": lambda: furnished(), "00012-second": lambda: furnished("other")}
 
 
 def furnished(source="room"):
@@ -39,8 +44,7 @@ def furnished(source="room"):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("habitat") / "data"
-    sources = [SceneSource(7, "first", furnished), SceneSource(12, "second", lambda: furnished("other"))]
-    file, found = export_dataset(sources, path, episodes=9)
+    file, found = export_dataset(SCENES, path, episodes=9)
     assert [each["episodes"] for each in found] == [9, 9]
     return path, file, found
 
@@ -64,11 +68,7 @@ def test_everything_lies_where_hm3d_has_it(folder):
 
 def test_the_same_call_gives_the_same_bytes(folder, tmp_path):
     path, _, _ = folder
-    export_dataset(
-        [SceneSource(7, "first", furnished), SceneSource(12, "second", lambda: furnished("other"))],
-        tmp_path / "again",
-        episodes=9,
-    )
+    export_dataset(SCENES, tmp_path / "again", episodes=9)
     for one in path.rglob("*"):
         if one.is_file():
             assert one.read_bytes() == (tmp_path / "again" / one.relative_to(path)).read_bytes(), one
@@ -77,48 +77,83 @@ def test_the_same_call_gives_the_same_bytes(folder, tmp_path):
 # --- episodes ---
 
 
+def places_of(goal):
+    """The view points of a goal, in our world."""
+    return from_gltf(np.array([view["agent_state"]["position"] for view in goal["view_points"]]))
+
+
+def test_the_files_say_what_habitat_reads(folder):
+    """Keys, order of quaternions, axes and names of `ObjectNavDatasetV1`, spelt out."""
+    _, file, _ = folder
+    head, (content, _) = json.loads(gzip.decompress(file.read_bytes())), contents(file)
+    assert head["episodes"] == []
+    for part in (head, content):
+        assert part["category_to_task_category_id"] == {"chair": 0, "bed": 1, "tv_monitor": 4}
+        assert part["category_to_scene_annotation_category_id"] == part["category_to_task_category_id"]
+    goals = content["goals_by_category"]
+    assert set(goals) == {"first.glb_chair", "first.glb_bed", "first.glb_tv_monitor"}
+    for episode in content["episodes"]:
+        # The arguments of ObjectGoalNavEpisode; any other would stop Habitat.
+        assert set(episode) == {
+            "episode_id", "scene_id", "scene_dataset_config", "additional_obj_config_paths", "start_position",
+            "start_rotation", "info", "goals", "start_room", "shortest_paths", "object_category",
+        }  # fmt: skip
+        assert episode["scene_id"] == "eagor/val/00007-first/first.glb"
+        assert episode["info"]["eagor"].keys() == {"scene_hash", "version", "radius", "cell"}
+    (goal,) = goals["first.glb_tv_monitor"]
+    assert set(goal) == {
+        "position", "radius", "object_id", "object_name", "object_name_id", "object_category", "room_id", "room_name",
+        "view_points",
+    }  # fmt: skip
+    assert goal["object_name"] == f"tv_monitor_{goal['object_id']}"
+    for view, place in zip(goal["view_points"], places_of(goal), strict=True):
+        assert view.keys() == {"agent_state", "iou"}
+        assert view["agent_state"].keys() == {"position", "rotation"}
+        turn = pose_from_habitat(rotation_from_xyzw(np.array(view["agent_state"]["rotation"])))
+        ahead = from_gltf(np.array(goal["position"]))[:2] - place[:2]
+        assert np.allclose(turn @ [1, 0, 0], [*ahead / np.hypot(*ahead), 0])
+
+
 def test_episodes_start_on_free_ground_and_their_distances_are_those_of_the_floor(folder):
     _, file, _ = folder
     scene = furnished()
-    ground = Ground.from_scene(scene, radius=0.18)
-    mine = next(each for each in read_episodes(file) if "first" in each.episodes[0].scene)
-    assert set(mine.goals) == {"chair", "bed", "tv"}
-    assert len(mine.goals["chair"]) == 2
+    ground, mine = Ground.from_scene(scene, radius=0.18), contents(file)[0]
+    goals = {name.removeprefix("first.glb_"): each for name, each in mine["goals_by_category"].items()}
+    assert len(goals["chair"]) == 2
     renderer = Renderer(scene)
-    for category, things in mine.goals.items():
+    for category, things in goals.items():
         for goal in things:
-            instance = goal.instance
-            assert category == scene.instances[instance].category
-            assert np.allclose(goal.position, scene.instances[instance].centre)
-            assert len(goal.view_positions) > 20
-            assert ground.is_free(goal.view_positions[:, :2]).all()
+            instance, views = goal["object_id"], places_of(goal)
+            assert category.removesuffix("_monitor") == scene.instances[instance].category
+            assert np.allclose(from_gltf(np.array(goal["position"])), scene.instances[instance].centre)
+            assert len(views) > 20
+            assert ground.is_free(views[:, :2]).all()
             low, high = scene.instances[instance].low[:2], scene.instances[instance].high[:2]
-            away = np.maximum(np.maximum(low - goal.view_positions[:, :2], goal.view_positions[:, :2] - high), 0)
+            away = np.maximum(np.maximum(low - views[:, :2], views[:, :2] - high), 0)
             assert np.hypot(*away.T).max() <= 0.75 + 1e-6
-            for place in goal.view_positions[::40]:
+            for place in views[::40]:
                 ids = renderer.panorama(place + np.array([0, 0, 0.88]), np.eye(3), 64, rgb=False, range=False).ids
                 assert (ids == instance).any()
-    for episode in mine.episodes:
-        start = episode.position[:2]
+    for episode in mine["episodes"]:
+        start, info = from_gltf(np.array(episode["start_position"]))[:2], episode["info"]
         assert ground.is_free(start)
-        views = np.concatenate([goal.view_positions[:, :2] for goal in mine.goals[episode.category]])
-        assert episode.geodesic == pytest.approx(float(ground.field(views).distance(start)), abs=1e-9)
-        assert episode.euclidean == pytest.approx(np.hypot(*(views - start).T).min(), abs=1e-9)
-        assert 1.0 <= episode.geodesic <= 30.0
-        nearest = next(goal for goal in mine.goals[episode.category] if goal.instance == episode.nearest)
-        assert float(ground.field(nearest.view_positions[:, :2]).distance(start)) == pytest.approx(episode.geodesic)
-    assert len({tuple(episode.position) for episode in mine.episodes}) == len(mine.episodes)
-    assert {episode.category for episode in mine.episodes} == set(mine.goals)
+        things = goals[episode["object_category"]]
+        views = np.concatenate([places_of(goal)[:, :2] for goal in things])
+        assert info["geodesic_distance"] == pytest.approx(float(ground.field(views).distance(start)), abs=1e-9)
+        assert info["euclidean_distance"] == pytest.approx(np.hypot(*(views - start).T).min(), abs=1e-9)
+        assert 1.0 <= info["geodesic_distance"] <= 30.0
+        nearest = next(goal for goal in things if goal["object_id"] == info["closest_goal_object_id"])
+        way = ground.field(places_of(nearest)[:, :2])
+        assert float(way.distance(start)) == pytest.approx(info["geodesic_distance"])
+    assert len({tuple(each["start_position"]) for each in mine["episodes"]}) == len(mine["episodes"])
+    assert {each["object_category"] for each in mine["episodes"]} == set(goals)
 
 
 def test_an_exported_scene_is_the_one_that_its_episodes_were_made_for(folder):
     _, file, found = folder
-    for each, scene_file in zip(read_episodes(file), (Path(exported["scene"]) for exported in found), strict=True):
-        scene = import_glb(scene_file)
-        (mine,) = read_episodes(file.parent / "content" / f"{scene_file.stem}.json.gz")
-        assert len(mine.episodes) == len(each.episodes) == 9
-        for episode in mine.episodes:
-            check_scene(episode, scene, Ground.from_scene(scene))
+    for content, exported in zip(contents(file), found, strict=True):
+        hashes = {each["info"]["eagor"]["scene_hash"] for each in content["episodes"]}
+        assert hashes == {import_glb(exported["scene"]).facts["exported hash"]}
 
 
 def test_what_is_in_sight_from_nowhere_is_no_goal():

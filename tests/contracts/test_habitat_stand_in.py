@@ -114,19 +114,37 @@ def test_things_are_named_by_a_semantic_json_or_by_nodes(flat, tmp_path):
     stage = json.loads(flat.with_suffix(".stage_config.json").read_text())
     bare.with_suffix(".stage_config.json").write_text(json.dumps(stage))
     named = worlds.load(f"habitat:{bare}")(0)
-    assert named.facts["things"] == "nodes of flat.glb"
+    assert {thing.room for thing in named.instances} == {None}
     assert "chair" in {thing.category for thing in named.instances}
     names = tmp_path / "mine.semantic.json"
     box = {"category": "chair", "low": [1.2, 3.9, 3.0], "high": [1.65, 4.35, 3.9]}
     for change, says in (({}, None), ({"high": [0, 0, 0]}, "a box from"), ({"colour": "mauve"}, "none of black")):
         names.write_text(json.dumps({"format": "eagor semantic 1", "instances": [box | change]}))
         if says is None:
-            ((thing,), _, _, source) = world.things_of(None, None, names, Frames(3.0), dict)
-            assert (thing.category, thing.colour, source) == ("chair", None, "boxes of mine.semantic.json")
+            ((thing,), _, _) = world.things_of(None, None, names, Frames(3.0), dict)
+            assert (thing.category, thing.colour) == ("chair", None)
             np.testing.assert_allclose([thing.low, thing.high], [[1.2, 3.9, 0.0], [1.65, 4.35, 0.9]])
         else:
             with pytest.raises(WorldError, match=f"cannot be used .*{says}"):
                 world.things_of(None, None, names, Frames(3.0), dict)
+
+
+def test_sides_of_boxes_that_habitat_puts_at_the_origin_are_those_of_what_is_seen():
+    """As Habitat-Sim 0.3.4 does with all boxes of HM3D; what is seen nowhere is left out."""
+    boxes = [("chair", (0, 0, -3), (2, 1, 0)), ("tv_monitor", (-1, 0, 0), (0, 2, 4)), ("bed", (0, 0, 0), (1, 1, 1))]
+    objects = [
+        SimpleNamespace(
+            semantic_id=3 * k, category=SimpleNamespace(name=lambda word=word: word),
+            aabb=SimpleNamespace(min=low, max=high),
+        )
+        for k, (word, low, high) in enumerate(boxes)
+    ]  # fmt: skip
+    seen = {0: np.array([[1.2, 0.3, -3.5], [1.9, 0.9, -2.0]]), 3: np.array([[-0.9, 0.1, 0.3], [-0.2, 1.9, 3.9]])}
+    semantic = SimpleNamespace(objects=objects)
+    (chair, tv), _, index = world.things_of(semantic, None, None, Frames(0.5), lambda: seen)
+    assert (chair.category, tv.category, index.tolist()) == ("chair", "tv", [0, -1, -1, 1, -1])
+    np.testing.assert_allclose([chair.low, chair.high], [[1.2, 2.0, -0.2], [2.0, 3.0, 0.5]])
+    np.testing.assert_allclose([tv.low, tv.high], [[-1.0, -4.0, -0.4], [-0.2, -0.3, 1.5]])
 
 
 def test_a_scene_on_its_side_is_found_and_put_upright(flat, tmp_path):
@@ -144,13 +162,11 @@ def test_a_scene_on_its_side_is_found_and_put_upright(flat, tmp_path):
         ("", "wants habitat:SCENE"),
         ("nowhere.glb", "the scene 'nowhere.glb' is missing"),
         ("nowhere.glb?dataset=none.json", "configuration 'none.json' is missing"),
-        ("x.glb?colour=red", r"has the option 'colour=red'; wanted dataset=\.\.\., storey"),
-        ("x.glb?storey=high", "storey = 'high'; wanted a number"),
-        ("x.glb?storey=inf", "wanted finite metres"),
-        ("x.glb?up=x", "wanted y or z"),
-        ("x.glb?body=0", "body = 0.0; wanted finite metres above 0"),
-        ("x.glb?body=0.88&voxel=nan", "voxel = nan; wanted finite metres above 0"),
-        ("x.glb?climb=0.1", "has no body; climb and voxel belong to body=HEIGHT"),
+        ("x.glb?colour=red", r"unknown field `colour`; wanted dataset=FILE, storey"),
+        ("x.glb?storey=high", r"Expected `float.*storey"),
+        ("x.glb?storey=inf", r"Expected `float` <= .*storey"),
+        ("x.glb?up=x", r"up`; wanted .*up=y or z"),
+        ("x.glb?up", r"wanted .*up=y or z"),
     ],
 )
 def test_what_cannot_be_opened_is_said_in_one_sentence(text, says):
@@ -159,41 +175,14 @@ def test_what_cannot_be_opened_is_said_in_one_sentence(text, says):
     assert "\n" not in str(raised.value)
 
 
-def test_the_mesh_for_a_body_is_habitat_labs(flat, monkeypatch):
-    """The scene's own mesh is taken only if each setting is the wanted one; otherwise habitat-lab's is made."""
-    asked = []
-    build = PathFinder.build
-    monkeypatch.setattr(PathFinder, "build", lambda self, scene, it: asked.append(it) or build(self, scene, it))
-    load_place(f"habitat:{flat}?body=0.88", 0, 0.18)
-    first, number = asked[-1], len(asked)
-    load_place(f"habitat:{flat}?body=1.41&climb=0.1&voxel=0.05", 0, 0.17)
-    assert len(asked) > number
-    names = ("cell_size", "cell_height", "agent_height", "agent_radius", "agent_max_climb", "agent_max_slope")
-    for settings, wanted in (
-        (first, (0.05, 0.2, 0.88, 0.18, 0.2, 45.0)),
-        (asked[-1], (0.05, 0.05, 1.41, 0.17, 0.1, 45.0)),
-    ):
-        assert tuple(getattr(settings, name) for name in names) == wanted
-        assert settings.include_static_objects is False
-    for change, used in ((0.0, True), (0.01, False)):
+def test_the_scenes_own_mesh_is_taken_for_its_own_body_and_a_new_one_for_another(flat):
+    for radius, used in ((0.18, True), (0.25, False)):
         own = PathFinder()
-        own.is_loaded, own.nav_mesh_settings = True, type(first)(**vars(first))
-        own.nav_mesh_settings.agent_max_climb += change
+        own.is_loaded, own.nav_mesh_settings = True, SimpleNamespace(agent_radius=0.18)
         sim = SimpleNamespace(pathfinder=own, recompute_navmesh=lambda found, it: found.build(two_rooms(), it))
-        found = world.mesh_for(parse(f"{flat}?body=0.88"), flat, sim, 0.18)
+        found = world.mesh_for(parse(str(flat)), flat, sim, radius)
         assert (found is own) == used
-
-
-def test_places_beside_the_mesh_are_moved_onto_it_as_habitat_does(flat):
-    ground = load_place(f"habitat:{flat}?body=0.88", 0, 0.18).ground
-    start, inside = np.array([2.0, 2.9]), np.array([-0.3, 2.9])  # the second in the outer wall
-    assert not ground.is_free(inside)
-    edge = ground.snap(inside)
-    way = ground.field_to_places(np.array([[*inside, 0.0]]))
-    assert float(way.distance(start)) == pytest.approx(float(ground.field(edge).distance(start)), abs=0.06)
-    assert float(ground.field(inside).distance(start)) == math.inf
-    above = ground.field_to_places(np.array([[*start, 0.45]]))
-    assert float(above.distance(start)) == pytest.approx(0.4, abs=0.01), "heights count, and the mesh floats 5 cm up"
+        assert used or found.nav_mesh_settings.agent_radius == radius
 
 
 class Levels:
@@ -220,8 +209,8 @@ class Levels:
 )
 def test_the_storey_is_the_nearest_one(height, island):
     roof, floor, ground, closet, table = (12.0, 2.8), (9.0, 3.05), (10.0, 0.05), (1.5, 3.0), (0.8, 0.3)
-    found = main_storey(Levels(roof, floor, ground, closet, table), lambda feet: 1.0, height)
-    assert found.island == island
+    found, _ = main_storey(Levels(roof, floor, ground, closet, table), lambda feet: 1.0, height)
+    assert found == island
 
 
 def test_the_simulator_with_the_graphics_context_is_closed_before_the_next_opens(flat, tmp_path):

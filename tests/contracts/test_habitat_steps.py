@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.lab.worlds.habitat import Frames
-from eagor.lab.worlds.habitat.navmesh import HELD, SHORT, HabitatNavMesh, Storey
+from eagor.lab.worlds.habitat.navmesh import HELD, SHORT, HabitatNavMesh
 
 WALL = 1.0  # our x of the edge of the mesh
 
@@ -38,7 +38,7 @@ MESH = SimpleNamespace(
     snap_point=lambda feet: feet,
     distance_to_closest_obstacle=lambda feet, most: min(most, max(0.0, WALL - float(feet[0]))),
 )
-GROUND = HabitatNavMesh(MESH, Storey(0, 0.0), Frames(), 0.18, source="a test")
+GROUND = HabitatNavMesh.of(MESH, (0, 0.0), Frames(), 0.18)
 
 
 @given(

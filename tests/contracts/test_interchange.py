@@ -1,6 +1,5 @@
-"""Files of others: GLB scenes, and episodes of Habitat's ObjectNav."""
+"""GLB scenes, ours and those of others."""
 
-import gzip
 import json
 import math
 from dataclasses import replace
@@ -9,25 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 from box_scenes import scene_of, shell, thing
-from mutations import put, taken_out
 
-from eagor import conventions as conv
 from eagor.errors import WorldError
 from eagor.lab.worlds.glb import FOOTING, FOOTING_NODE, ON_MESH, export_glb, footing_of, import_glb, name_from_nodes
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.objectnav import (
-    Episode,
-    Goal,
-    Origin,
-    SceneEpisodes,
-    check_scene,
-    read_episodes,
-    write_episodes,
-)
 from eagor.lab.worlds.scene import Lamp, Material, Room
-from eagor.sphere import rotation
-
-VIEWS = np.array([[2.0, 2.0, 0.0], [1.0, 3.0, 0.01]])
 
 
 def furnished():
@@ -123,7 +108,7 @@ def test_others_find_named_nodes_with_y_up_beside_a_stage_and_the_settings_of_th
     nodes = set(model.graph.nodes_geometry)
     assert {node.split("_m")[0] for node in nodes} >= {"coffee_table_5", "chair_6", "chair_7", "tv_8", "wall_1"}
     low, high = model.bounds
-    ours_low, ours_high = scene.bounds
+    ours_low, ours_high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
     assert np.allclose(low, [ours_low[0], -FOOTING, -ours_high[1]], atol=1e-6)
     assert np.allclose(high, [ours_high[0], ours_high[2], -ours_low[1]], atol=1e-6)
     blob = path.read_bytes()
@@ -196,7 +181,7 @@ def test_a_glb_of_others_becomes_a_scene(tmp_path):
     )
     chair = next(each for each in scene.instances if each.category == "arm chair")
     assert np.allclose(chair.centre, [2, -1, 1.7])  # Y up at (2, 1.7, 1)
-    assert scene.bounds[0][2] == pytest.approx(1.1)
+    assert scene.vertices[:, 2].min() == pytest.approx(1.1)
     velvet = next(material for material in scene.materials if material.name == "velvet")
     assert velvet.colour == pytest.approx((0.735, 0.151, 0.1), abs=0.02)
     assert (scene.uv[scene.instance == scene.instances.index(chair)] == 0).all()
@@ -252,189 +237,3 @@ def test_what_is_no_glb_is_refused_by_name(tmp_path):
         import_glb(tmp_path / "nowhere.glb")
     with pytest.raises(WorldError, match="cannot be read"):
         import_glb(tmp_path)
-
-
-# --- episodes ---
-
-
-def search(scene, **more):
-    """Two searches in the room."""
-    ground = Ground.from_scene(scene)
-    goals = {
-        category: tuple(Goal(category, k, scene.instances[k].centre, VIEWS) for k in instances)
-        for category, instances in (("chair", (6, 7)), ("tv", (8,)), ("coffee table", (5,)))
-    }
-    start = np.array([0.6, 0.6, 0.0])
-    episodes = tuple(
-        Episode(
-            "room.stage_config.json",
-            category,
-            start,
-            rotation((0, 0, 1), 0.7),
-            identifier=str(number),
-            geodesic=float(ground.footprint(scene.instances[nearest]).distance(start[:2])),
-            euclidean=1.5,
-            nearest=nearest,
-            origin=Origin(scene.hash, scene.source, ground.radius, ground.cell),
-        )
-        for number, (category, nearest) in enumerate([("chair", 6), ("tv", 8)])
-    )
-    return SceneEpisodes(episodes, goals)
-
-
-def test_episodes_come_back(tmp_path):
-    scene = furnished()
-    written = search(scene)
-    path = write_episodes(tmp_path, "val", [written])
-    assert path == tmp_path / "val" / "val.json.gz"
-    for file in (path, tmp_path / "val" / "content" / "room.json.gz"):
-        (back,) = read_episodes(file)
-        assert set(back.goals) == {"chair", "tv", "coffee table"}
-        for ours, theirs in zip(written.episodes, back.episodes, strict=True):
-            mine, yours = dict(vars(ours)), dict(vars(theirs))
-            assert np.array_equal(mine.pop("position"), yours.pop("position"))
-            assert np.allclose(mine.pop("world_R_body"), yours.pop("world_R_body"), atol=1e-12)
-            assert vars(mine.pop("origin")) == vars(yours.pop("origin"))
-            assert mine == yours
-        for category, goals in written.goals.items():
-            for ours, theirs in zip(goals, back.goals[category], strict=True):
-                assert (ours.category, ours.instance) == (theirs.category, theirs.instance)
-                assert np.array_equal(ours.position, theirs.position)
-                assert np.array_equal(ours.view_positions, theirs.view_positions)
-    again = write_episodes(tmp_path / "again", "val", [written])
-    assert again.read_bytes() == path.read_bytes()
-
-
-def test_the_files_say_what_habitat_reads(tmp_path):
-    """Keys, order of quaternions, axes and names of `ObjectNavDatasetV1`, spelt out."""
-    path = write_episodes(tmp_path, "val", [search(furnished())])
-    head = json.loads(gzip.decompress(path.read_bytes()))
-    content = json.loads(gzip.decompress((path.parent / "content" / "room.json.gz").read_bytes()))
-    assert head["episodes"] == []
-    for part in (head, content):
-        ids = part["category_to_task_category_id"]
-        assert ids == {"chair": 0, "tv_monitor": 4, "coffee_table": 6}
-        assert part["category_to_scene_annotation_category_id"] == ids
-    assert set(content["goals_by_category"]) == {
-        f"room.stage_config.json_{category}" for category in ("chair", "tv_monitor", "coffee_table")
-    }
-    episode = content["episodes"][1]
-    # The arguments of ObjectGoalNavEpisode; any other would stop Habitat.
-    assert set(episode) == {
-        "episode_id", "scene_id", "scene_dataset_config", "additional_obj_config_paths", "start_position",
-        "start_rotation", "info", "goals", "start_room", "shortest_paths", "object_category",
-    }  # fmt: skip
-    assert episode["object_category"] == "tv_monitor"
-    assert np.allclose(episode["start_position"], [0.6, 0.0, -0.6])
-    # Body along our x is a quarter turn to the right of Habitat's -z; 0.7 rad to the left of that.
-    half = (0.7 - math.pi / 2) / 2
-    found = np.array(episode["start_rotation"])
-    assert np.allclose(found * np.sign(found[3]), [0, math.sin(half), 0, math.cos(half)])
-    assert episode["info"]["closest_goal_object_id"] == 8
-    assert episode["info"]["eagor"].keys() == {"scene_hash", "version", "radius", "cell"}
-    goal = content["goals_by_category"]["room.stage_config.json_tv_monitor"][0]
-    assert set(goal) == {
-        "position", "radius", "object_id", "object_name", "object_name_id", "object_category", "room_id", "room_name",
-        "view_points",
-    }  # fmt: skip
-    assert goal["object_name"] == "tv_monitor_8"
-    for view, place in zip(goal["view_points"], VIEWS, strict=True):
-        assert view.keys() == {"agent_state", "iou"}
-        assert view["agent_state"].keys() == {"position", "rotation"}
-        turn = conv.pose_from_habitat(conv.rotation_from_xyzw(np.array(view["agent_state"]["rotation"])))
-        ahead = conv.from_gltf(np.array(goal["position"]))[:2] - place[:2]
-        assert np.allclose(turn @ [1, 0, 0], [*ahead / np.hypot(*ahead), 0])
-
-
-def test_an_episode_of_another_scene_or_body_is_caught(tmp_path):
-    scene = furnished()
-    path = write_episodes(tmp_path, "val", [search(scene)])
-    other = replace(scene, vertices=scene.vertices + np.float32(0.01))
-    (back,) = read_episodes(path)
-    marked, ground = back.episodes[0], Ground.from_scene(scene)
-    with pytest.raises(WorldError, match="made for the scene"):
-        check_scene(marked, other, ground)
-    with pytest.raises(WorldError, match=r"radius 0\.18"):
-        check_scene(marked, scene, Ground.from_scene(scene, radius=0.1))
-    imported = import_glb(export_glb(scene, tmp_path / "room.glb"))
-    assert imported.hash != scene.hash
-    check_scene(marked, imported, ground)
-    check_scene(Episode("x.glb", "chair", np.zeros(3), np.eye(3)), other, ground)  # those of others are not marked
-    assert marked.origin.version == "apartment 1 seed 17"
-
-
-def hm3d():
-    """An entry each as the files of HM3D have them, shortened."""
-    view = {"agent_state": {"position": [1.0, 0.1, -2.0], "rotation": [0, 1.0, 0, 0]}, "iou": 0.3}
-    return {
-        "goals_by_category": {
-            "TEEsavR23oF.basis.glb_tv_monitor": [
-                {"position": [1.0, 1.5, -4.0], "radius": None, "object_id": 240, "object_name": "tv_240",
-                 "object_name_id": None, "object_category": "tv_monitor", "room_id": None, "room_name": None,
-                 "view_points": [view]}
-            ]
-        },
-        "episodes": [
-            {
-                "episode_id": "0",
-                "scene_id": "hm3d/val/00800-TEEsavR23oF/TEEsavR23oF.basis.glb",
-                "scene_dataset_config": "./data/scene_datasets/hm3d/hm3d_annotated_basis.scene_dataset_config.json",
-                "additional_obj_config_paths": [],
-                "start_position": [-1.0, 0.1, 2.0],
-                "start_rotation": [0, 0, 0, 1.0],
-                "info": {"geodesic_distance": 6.1, "euclidean_distance": 5.0, "closest_goal_object_id": 240},
-                "goals": [],
-                "start_room": None,
-                "shortest_paths": None,
-                "object_category": "tv_monitor",
-            }
-        ],
-        "category_to_task_category_id": {"tv_monitor": 4},
-        "category_to_scene_annotation_category_id": {"tv_monitor": 4},
-    }  # fmt: skip
-
-
-def test_files_of_hm3d_are_read(tmp_path):
-    path = tmp_path / "TEEsavR23oF.json.gz"
-    path.write_bytes(gzip.compress(json.dumps(hm3d()).encode()))
-    (scene,) = read_episodes(path)
-    (episode,) = scene.episodes
-    (goal,) = scene.goals["tv"]
-    assert (episode.category, episode.geodesic, episode.nearest, episode.origin) == ("tv", 6.1, 240, None)
-    assert np.allclose(episode.position, [-1.0, -2.0, 0.1])
-    # Unturned, Habitat looks along -Z, which is our y.
-    assert np.allclose(episode.world_R_body @ [1, 0, 0], [0, 1, 0])
-    assert np.allclose(goal.position, [1.0, 4.0, 1.5])
-    assert np.allclose(goal.view_positions, [[1.0, 2.0, 0.1]])
-    back = read_episodes(write_episodes(tmp_path, "val", [scene]))[0]
-    assert back.episodes[0].dataset_config == episode.dataset_config
-
-
-GOAL = ("goals_by_category", "TEEsavR23oF.basis.glb_tv_monitor", 0)
-
-
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (taken_out(hm3d(), ("episodes",)), "missing required field `episodes`"),
-        (taken_out(hm3d(), ("episodes", 0, "start_rotation")), r"`start_rotation` - at `\$\.episodes\[0\]`"),
-        (taken_out(hm3d(), (*GOAL, "view_points")), r"`view_points` - at `\$\.goals_by_category"),
-        (taken_out(hm3d(), (*GOAL, "view_points", 0, "agent_state")), "missing required field `agent_state`"),
-        (taken_out(hm3d(), ("goals_by_category",)), "no goals"),
-        (put(hm3d(), ("episodes", 0, "start_position", 1), math.nan), "NaN"),
-        (put(hm3d(), ("episodes", 0, "info", "geodesic_distance"), math.inf), "Infinity"),
-        (put(hm3d(), ("episodes", 0, "start_position"), [0, 1]), "length 3"),
-        (put(hm3d(), ("episodes", 0, "start_position"), None), r"at `\$\.episodes\[0\]\.start_position`"),
-        (put(hm3d(), ("episodes", 0, "start_rotation"), [0, 0, 0, 0]), "length zero"),
-        (put(hm3d(), ("episodes", 0, "info", "geodesic_distance"), "near"), r"got `str` - at `\$\.episodes\[0\]\.info"),
-        (put(hm3d(), ("episodes",), 7), "got `int`"),
-        (put(hm3d(), ("episodes",), [7]), "wanted ObjectNav episodes"),
-        (put(hm3d(), ("episodes",), []), "no episodes"),
-        ([1, 2], "got `array`"),
-    ],
-)
-def test_malformed_episodes_are_refused_with_the_place(tmp_path, content, reason):
-    path = tmp_path / "scene.json.gz"
-    path.write_bytes(gzip.compress(json.dumps(content).encode()))
-    with pytest.raises(WorldError, match=reason):
-        read_episodes(path)

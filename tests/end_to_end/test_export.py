@@ -4,14 +4,13 @@ import json
 from pathlib import Path
 
 import numpy as np
-from listed_rooms import room
+from listed_rooms import contents, room
 
 from eagor.cli import main
-from eagor.cli.export import sources_of
+from eagor.cli.export import scenes_of
 from eagor.lab.envs.place_env import MobileBase
 from eagor.lab.envs.rules import Camera, NoiseModel
 from eagor.lab.worlds.glb import export_glb
-from eagor.lab.worlds.objectnav import read_episodes
 
 
 def test_a_dataset_is_announced_as_it_is(tmp_path, capsys):
@@ -25,8 +24,8 @@ def test_a_dataset_is_announced_as_it_is(tmp_path, capsys):
     (scene,) = said["scenes"]
     assert scene["scene"] == str(tmp_path / "data/scene_datasets/hm3d/val/10000-my_kitchen_2_/my_kitchen_2_.glb")
     assert (scene["instances"], scene["goals"], scene["episodes"]) == (8, 1, 2)
-    (read,) = read_episodes(said["episodes_file"])
-    assert [each.category for each in read.episodes] == ["bed", "bed"]
+    (read,) = contents(Path(said["episodes_file"]))
+    assert [each["object_category"] for each in read["episodes"]] == ["bed", "bed"]
     assert json.loads(Path(said["config"]).read_text())["stages"]["paths"][".glb"] == [
         "val/10000-my_kitchen_2_/my_kitchen_2_.glb"
     ]
@@ -36,17 +35,15 @@ def test_a_radius_is_that_of_starts_and_of_the_mesh(tmp_path):
     path = export_glb(room(), tmp_path / "room.glb")
     words = ["export", "habitat", str(path), "--out", str(tmp_path / "data"), "--episodes", "1", "--radius", "0.3"]
     assert main(words) == 0
-    (read,) = read_episodes(tmp_path / "data/datasets/objectnav/eagor/v1/val/val.json.gz")
-    assert read.episodes[0].origin.radius == 0.3
+    (read,) = contents(tmp_path / "data/datasets/objectnav/eagor/v1/val/val.json.gz")
+    assert read["episodes"][0]["info"]["eagor"]["radius"] == 0.3
     (settings,) = (tmp_path / "data").rglob("*.navmesh.json")
     assert json.loads(settings.read_text())["agent_radius"] == 0.3
 
 
 def test_seeds_are_written_as_ranges_and_counted_once():
-    found = sources_of(("0-2,7", "5", "2-3", "7"))
-    assert [(each.number, each.name) for each in found] == [
-        (seed, f"apartment{seed:04d}") for seed in (0, 1, 2, 7, 5, 3)
-    ]
+    found = scenes_of(("0-2,7", "5", "2-3", "7"))
+    assert list(found) == [f"{seed:05d}-apartment{seed:04d}" for seed in (0, 1, 2, 7, 5, 3)]
 
 
 def test_a_path_over_steps_is_as_long_as_in_space():

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import random_directions
 
-from eagor.errors import MissingExtraError, WorldError
+from eagor.errors import MissingExtraError
 from eagor.lab.worlds.scene import Raycaster
 
 LOW, HIGH = np.array([-3.0, -2.0, 0.0]), np.array([4.0, 2.5, 2.6])
@@ -65,18 +65,3 @@ def test_without_embree_the_error_says_what_does_without(monkeypatch):
     monkeypatch.delitem(sys.modules, "embreex.mesh_construction", raising=False)
     with pytest.raises(MissingExtraError, match=r"pip install .*\[sim\].*eagor\.lab\.worlds\.painted"):
         Raycaster(*box())
-
-
-@pytest.mark.parametrize(
-    ("make", "text"),
-    [
-        (lambda: Raycaster(np.zeros((3, 2)), [[0, 1, 2]]), r"\(3, 2\)"),
-        (lambda: Raycaster(np.zeros((3, 3)), [[0, 1, 3]]), r"0\.\.2"),
-        (lambda: Raycaster(np.zeros((3, 3)), np.zeros((0, 3))), "at least one"),
-        (lambda: Raycaster(*box()).cast(np.zeros((1, 3)), np.zeros((2, 3))), "broadcast_to"),
-        (lambda: Raycaster(*box()).occluded(np.zeros(3), np.zeros(3), 1.0), "broadcast_to"),
-    ],
-)
-def test_bad_arguments_are_refused(make, text):
-    with pytest.raises(WorldError, match=text):
-        make()

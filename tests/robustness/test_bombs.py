@@ -1,9 +1,8 @@
-"""What a file may ask for is bounded by what it holds: pictures, GLB files, gzipped episodes and zip archives.
+"""What a file may ask for is bounded by what it holds: pictures and GLB files.
 
 And no file is ever handed to another program.
 """
 
-import gzip
 import io
 import os
 import struct
@@ -20,7 +19,6 @@ from processes import limited
 from eagor.errors import ImageError, WorldError
 from eagor.lab.tasks.hstar import open_panorama
 from eagor.lab.worlds.glb import import_glb
-from eagor.lab.worlds.objectnav import read_episodes
 from eagor.media.panorama import read_panorama
 
 
@@ -169,23 +167,15 @@ def test_grey_of_sixteen_bits_is_rounded_to_eight(tmp_path):
     assert np.array_equal(read_panorama(tmp_path / "grey.png"), np.repeat(wanted[..., None], 3, axis=-1))
 
 
-def test_gzipped_episodes(tmp_path):
-    with gzip.open(tmp_path / "split.json.gz", "wb") as file:
-        file.write(b'{"episodes": [' + b" " * (20 << 20) + b"]}")
-    with pytest.raises(WorldError, match=r"split\.json\.gz cannot be read: it holds more than 16777216 bytes"):
-        read_episodes(tmp_path / "split.json.gz")
-
-
 IMPORTS = """
 import numpy, trimesh
 from eagor.errors import EagorError
 from eagor.lab.worlds.glb import import_glb
-from eagor.lab.worlds.objectnav import read_episodes
 from eagor.media.panorama import read_panorama
 from eagor.perception.records import parse_record
 """
 READERS = """
-readers = {"a.glb": import_glb, "b.glb": import_glb, "c.json.gz": read_episodes, "d.png": read_panorama,
+readers = {"a.glb": import_glb, "b.glb": import_glb, "d.png": read_panorama,
            "e.png": read_panorama, "f.jpg": read_panorama}
 for name, read in readers.items():
     try:
@@ -204,7 +194,6 @@ def test_bombs_take_no_room(tmp_path):
     nodes_with_a_mesh(tree)
     (tmp_path / "a.glb").write_bytes(glb(tree, binary))
     (tmp_path / "b.glb").write_bytes(glb(*with_pictures([flat_png(8000, 8000)], [0] * 12)))
-    (tmp_path / "c.json.gz").write_bytes(16 * gzip.compress(b" " * (64 << 20)))
     (tmp_path / "d.png").write_bytes(sixteen_bits(9000))
     (tmp_path / "e.png").write_bytes(png(12_000, 12_000))
     jpeg = io.BytesIO()
@@ -214,7 +203,7 @@ def test_bombs_take_no_room(tmp_path):
     claims[at + 5 : at + 9] = struct.pack(">HH", 12_000, 14_000)
     (tmp_path / "f.jpg").write_bytes(claims)
     printed = limited(IMPORTS, READERS, tmp_path, 400)
-    assert len(printed) == 7, printed
+    assert len(printed) == 6, printed
 
 
 SPREAD = """

@@ -8,7 +8,7 @@ from processes import little_room
 from eagor.errors import StorageError, WorldError
 from eagor.lab.worlds import objectnav
 from eagor.lab.worlds.glb import export_glb
-from eagor.lab.worlds.objectnav import SceneSource, export_dataset
+from eagor.lab.worlds.objectnav import export_dataset
 
 # --- export ---
 
@@ -67,5 +67,5 @@ def test_whatever_stops_an_export_leaves_nothing(tmp_path, monkeypatch, stopped)
 
     monkeypatch.setattr(objectnav, "write_episodes", stop)
     with pytest.raises(stopped):
-        export_dataset([SceneSource(0, "room", room)], tmp_path / "data", categories=("bed",), episodes=1)
+        export_dataset({"00000-room": room}, tmp_path / "data", categories=("bed",), episodes=1)
     assert list(tmp_path.iterdir()) == []

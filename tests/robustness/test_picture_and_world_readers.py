@@ -1,6 +1,5 @@
 """Readers of pictures and of worlds: a right value, or an error with a name; no room for what is only claimed."""
 
-import gzip
 import io
 import json
 from dataclasses import replace
@@ -17,7 +16,6 @@ from strategies import HOSTILE
 from eagor.lab.tasks.hstar import open_panorama
 from eagor.lab.worlds.glb import export_glb, import_glb
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.objectnav import read_episodes
 from eagor.lab.worlds.painted import painted_room
 from eagor.lab.worlds.scene import Material
 from eagor.media.panorama import read_panorama
@@ -159,36 +157,6 @@ def test_a_floor_far_below_another_takes_no_room_for_what_is_between():
     far = scene.vertices.copy()
     far[8:] += np.array([0, 0, 3e9], dtype=np.float32)
     assert Ground.from_scene(replace(scene, vertices=far)).floor == 0.0
-
-
-EPISODES = {
-    "goals_by_category": {
-        "box.glb_chair": [
-            {"position": [0.5, 0.5, -0.5], "radius": None, "object_id": 1, "object_name": "chair_1",
-             "object_category": "chair", "room_name": None,
-             "view_points": [{"agent_state": {"position": [1, 0, 1], "rotation": [0, 0, 0, 1]}, "iou": 0.5}]}
-        ]
-    },
-    "episodes": [
-        {"episode_id": "0", "scene_id": "box.glb", "start_position": [-1, 0, 1], "start_rotation": [0, 0, 0, 1],
-         "info": {"geodesic_distance": 1.5, "eagor": {"scene_hash": "x", "version": "1", "radius": 0.2, "cell": 0.05}},
-         "object_category": "chair"}
-    ],
-}  # fmt: skip
-
-
-@HOSTILE
-@given(st.data())
-def test_episodes(folder, draw):
-    path = folder / "split.json.gz"
-    how = draw.draw(st.sampled_from(["tree", "tree", "bytes"]))
-    whole = gzip.compress(json.dumps(EPISODES).encode(), mtime=0)
-    text = as_text(draw.draw(trees([EPISODES]))).encode("utf-8", "surrogatepass")
-    path.write_bytes(gzip.compress(text, mtime=0) if how == "tree" else draw.draw(damaged([whole])))
-    for found in reads(lambda: read_episodes(path), "split.json.gz") or ():
-        for episode in found.episodes:
-            assert np.isfinite(episode.position).all()
-            assert episode.category in found.goals
 
 
 @pytest.mark.parametrize("kind", ["jpg", "png", "tiff"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -13,7 +14,9 @@ from eagor.cli import terminal
 from eagor.cli.options import Common, Whole, bare
 
 if TYPE_CHECKING:
-    from eagor.lab.worlds.objectnav import SceneSource
+    from collections.abc import Callable
+
+    from eagor.lab.worlds.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,10 +45,10 @@ class Export(Common):
 
 def habitat(options: Export) -> int:
     """``eagor export habitat``."""
-    from eagor.lab.worlds.objectnav import WITHOUT, export_dataset, has_meshes
+    from eagor.lab.worlds.objectnav import export_dataset, has_meshes
 
-    sources = sources_of(options.scenes)
-    with terminal.progress("export", len(sources)) as advance:
+    scenes = scenes_of(options.scenes)
+    with terminal.progress("export", len(scenes)) as advance:
 
         def done(found: dict[str, Any]) -> None:
             advance()
@@ -55,12 +58,15 @@ def habitat(options: Export) -> int:
             )
 
         path, found = export_dataset(
-            sources, options.out, name=options.name, split=options.split, episodes=options.episodes,
+            scenes, options.out, name=options.name, split=options.split, episodes=options.episodes,
             categories=options.categories, radius=options.radius, on_done=done,
         )  # fmt: skip
     config = options.out / "scene_datasets" / options.name / f"{options.name}.scene_dataset_config.json"
     if not has_meshes():
-        terminal.log(WITHOUT)
+        terminal.log(
+            "habitat_sim is not installed here, so there are no .navmesh files: habitat-lab and eagor make them when "
+            "they open a scene; in Habitat-Sim, call recompute_navmesh with the settings in <scene>.navmesh.json"
+        )
     if options.json:
         terminal.emit({"episodes_file": str(path), "config": str(config), "meshes": has_meshes(), "scenes": found})
         return terminal.OK
@@ -70,20 +76,22 @@ def habitat(options: Export) -> int:
     return terminal.OK
 
 
-def sources_of(words: tuple[str, ...]) -> list[SceneSource]:
-    """The scenes that the words name: seeds (``0-4,7``) and GLB files. Raises `UsageError` for any other word."""
+def scenes_of(words: tuple[str, ...]) -> dict[str, Callable[[], Scene]]:
+    """How the scenes that the words name are made, by their folders: seeds (``0-4,7``) and GLB files.
+
+    Raises `UsageError` for any other word.
+    """
     from eagor.lab.envs.places import SEEDS
     from eagor.lab.worlds.apartment import generate
     from eagor.lab.worlds.glb import import_glb
-    from eagor.lab.worlds.objectnav import SceneSource
 
-    found: dict[str, SceneSource] = {}
+    found: dict[str, Callable[[], Scene]] = {}
     files = [word for word in dict.fromkeys(words) if Path(word).suffix.lower() in (".glb", ".gltf")]
     for number, word in enumerate(files, SEEDS):
         if not Path(word).is_file():
             raise terminal.UsageError(f"there is no file {word}")
         name = re.sub(r"[^A-Za-z0-9_-]+", "_", Path(word).name.partition(".")[0]) or "scene"
-        found[word] = SceneSource(number, name, lambda word=word: import_glb(Path(word)))
+        found[f"{number:05d}-{name}"] = partial(import_glb, Path(word))
     for part in (part for word in words if word not in files for part in word.split(",") if part):
         match = re.fullmatch(r"(\d+)(?:-(\d+))?", part)
         if match is None:
@@ -93,8 +101,7 @@ def sources_of(words: tuple[str, ...]) -> list[SceneSource]:
             raise terminal.UsageError(
                 f"there are no apartments {part}; wanted seeds from 0 to {SEEDS - 1}, the lower one first"
             )
-        for seed in range(first, last + 1):
-            found.setdefault(str(seed), SceneSource(seed, f"apartment{seed:04d}", lambda seed=seed: generate(seed)))
+        found |= {f"{seed:05d}-apartment{seed:04d}": partial(generate, seed) for seed in range(first, last + 1)}
     if not found:
         raise terminal.UsageError("no apartment is named; wanted seeds, such as 0-4,7, or GLB files")
-    return list(found.values())
+    return found

@@ -25,6 +25,7 @@ from eagor.lab.agents.methods import BASE, answer_at, make_estimator
 from eagor.lab.agents.search_space import Chance, SteeringInput
 from eagor.lab.agents.steering import search_config, steering_for
 from eagor.lab.envs.rules import Camera, NavigationRules
+from eagor.lab.worlds.habitat import read_category
 from eagor.perception import Perception, look
 from eagor.sphere import azimuth_elevation, world_R_body
 
@@ -33,13 +34,12 @@ NEAR = 0.75  # metres to the thing within which it stops: nobody is told where t
 FLOOR = 0.1  # metres: so near to the height of the feet is floor
 STANDS = 1e-3  # metres: a shorter step only turns
 PATIENCE = 12  # plans in a row that ask for nothing: then it turns once
-WORDS = {"tv_monitor": "tv", "gym_equipment": "gym equipment", "chest_of_drawers": "chest of drawers"}
 
 
 def categories_of(env: Any) -> list[str]:
     """The words of an environment's goals, by the number that its objectgoal sensor gives."""
     numbers: Mapping[str, int] = env.task._dataset.category_to_task_category_id
-    return [WORDS.get(name, name.replace("_", " ")) for name in sorted(numbers, key=lambda name: numbers[name])]
+    return [read_category(name) for name in sorted(numbers, key=lambda name: numbers[name])]
 
 
 class HabitatAgent:

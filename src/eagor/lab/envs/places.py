@@ -13,7 +13,8 @@ from eagor._values import lazy
 from eagor.grids import ErpGrid
 from eagor.lab import worlds
 from eagor.lab.worlds import ground_of, view_of
-from eagor.lab.worlds.navmesh import GeodesicDistance, NavMesh
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.navmesh import DistanceField
 from eagor.lab.worlds.scene import STRUCTURE, Scene
 from eagor.queries import COLOURS, Query
 
@@ -31,9 +32,9 @@ class Place:
     """Somewhere to walk and look."""
 
     scene: Scene | worlds.SimulatedScene
-    ground: NavMesh
+    ground: Ground
     renderer: worlds.View
-    _ways: dict[Any, GeodesicDistance] = field(default_factory=dict, init=False, repr=False)  # go when the place goes
+    _ways: dict[Any, DistanceField] = field(default_factory=dict, init=False, repr=False)  # go when the place goes
 
     def eye(self, xy: np.ndarray, height: float) -> np.ndarray:
         """The point ``(3,)`` at this height (metres) above the ground at a point ``(2,)``: of a camera, say."""
@@ -88,7 +89,7 @@ class Place:
         taken = {thing.colour for thing in self.scene.instances if thing.category == category}
         return Query(category, str(rng.choice([colour for colour in COLOURS if colour not in taken])))
 
-    def way_to(self, targets: tuple[int, ...]) -> GeodesicDistance:
+    def way_to(self, targets: tuple[int, ...]) -> DistanceField:
         """Geodesic distance to the nearest of the targets' footprints."""
         if targets not in self._ways:
             first, *others = (self.ground.footprint(self.scene.instances[target]) for target in targets)

@@ -20,7 +20,7 @@ from eagor.errors import WorldError
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.lab.worlds.navmesh import NavMesh
+    from eagor.lab.worlds.ground import Ground
     from eagor.lab.worlds.render import Frame
     from eagor.lab.worlds.scene import Instance, Room, Scene
 
@@ -66,8 +66,7 @@ class SimulatedScene(Protocol):
 
     Frames and names are those of a `Scene`: metres, z up, the floor at z = 0. The instances' indices are the ids in
     pictures. `source`: the simulator and the scene, in words; `hash`: hexadecimal digits that change with the scene, as
-    episodes are made for one scene alone; `facts`: what else is worth to be recorded; `zero`: the height of our z = 0
-    in the scene's own files, and in episodes made for it, metres.
+    episodes are made for one scene alone.
     """
 
     @property
@@ -78,12 +77,8 @@ class SimulatedScene(Protocol):
     def source(self) -> str: ...
     @property
     def hash(self) -> str: ...
-    @property
-    def facts(self) -> dict[str, str]: ...
-    @property
-    def zero(self) -> float: ...
 
-    def ground(self, radius: float, /) -> NavMesh:
+    def ground(self, radius: float, /) -> Ground:
         """The ground for a body of this radius, metres. Raises `WorldError` if there is no room for it."""
         ...
 
@@ -135,7 +130,7 @@ def load(name: str) -> World:
     raise WorldError(f"there is no world {name!r}; known are {', '.join(sorted(choices))}, and GLB files (*.glb)")
 
 
-def ground_of(scene: Scene | SimulatedScene, radius: float) -> NavMesh:
+def ground_of(scene: Scene | SimulatedScene, radius: float) -> Ground:
     """The ground of what a world made, for a body of this radius. Raises `WorldError` if there is no room to stand."""
     from eagor.lab.worlds.ground import Ground
     from eagor.lab.worlds.scene import Scene

@@ -20,7 +20,7 @@ import hashlib
 import io
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -179,17 +179,6 @@ def _blob(scene: Scene) -> bytes:
 # --- import -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """The triangles of a node, in our frame. `names`: its own, its parents', and its mesh's."""
-
-    names: tuple[str, ...]
-    vertices: np.ndarray
-    triangles: np.ndarray
-    uv: np.ndarray
-    material: int
-
-
 def import_glb(path: Path | str) -> Scene:
     """The scene in a GLB (or .gltf) file, converted from Y up to z up; its position is kept.
 
@@ -204,7 +193,7 @@ def import_glb(path: Path | str) -> Scene:
     blob = _read(path)
     need("a GLB file", "sim", "trimesh")
     try:
-        parts, materials = _load(path, blob)
+        scene, nodes = _load(path, blob)
     except Exception as error:  # trimesh may raise anything
         if isinstance(error, WorldError):
             raise WorldError(f"{path}: {error}") from error
@@ -212,42 +201,28 @@ def import_glb(path: Path | str) -> Scene:
             f"{path} cannot be read as glTF 2.0 ({type(error).__name__}: {str(error)[:300]}); is it complete? "
             "Export it again"
         ) from error
-    source, companion = f"glb {path.name}", path.with_suffix(".semantic.json")
+    companion = path.with_suffix(".semantic.json")
     if not companion.is_file():
-        bounds = [(c.min(axis=0), c.max(axis=0)) for c in (p.vertices[p.triangles].reshape(-1, 3) for p in parts)]
-        things = [Instance(*name_from_nodes(p.names), None, *b) for p, b in zip(parts, bounds, strict=True)]
-        return _joined(parts, range(len(parts)), instances=tuple(things), materials=tuple(materials), source=source)
+        return scene
     try:
         known = read_semantics(companion.read_bytes())
         if known.glb_sha256 != hashlib.sha256(blob).hexdigest():
             raise WorldError("the GLB is not the one that was exported with it")
-        owners = [int(re.findall(r"_(\d+)(?:_m\d+)?$", part.names[0])[0]) for part in parts]
-        places = [int(look.name.partition(" ")[0]) for look in materials]
-        textures = {place: look.texture for place, look in zip(places, materials, strict=True)}
-        return _joined(
-            [replace(part, material=places[part.material]) for part in parts], owners,
-            instances=tuple(known.instances), rooms=tuple(known.rooms), lamps=tuple(known.lamps),
+        owners = [int(re.findall(r"_(\d+)(?:_m\d+)?$", node)[0]) for node in nodes]
+        places = [int(look.name.partition(" ")[0]) for look in scene.materials]
+        textures = {place: look.texture for place, look in zip(places, scene.materials, strict=True)}
+        return replace(
+            scene, instance=np.array(owners, dtype=np.int32)[scene.instance], instances=tuple(known.instances),
+            material=np.array(places, dtype=np.int32)[scene.material], rooms=tuple(known.rooms),
             materials=tuple(replace(each, texture=textures.get(k)) for k, each in enumerate(known.materials)),
-            daylight=known.daylight, facts=known.facts | {"exported hash": known.scene_hash}, source=source,
+            lamps=tuple(known.lamps), daylight=known.daylight,
+            facts=known.facts | {"exported hash": known.scene_hash},
         )  # fmt: skip
-    except (WorldError, ValueError, IndexError) as error:
+    except (WorldError, ValueError, IndexError, OverflowError) as error:
         raise WorldError(
             f"{companion} cannot be used ({str(error)[:300]}); wanted what export_glb writes; export again, or "
             "remove it to import the GLB by itself"
         ) from error
-
-
-def _joined(parts: list[_Part], owners: Sequence[int], **more: Any) -> Scene:
-    """The scene of these parts, which belong to the instances `owners`; `more`: whatever else a scene has."""
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    triangles = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
-    count = [len(part.triangles) for part in parts]
-    return Scene(
-        np.concatenate([part.vertices for part in parts]), np.concatenate(triangles).astype(np.int32),
-        np.repeat(owners, count).astype(np.int32),
-        np.repeat([part.material for part in parts], count).astype(np.int32),
-        np.concatenate([part.uv for part in parts]), **more,
-    )  # fmt: skip
 
 
 def _read(path: Path) -> bytes:
@@ -264,8 +239,8 @@ def _read(path: Path) -> bytes:
     return blob
 
 
-def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
-    """The parts of a file, and its materials. Raises what it likes."""
+def _load(path: Path, blob: bytes) -> tuple[Scene, list[str]]:
+    """The scene in a file with an instance for each node with triangles, and their names. Raises what it likes."""
     import trimesh
 
     text = path.suffix.lower() == ".gltf"
@@ -277,7 +252,9 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
     model = trimesh.load_scene(path) if text else trimesh.load_scene(io.BytesIO(blob), file_type="glb")
     looks = [getattr(getattr(mesh, "visual", None), "material", None) for mesh in model.geometry.values()]
     _check_pictures((getattr(look, "baseColorTexture", None) for look in looks), size)
-    parts, materials, known, pixels = [], [], {}, {}
+    nodes, things, materials, known, pixels = [], [], [], {}, {}
+    columns: list[tuple[np.ndarray, ...]] = []
+    start = 0
     for mesh in model.dump():  # with the transforms of their nodes
         node, geometry = mesh.metadata["node"], mesh.metadata["name"]
         if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or node == FOOTING_NODE:
@@ -286,17 +263,27 @@ def _load(path: Path, blob: bytes) -> tuple[list[_Part], list[Material]]:
         if id(pbr) not in known:
             known[id(pbr)] = len(materials)
             materials.append(from_pbr(pbr, pixels))
-        names = (*model.graph.transforms.shortest_path(model.graph.base_frame, node)[:0:-1], str(geometry))
-        vertices, triangles = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+        vertices = from_gltf(np.asarray(mesh.vertices, dtype=np.float64)).astype(np.float32)
+        triangles = np.asarray(mesh.faces, dtype=np.int64)
         if triangles.min() < 0 or triangles.max() >= len(vertices):
             raise WorldError(f"triangles of node {node!r} point outside its {len(vertices)} vertices; it is corrupt")
         uv = getattr(mesh.visual, "uv", None)
         uv = np.zeros((len(vertices), 2)) if uv is None or np.shape(uv) != (len(vertices), 2) else np.asarray(uv)
-        corners = uv[triangles].astype(np.float32)
-        parts.append(_Part(names, from_gltf(vertices).astype(np.float32), triangles, corners, known[id(pbr)]))
-    if not parts:
+        names = (*model.graph.transforms.shortest_path(model.graph.base_frame, node)[:0:-1], str(geometry))
+        corners = vertices[triangles].reshape(-1, 3)
+        things.append(Instance(*name_from_nodes(names), None, corners.min(axis=0), corners.max(axis=0)))
+        whose = np.broadcast_to([[len(nodes)], [known[id(pbr)]]], (2, len(triangles)))
+        columns.append((vertices, triangles + start, *whose, uv[triangles]))
+        nodes.append(node)
+        start += len(vertices)
+    if not columns:
         raise WorldError("it holds no triangles; wanted a GLB with at least one mesh")
-    return parts, materials
+    kinds = (np.float32, np.int32, np.int32, np.int32, np.float32)
+    vertices, triangles, instance, material, uv = (
+        np.concatenate(part).astype(kind) for part, kind in zip(zip(*columns, strict=True), kinds, strict=True)
+    )
+    source = f"glb {path.name}"
+    return Scene(vertices, triangles, instance, material, uv, tuple(things), tuple(materials), source=source), nodes
 
 
 def from_pbr(pbr: Any, pixels: dict[int, np.ndarray]) -> Material:

@@ -1,6 +1,6 @@
-"""The ground plan of a scene: where a round body can stand, path lengths, and steps with collisions.
+"""The ground that tasks walk on: where a round body can stand, path lengths, and steps with collisions.
 
-A grid of square cells in the world frame (x along columns, y along rows, metres). A cell is *free* if it has a floor
+A plan of square cells in the world frame (x along columns, y along rows, metres). A cell is *free* if it has a floor
 and no obstacle within `radius` of its centre, to the accuracy of a cell; only the largest connected area counts.
 
 Which cells a triangle touches between two heights is exact and conservative (`rasterize`): neither a thin wall nor a
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,14 +25,13 @@ from scipy.sparse.csgraph import dijkstra
 
 from eagor._values import lazy
 from eagor.errors import WorldError
-from eagor.lab.worlds.navmesh import DistanceField, cells_of, string_pull, walls_below
+from eagor.lab.worlds.navmesh import DistanceField, along, cells_of, length_of, string_pull, walls_below
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Room, Scene
 
 _INWARD = 1e-3  # in cells: shift of a face to its back
 _TOUCH = 1e-4  # in cells: smaller overlaps do not count, to be safe from rounding
 _AT_ONCE = 400_000  # candidate cells tested together; bounds the memory
 BESIDE = 0.75  # metres from which one can reach a piece of furniture
-STOREY = 1.2  # metres: heights that differ by less belong to one storey; half a flight of stairs
 _NEAREST = 4000  # points tried if no room tells on which side of the walls a thing is
 _LARGEST = 4_000_000  # cells; 100 m x 100 m at 5 cm
 _CRACK = 0.2  # metres: gaps in the floor up to this width (a missing sill, a hole in a scan) are closed
@@ -117,7 +117,8 @@ class Ground:
     """Free cells ``(rows, cols)`` bool and `clearance` ``(rows, cols)``: metres to the nearest obstacle or edge.
 
     `structure` ``(rows, cols)`` bool: cells with a wall, door or window. `floor`: height of the floor in metres.
-    `radius`: of the body. Cell (0, 0) has its low corner at `origin` ``(2,)``. Cells at the border are never free.
+    `radius`: of the body. Cell (0, 0) has its low corner at `origin` ``(2,)``. Cells at the border are never free. A
+    point is ``(2,)``: x and y. Another simulator's ground is one of these, with what it knows better overridden.
     """
 
     origin: np.ndarray
@@ -186,12 +187,15 @@ class Ground:
 
     @property
     def points(self) -> np.ndarray:
+        """Places to choose from ``(n, 2)``: the centres of the free cells, in reading order."""
         return self.centres(self._nodes)
 
     def height(self, xy: np.ndarray) -> float:
+        """Height of the ground under a point: `floor`, unless there are steps, ramps or stairs."""
         return self.floor
 
     def is_free(self, xy: np.ndarray) -> np.ndarray:
+        """Whether the body can stand at points ``(..., 2)``; False off the ground and for NaN."""
         _, (row, col), known = cells_of(xy, self.origin, self.cell, self.free.shape)
         return known & self.free[row, col]
 
@@ -200,6 +204,7 @@ class Ground:
         return self.origin + (np.asarray(cells)[..., ::-1] + 0.5) * self.cell
 
     def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
+        """The free point nearest to a point; None if there is none `within` this many metres, and for NaN."""
         xy = np.asarray(xy, dtype=np.float64)
         if not np.isfinite(xy).all():
             return None
@@ -213,6 +218,7 @@ class Ground:
         return nearest[best] if away[best] <= within else None
 
     def sample(self, rng: np.random.Generator, clearance: float = 0.0) -> np.ndarray:
+        """A random free point of at least this `clearance` (m). Raises `WorldError` if there is none."""
         cells = np.argwhere(self.free & (self.clearance >= clearance))
         if len(cells) == 0:
             raise WorldError(
@@ -224,6 +230,7 @@ class Ground:
     # --- distances ---
 
     def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> DistanceField:
+        """Distances to the nearest of points ``(n, 2)`` or ``(2,)``; each starts at its offset ``(n,)`` or 0."""
         points, starts = checked_goals(points, offsets)
         stand = self.is_free(points)
         points, starts = points[stand], starts[stand]
@@ -237,14 +244,12 @@ class Ground:
             usable[:, corner] &= usable[:, one] & usable[:, other]
         return self._spread(index[usable], away[usable])
 
-    def field_to_places(self, places: np.ndarray) -> DistanceField:
-        places = np.asarray(places, dtype=np.float64).reshape(-1, 3)
-        return self.field(places[np.abs(places[:, 2] - self.floor) <= STOREY, :2])
-
     def at_points(self, way: DistanceField) -> np.ndarray:
+        """Metres ``(n,)`` of a field of this ground from all `points`."""
         return way.metres[self.free]
 
     def footprint(self, instance: Instance) -> DistanceField:
+        """Distances to the footprint of an instance, via points `beside` it; inf everywhere without any."""
         points, away = self.beside(instance)
         _, own, _ = cells_of(points, self.origin, self.cell, self.free.shape)
         return self._spread(self._index[own], away / self.cell)
@@ -370,6 +375,16 @@ class Ground:
         first, *last = (np.asarray(ends, dtype=np.float64) - self.origin) / self.cell
         taut = string_pull(np.array([first, *(cells[:, ::-1] + 0.5), *last]), self._walls)
         return self.origin + taut * self.cell
+
+    def stroll(self, start: np.ndarray, step: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
+        """Points ``(2,)`` without end, `step` metres apart, along paths from `start` to random goals one by one."""
+        last = np.asarray(start, dtype=np.float64)
+        yield last
+        while True:
+            path = self.path(last, self.sample(rng))
+            points = along(path, np.arange(step, max(length_of(path), step) + 1e-9, step))
+            yield from points
+            last = points[-1]
 
     # --- steps ---
 

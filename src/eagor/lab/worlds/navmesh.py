@@ -1,112 +1,15 @@
-"""The ground that tasks walk on, whoever holds it, and paths over it.
+"""Paths over a ground, and distances along them.
 
-`NavMesh` is the part of `eagor.lab.worlds.ground.Ground` that tasks and reports use; another simulator's navigation
-mesh has it, too. Paths over it are polylines, from which `follow_path` and `stroll` make one pose per step.
+Paths are polylines, from which `follow_path` makes one pose per step.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from eagor.lab.worlds.scene import Instance
-
-
-class GeodesicDistance(Protocol):
-    """Shortest distances over a ground to one goal or set of goals."""
-
-    def distance(self, xy: np.ndarray, /) -> np.ndarray:
-        """Metres ``(...)`` from points ``(..., 2)``; inf without a path, off the ground and for NaN."""
-        ...
-
-    def union(self, *others: Any) -> GeodesicDistance:
-        """The distance to the nearest goal of this one and the others, on the same ground."""
-        ...
-
-
-class NavMesh(Protocol):
-    """Where a round body can stand, path lengths, and steps with collisions; metres, world frame.
-
-    A point is ``(2,)``: x and y. The plan is for maps and for choosing places: square cells of side `cell`, cell (0, 0)
-    with its low corner at `origin` ``(2,)``; `free`, `structure` (bool) and `clearance` (metres) are ``(rows, cols)``,
-    rows along y.
-    """
-
-    @property
-    def radius(self) -> float:
-        """Of the body."""
-        ...
-
-    @property
-    def floor(self) -> float:
-        """Height of the floor."""
-        ...
-
-    @property
-    def origin(self) -> np.ndarray: ...
-    @property
-    def cell(self) -> float: ...
-    @property
-    def free(self) -> np.ndarray: ...
-    @property
-    def structure(self) -> np.ndarray: ...
-    @property
-    def clearance(self) -> np.ndarray: ...
-
-    @property
-    def points(self) -> np.ndarray:
-        """Places to choose from ``(n, 2)``: the centres of the free cells, in reading order."""
-        ...
-
-    def at_points(self, way: Any, /) -> np.ndarray:
-        """Metres ``(n,)`` of a way of this ground from all `points`, to the accuracy of the plan."""
-        ...
-
-    def height(self, xy: np.ndarray, /) -> float:
-        """Height of the ground under a point: `floor`, unless there are steps, ramps or stairs."""
-        ...
-
-    def is_free(self, xy: np.ndarray, /) -> np.ndarray:
-        """Whether the body can stand at points ``(..., 2)``; False off the ground and for NaN."""
-        ...
-
-    def snap(self, xy: np.ndarray, within: float = ...) -> np.ndarray | None:
-        """The free point nearest to a point; None if there is none `within` this many metres, and for NaN."""
-        ...
-
-    def sample(self, rng: np.random.Generator, clearance: float = ...) -> np.ndarray:
-        """A random free point of at least this `clearance` (m). Raises `WorldError` if there is none."""
-        ...
-
-    def field(self, points: np.ndarray, offsets: np.ndarray | None = None) -> GeodesicDistance:
-        """Distances to the nearest of points ``(n, 2)`` or ``(2,)``; each starts at its offset ``(n,)`` or 0."""
-        ...
-
-    def field_to_places(self, places: np.ndarray, /) -> GeodesicDistance:
-        """Distances to the nearest of places ``(n, 3)`` at the feet, whatever the ground knows of other storeys."""
-        ...
-
-    def footprint(self, instance: Instance, /) -> GeodesicDistance:
-        """Distances to the footprint of an instance, via points `beside` it; inf everywhere without any."""
-        ...
-
-    def beside(self, instance: Instance, /) -> tuple[np.ndarray, np.ndarray]:
-        """The free points ``(k, 2)`` beside an instance, and their distances ``(k,)`` to its footprint."""
-        ...
-
-    def path(self, start: np.ndarray, goal: Any) -> np.ndarray:
-        """The shortest path ``(n, 2)`` from a free point to another, or along a way. `WorldError` if there is none."""
-        ...
-
-    def move(self, xy: np.ndarray, step: np.ndarray, slide: bool = ...) -> tuple[np.ndarray, bool]:
-        """The end of a step ``(2,)`` from a free point, which is free, too, and whether it collided."""
-        ...
 
 
 def initial_heading(path: np.ndarray, ahead: float = 0.5) -> float:
@@ -143,17 +46,6 @@ def follow_path(path: np.ndarray, yaw: float, step: float, turn: float) -> np.nd
         yaw = heading
         rows.append((there[0], there[1], yaw))
     return np.array(rows)
-
-
-def stroll(ground: NavMesh, start: np.ndarray, step: float, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Points ``(2,)`` without end, `step` metres apart: along paths from `start` to one random goal after another."""
-    last = np.asarray(start, dtype=np.float64)
-    yield last
-    while True:
-        path = ground.path(last, ground.sample(rng))
-        points = along(path, np.arange(step, max(length_of(path), step) + 1e-9, step))
-        yield from points
-        last = points[-1]
 
 
 # --- cells ------------------------------------------------------------------------------------------------------------

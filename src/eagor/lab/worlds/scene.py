@@ -157,11 +157,6 @@ class Scene:
         digest.update(str(self.daylight).encode())
         return digest.hexdigest()[:16]
 
-    @lazy
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lowest and highest corner ``(3,)`` of everything."""
-        return self.vertices.min(axis=0), self.vertices.max(axis=0)
-
     def room_at(self, x: float, y: float) -> Room | None:
         """The room at a point, or None."""
         return next((room for room in self.rooms if room.contains(x, y)), None)
@@ -192,7 +187,7 @@ class Raycaster:
 
     Rays are float32 arrays ``(n, 3)``, world frame, metres; their directions need not have unit length. Without
     `watertight`, they are one seventh faster, but a rare ray slips through the edge between two triangles. Raises
-    `MissingExtraError` without embreex, `WorldError` for triangles with indices outside the vertices.
+    `MissingExtraError` without embreex.
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray, watertight: bool = True) -> None:
@@ -204,23 +199,16 @@ class Raycaster:
                 f"a rendered picture needs embreex: {how_to_install('sim')} (for Linux on ARM there is "
                 "no wheel of it: use the rooms of eagor.lab.worlds.painted there, or photographs)"
             ) from error
-        vertices = np.ascontiguousarray(vertices, dtype=np.float32)
-        triangles = np.ascontiguousarray(triangles, dtype=np.int32)
-        if vertices.ndim != 2 or triangles.ndim != 2 or vertices.shape[1:] != (3,) or triangles.shape[1:] != (3,):
-            raise WorldError(
-                f"rays need vertices (V, 3) and triangles (T, 3) to hit; got {vertices.shape} and {triangles.shape}"
-            )
-        if len(triangles) == 0 or triangles.min() < 0 or triangles.max() >= len(vertices):
-            raise WorldError(
-                f"{len(triangles)} triangles over {len(vertices)} vertices: wanted at least one, with corners in "
-                f"0..{len(vertices) - 1}"
-            )
         self._scene = EmbreeScene(robust=watertight)
-        self._mesh = TriangleMesh(self._scene, vertices, triangles)
+        self._mesh = TriangleMesh(
+            self._scene,
+            np.ascontiguousarray(vertices, dtype=np.float32),
+            np.ascontiguousarray(triangles, dtype=np.int32),
+        )
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """The nearest triangle along each ray."""
-        found = self._scene.run(*_checked(origins, directions), output=True)
+        found = self._scene.run(*_rays(origins, directions), output=True)
         missed = found["primID"] < 0
         if missed.any():  # embreex leaves the values of the previous ray in u and v
             for name, value in (("tfar", np.inf), ("u", 0.0), ("v", 0.0)):
@@ -229,18 +217,10 @@ class Raycaster:
 
     def occluded(self, origins: np.ndarray, directions: np.ndarray, reach: float | np.ndarray) -> np.ndarray:
         """Whether anything lies within `reach` (in lengths of the direction, a number or ``(n,)``), bool ``(n,)``."""
-        origins, directions = _checked(origins, directions)
         # embreex writes into the array of limits and does not support infinity.
         limits = np.minimum(np.broadcast_to(np.asarray(reach, dtype=np.float32), len(origins)), _FAR)
-        return self._scene.run(origins, directions, dists=limits, query="OCCLUDED") >= 0
+        return self._scene.run(*_rays(origins, directions), dists=limits, query="OCCLUDED") >= 0
 
 
-def _checked(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both as float32 ``(n, 3)``. Raises `WorldError` if their shapes differ."""
-    origins, directions = np.asarray(origins, dtype=np.float32), np.asarray(directions, dtype=np.float32)
-    if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
-        raise WorldError(
-            f"rays have origins {origins.shape} and directions {directions.shape}; wanted both (n, 3). One origin for "
-            "all rays: np.broadcast_to(origin, directions.shape)"
-        )
-    return origins, directions
+def _rays(*parts: np.ndarray) -> list[np.ndarray]:
+    return [np.asarray(part, dtype=np.float32) for part in parts]

@@ -22,7 +22,6 @@ from eagor._checks import require, whole, within
 from eagor.errors import DeviceError, QueryError, WorldError
 from eagor.lab import worlds
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.navmesh import stroll
 from eagor.lab.worlds.render import PAINTS, Ball, Renderer, with_ball
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Scene
 from eagor.media.ros_messages import pose_of
@@ -122,7 +121,7 @@ class SimWorld:
         self.things = [each for each in scene.instances if each.category not in STRUCTURE]
         if self._colour is not None:
             rng = np.random.default_rng(np.random.SeedSequence(settings.seed).spawn(1)[0])
-            self._points = stroll(self.ground, self.ground.sample(rng, BALL), max(self._speed, 1e-3) * TICK, rng)
+            self._points = self.ground.stroll(self.ground.sample(rng, BALL), max(self._speed, 1e-3) * TICK, rng)
             self._way = [next(self._points)]
         if (ball := self.ball_at(0.0)) is not None:
             self.things.append(Instance("ball", ball.colour, None, ball.centre - BALL, ball.centre + BALL))

@@ -19,7 +19,7 @@ from eagor.lab.envs.rules import LOST, SEEN, VISIBLE, Camera, TrackingRules
 from eagor.lab.tasks.sim.play import EpisodeResult
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import Metric, degrees
-from eagor.lab.worlds.navmesh import follow_path, stroll
+from eagor.lab.worlds.navmesh import follow_path
 from eagor.lab.worlds.render import PAINTS, Ball, with_ball
 from eagor.queries import Query
 from eagor.sphere import angular_distance, rotation, world_R_body
@@ -87,7 +87,7 @@ def _draft(
         return None
     still = np.tile([*xy, yaw], (rules.steps, 1))
     if scenario == "moving target":
-        rolling = islice(stroll(place.ground, first[:2], rules.speed * camera.seconds, rng), rules.steps)
+        rolling = islice(place.ground.stroll(first[:2], rules.speed * camera.seconds, rng), rules.steps)
         return first, still, [place.eye(spot, radius) for spot in rolling]
     if scenario == "moving camera":
         rows = still[:1]

@@ -20,7 +20,8 @@ from eagor.lab.envs.episodes import PER_PLACE, EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, SEEDS, load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.tasks.sim import navigation
-from eagor.lab.worlds.navmesh import GeodesicDistance, NavMesh
+from eagor.lab.worlds.ground import Ground
+from eagor.lab.worlds.navmesh import DistanceField
 from eagor.live.events import Answer, Event, EvidenceCame
 from eagor.live.threads import LoopClock
 from eagor.media import Frame, Pose
@@ -95,7 +96,7 @@ class Walker:
     """
 
     def __init__(
-        self, ground: NavMesh, xy: np.ndarray, yaw: float, by: str = "policy", way: Sequence[np.ndarray] = ()
+        self, ground: Ground, xy: np.ndarray, yaw: float, by: str = "policy", way: Sequence[np.ndarray] = ()
     ) -> None:
         self.ground, self.xy, self.yaw, self.by, self.way = ground, np.array(xy), yaw, by, list(way)
         self._policy = Policy(Camera().step)
@@ -207,7 +208,7 @@ class Walk:
         self._looks, self._arrived = 0, False
         self._asked: str | None = None  # what `_targets`, `_way` and `_hidden` are about
         self._targets: list[int] = []
-        self._way: GeodesicDistance | None = None
+        self._way: DistanceField | None = None
         self._hidden: float | None = None  # since when a wall hides the thing
 
     def _tour(self) -> tuple[str, Walker]:
@@ -324,7 +325,7 @@ def _same(one: Pose, other: Pose) -> bool:
     return bool((one.position == other.position).all() and (one.world_R_body == other.world_R_body).all())
 
 
-def walled(ground: NavMesh, xy: np.ndarray, point: np.ndarray) -> bool:
+def walled(ground: Ground, xy: np.ndarray, point: np.ndarray) -> bool:
     """Whether a wall (or a door's or a window's frame) of the plan stands between two points ``(2,)``.
 
     The last half metre does not count: things stand against walls.

@@ -35,11 +35,6 @@ from eagor.lab.worlds.render import Frame, checked_pose
 from eagor.lab.worlds.scene import Instance
 from eagor.queries import SYNONYMS
 
-__all__ = [
-    "CPU", "HOW_TO_GET", "Frames", "HabitatView", "Session", "Source", "close_all", "device_for", "euclidean",
-    "import_habitat", "mesh_settings", "read_category", "run_apart", "sensor_of", "simulator_of", "try_to_open",
-]  # fmt: skip
-
 HOW_TO_GET = (
     "it is on no package registry: conda install -c conda-forge -c aihabitat habitat-sim headless, or build it from "
     "the sources of facebookresearch/habitat-sim (pip install . there)"
@@ -127,20 +122,10 @@ def mesh_settings(chosen: Mapping[str, Any]) -> Any:
 
 CPU = -1
 _MARK = "eagor probe: "  # of our lines: libraries write to stdout, too
-
 BROKEN = (
     "Habitat-Sim is installed, but cannot be imported ({}); it needs the NumPy that it was built for, and libEGL: "
     "install it again"
 )
-NO_GPU = (
-    "Habitat-Sim cannot draw on GPU {} ({}): there is no such NVIDIA card with EGL here; use another number, or the "
-    "CPU: habitat:SCENE?gpu=-1"
-)
-NO_CPU = (
-    "Habitat-Sim cannot draw on the CPU ({}): it needs EGL with Mesa's software renderer (Debian, Ubuntu: libegl1, "
-    "libgl1-mesa-dri), and a headless build of Habitat-Sim"
-)
-NO_SCENE = "Habitat-Sim cannot open the scene {!r} ({}); is it complete, and does the dataset list it?"
 
 
 @lru_cache
@@ -151,19 +136,28 @@ def device_for(source: Source) -> int:
     """
     _need()
     found = [0, CPU] if Path("/proc/driver/nvidia/version").exists() else [CPU]
-    why = ""
+    device, stage, last = CPU, "", ""
     for device in found if source.gpu is None else [source.gpu]:
         out, last = run_apart(try_to_open, source.scene_id, source.dataset, str(device))
         stage = next((line for line in reversed(out.splitlines()) if line.startswith(_MARK)), "").removeprefix(_MARK)
         if stage == "opened":
             return device
-        if stage == "drawn":
-            why = NO_SCENE.format(source.name or source.scene_id, last)
-        elif stage == "imported":
-            why = NO_CPU.format(last) if device == CPU else NO_GPU.format(device, last)
-        else:
-            why = BROKEN.format(last)
-    raise WorldError(why)
+    if stage == "drawn":
+        name = source.name or source.scene_id
+        raise WorldError(
+            f"Habitat-Sim cannot open the scene {name!r} ({last}); is it complete, and does the dataset list it?"
+        )
+    if stage == "imported" and device == CPU:
+        raise WorldError(
+            f"Habitat-Sim cannot draw on the CPU ({last}): it needs EGL with Mesa's software renderer (Debian, Ubuntu: "
+            "libegl1, libgl1-mesa-dri), and a headless build of Habitat-Sim"
+        )
+    if stage == "imported":
+        raise WorldError(
+            f"Habitat-Sim cannot draw on GPU {device} ({last}): there is no such NVIDIA card with EGL here; use "
+            "another number, or the CPU: habitat:SCENE?gpu=-1"
+        )
+    raise WorldError(BROKEN.format(last))
 
 
 def try_to_open(scene_id: str, dataset: str, device: str) -> None:

@@ -1,9 +1,9 @@
-"""The ground of a scene in Habitat: `HabitatNavMesh` over one storey of its navigation mesh.
+"""The ground of a scene in Habitat: `HabitatNavMesh`, one storey of its navigation mesh.
 
 Meshes have islands on roofs, beds and tables, and islands that run over stairs through several storeys. `main_storey`
-tells which is walked on: never a roof. Steps, paths and geodesic distances are those of Habitat's PathFinder. A plan of
-square cells, made from the mesh, is for maps and for choosing places; distances over it are those of the plan, a few
-per cent longer. Heights are Habitat's y, metres.
+tells which is walked on: never a roof. Steps, paths and geodesic distances are those of Habitat's PathFinder. The plan
+of square cells, made from the mesh, is for maps and for choosing places; distances over it are a few per cent longer.
+Heights are Habitat's y, metres.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from scipy import ndimage
 
 from eagor._values import lazy
 from eagor.errors import WorldError
-from eagor.lab.worlds.ground import BESIDE, STOREY, Ground, checked_goals, largest_area
+from eagor.lab.worlds.ground import BESIDE, Ground, checked_goals, largest_area
 from eagor.lab.worlds.habitat import Frames, import_habitat
 from eagor.lab.worlds.navmesh import DistanceField
 from eagor.lab.worlds.scene import Instance, Raycaster, Room
 
-BAND = STOREY  # metres above and below its floor that belong to a storey
+BAND = 1.2  # metres above and below its floor that belong to a storey: half a flight of stairs
 BIN = 0.1  # metres: heights within it count as one level
 SMALLEST = 1.0  # square metres: no smaller island is looked at
 SPOTS = 12  # places of an island from which one looks up
@@ -37,24 +37,15 @@ BLOCK = 0.25  # metres: of the places beside a thing, one is kept in each square
 PLACES = 48  # places beside a thing that are looked at
 TRIES = 20  # random points until one is on the mesh
 
-Sees = Callable[[np.ndarray, float, Instance], bool]  # whether a thing is seen from a point (2,) at a height (m)
-
-
-@dataclass(frozen=True)
-class Storey:
-    """An island of the mesh, and the height of the storey's floor on the mesh (which floats above the true floor)."""
-
-    island: int
-    level: float
-
 
 def main_storey(
     pathfinder: Any, roofed: Callable[[np.ndarray], float], height: float | None = None, source: str = "the scene"
-) -> Storey:
-    """The storey to walk on: the one nearest to `height`, or the largest under a roof, or, without one, the largest.
+) -> tuple[int, float]:
+    """The island to walk on, and the height of its floor on the mesh (which floats above the true floor).
 
-    `roofed` tells the share of points ``(n, 3)`` of the mesh with something above them. Raises `WorldError` if there is
-    no island, or none at that height.
+    The storey nearest to `height`, or the largest under a roof, or, without one, the largest. `roofed` tells the share
+    of points ``(n, 3)`` of the mesh with something above them. Raises `WorldError` if there is no island, or none at
+    that height.
     """
     levels = [
         (area, island, level)
@@ -76,13 +67,13 @@ def main_storey(
         large = [each for each in near if each[0] >= SMALLEST] or near
         nearest = min(abs(level - height) for _, _, level in large)
         # Islands of one floor differ by what the mesh is rounded to: among these the largest counts.
-        return next(Storey(*each[1:]) for each in large if abs(each[2] - height) <= nearest + BIN)
+        return next(each[1:] for each in large if abs(each[2] - height) <= nearest + BIN)
     for _, island, level in levels:
         triangles = triangles_of(pathfinder, island)
         near = triangles[np.abs(triangles[:, :, 1].mean(axis=1) - level) <= 2 * BIN]
         if roofed(near[np.argsort(-_areas(near))[:SPOTS]].mean(axis=1)) > 0.5:
-            return Storey(island, level)
-    return Storey(*levels[0][1:])
+            return island, level
+    return levels[0][1:]
 
 
 def triangles_of(pathfinder: Any, island: int) -> np.ndarray:
@@ -108,29 +99,11 @@ def _areas(triangles: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
 
 
-def height_map(triangles: np.ndarray, storey: Storey, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
-    """The plan's origin ``(2,)``, and Habitat's y of the mesh at the middle of each cell, NaN off the storey.
-
-    Where two levels of the storey lie over each other, the one nearer to its floor counts.
-    """
-    corners = frames.from_habitat(triangles)
-    low, high = corners[..., :2].min(axis=(0, 1)), corners[..., :2].max(axis=(0, 1))
-    origin = np.floor(low / CELL) * CELL - 2 * CELL  # aligned with our own plans
-    cols, rows = (int(n) for n in np.ceil((high - origin) / CELL) + 2)
-    y, x = origin[::-1, None] + (np.indices((rows, cols)).reshape(2, -1) + 0.5) * CELL
-    level = storey.level + ON_MESH  # what lies on the floor is below
-    start = np.stack([x, y, np.full(len(x), level - frames.floor)], axis=1)
-    mesh = Raycaster(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
-    up, down = (mesh.cast(start, np.broadcast_to([0.0, 0.0, way], start.shape)).distance for way in (1.0, -1.0))
-    off = np.where(down <= up, -down, up)
-    return origin, np.where(np.abs(off) <= BAND, level + off.astype(np.float64), np.nan).reshape(rows, cols)
-
-
 @dataclass(frozen=True, eq=False)
-class NavMeshDistance:
-    """Geodesic distances to the nearest of goals ``(n, 3)``, each starting at its offset ``(n,)``, metres.
+class NavMeshDistance(DistanceField):
+    """Geodesic distances to the nearest of `goals` ``(n, 3)``, Habitat's world, each from its offset ``(n,)``, metres.
 
-    Goals are in Habitat's world, as Habitat is asked for them.
+    `metres` are those over the plan, `distance` is what Habitat says.
     """
 
     ground: HabitatNavMesh
@@ -139,66 +112,89 @@ class NavMeshDistance:
 
     def distance(self, xy: np.ndarray) -> np.ndarray:
         points = np.asarray(xy, dtype=np.float64)
-        return np.array([self.nearest(point)[0] for point in points.reshape(-1, 2)]).reshape(points.shape[:-1])
+        return np.array([self.path(point)[0] for point in points.reshape(-1, 2)]).reshape(points.shape[:-1])
 
-    def nearest(self, xy: np.ndarray) -> tuple[float, int]:
-        """The distance from a point ``(2,)``, and the index of the goal at that distance (-1: none)."""
-        best, which = math.inf, -1
-        if not self.ground.is_free(xy):
-            return best, which
-        feet = self.ground.feet(xy)
-        least = np.linalg.norm(self.goals - feet, axis=1) + self.offsets
-        for index in np.argsort(least):
-            if least[index] >= best:
-                break
-            metres = self.ground.between(feet, self.goals[index])[0] + float(self.offsets[index])
-            if metres < best:
-                best, which = metres, int(index)
-        return best, which
+    def path(self, xy: np.ndarray) -> tuple[float, np.ndarray]:
+        """The distance from a point ``(2,)``, inf without a path, and the path ``(n, 2)`` to the goal at it."""
+        best, way = math.inf, np.zeros((0, 2))
+        if self.ground.is_free(xy):
+            feet = self.ground.feet(xy)
+            least = np.linalg.norm(self.goals - feet, axis=1) + self.offsets
+            for index in np.argsort(least):
+                if least[index] >= best:
+                    break
+                found = import_habitat().ShortestPath()
+                found.requested_start, found.requested_end = feet, self.goals[index].astype(np.float32)
+                if self.ground.pathfinder.find_path(found):
+                    metres = float(found.geodesic_distance) + float(self.offsets[index])
+                    if metres < best:
+                        best, way = metres, np.array([*found.points[:-1], self.goals[index]], dtype=np.float64)
+        return best, self.ground.frames.from_habitat(way.reshape(-1, 3))[:, :2]
 
-    def union(self, *others: NavMeshDistance) -> NavMeshDistance:
-        ways = (self, *others)
-        goals, offsets = (np.concatenate([getattr(way, name) for way in ways]) for name in ("goals", "offsets"))
-        return NavMeshDistance(self.ground, goals, offsets)
-
-    @lazy
-    def over_plan(self) -> DistanceField:
-        """The same over the plan, to its accuracy."""
-        plan, points, starts = self.ground.plan, [], []
-        for goal, start in zip(self.ground.frames.from_habitat(self.goals)[:, :2], self.offsets, strict=True):
-            near = plan.snap(goal, within=2 * CELL)
-            if near is not None:
-                points.append(near)
-                starts.append(start + float(np.hypot(*(near - goal))))
-        return plan.field(np.array(points).reshape(-1, 2), np.array(starts))
+    def union(self, *others: DistanceField) -> NavMeshDistance:
+        goals, offsets = (
+            np.concatenate([getattr(way, name) for way in (self, *others)]) for name in ("goals", "offsets")
+        )
+        return NavMeshDistance(**vars(super().union(*others)), ground=self.ground, goals=goals, offsets=offsets)
 
 
-class HabitatNavMesh:
-    """One storey of a navigation mesh: an `eagor.lab.worlds.navmesh.NavMesh`.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HabitatNavMesh(Ground):
+    """One storey of a navigation mesh.
 
-    `pathfinder`: Habitat's; `level`: metres, heights within it are the floor itself; `sees`: None: things are seen from
-    everywhere. Raises `WorldError` if the storey has no ground.
+    `pathfinder`: Habitat's; `island` and `level`: as of `main_storey`; `heights` ``(rows, cols)``: of the mesh in each
+    cell (beside the storey, those of its nearest cells); `sees`: whether a thing is seen from a point ``(2,)`` above
+    which a camera stands at a height (metres); `source`: for errors.
     """
 
-    def __init__(
-        self, pathfinder: Any, storey: Storey, frames: Frames, radius: float, rooms: tuple[Room, ...] = (),
-        source: str = "the scene", level: float = LEVEL, sees: Sees | None = None,
-    ) -> None:  # fmt: skip
-        self.pathfinder, self.storey, self.frames, self.sees = pathfinder, storey, frames, sees
-        self.radius, self.source, self.level = radius, source, level
-        origin, heights = height_map(triangles_of(pathfinder, storey.island), storey, frames)
-        free = largest_area(np.isfinite(heights))
+    pathfinder: Any
+    island: int
+    level: float
+    heights: np.ndarray
+    frames: Frames
+    source: str
+    sees: Callable[[np.ndarray, float, Instance], bool]
+
+    @classmethod
+    def of(
+        cls, pathfinder: Any, storey: tuple[int, float], frames: Frames, radius: float, rooms: tuple[Room, ...] = (),
+        source: str = "the scene", sees: Callable[[np.ndarray, float, Instance], bool] = lambda *_: True,
+    ) -> HabitatNavMesh:  # fmt: skip
+        """A storey, as of `main_storey`, for a body of this `radius`.
+
+        Where two levels of it lie over each other, the one nearer to its floor counts. Raises `WorldError` without any
+        ground.
+        """
+        island, level = storey
+        corners = frames.from_habitat(triangles_of(pathfinder, island))
+        low, high = corners[..., :2].min(axis=(0, 1)), corners[..., :2].max(axis=(0, 1))
+        origin = np.floor(low / CELL) * CELL - 2 * CELL  # aligned with our own plans
+        cols, rows = (int(n) for n in np.ceil((high - origin) / CELL) + 2)
+        y, x = origin[::-1, None] + (np.indices((rows, cols)).reshape(2, -1) + 0.5) * CELL
+        base = level + ON_MESH  # what lies on the floor is below
+        start = np.stack([x, y, np.full(len(x), base - frames.floor)], axis=1)
+        mesh = Raycaster(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+        up, down = (mesh.cast(start, np.broadcast_to([0.0, 0.0, way], start.shape)).distance for way in (1.0, -1.0))
+        off = np.where(down <= up, -down, up).reshape(rows, cols)
+        free = largest_area(np.abs(off) <= BAND)
         if not free.any():
             raise WorldError(f"nowhere in {source} can a body of radius {radius:g} m stand on this storey")
-        row, col = np.asarray(ndimage.distance_transform_edt(~free, return_distances=False, return_indices=True))
-        self.heights = heights[row, col]  # beside the storey, those of its nearest cells
         clearance = np.asarray(ndimage.distance_transform_edt(free)) * CELL + radius * free
-        self.plan = Ground(origin, CELL, radius, 0.0, free, clearance, np.zeros_like(free), rooms)
-        self.origin, self.cell, self.floor = origin, CELL, 0.0
-        self._ways: dict[Instance, NavMeshDistance] = {}
-        self.free, self.clearance, self.structure, self.points = free, clearance, self.plan.structure, self.plan.points
+        nearest = np.asarray(ndimage.distance_transform_edt(~free, return_distances=False, return_indices=True))
+        return cls(
+            origin, CELL, radius, 0.0, free, clearance, np.zeros_like(free), rooms, pathfinder=pathfinder,
+            island=island, level=level, heights=(base + off.astype(np.float64))[tuple(nearest)], frames=frames,
+            source=source, sees=sees,
+        )  # fmt: skip
 
-    # --- what Habitat's PathFinder says of a place ---
+    @lazy
+    def plan(self) -> Ground:
+        """The plan alone, without Habitat."""
+        return Ground(
+            self.origin, self.cell, self.radius, self.floor, self.free, self.clearance, self.structure, self.rooms
+        )
+
+    # --- points ---
 
     def feet(self, xy: np.ndarray) -> np.ndarray:
         """The point ``(3,)`` of Habitat's world at which a body stands at a point ``(2,)``, close to the mesh."""
@@ -212,8 +208,8 @@ class HabitatNavMesh:
         return found
 
     def height(self, xy: np.ndarray) -> float:
-        above = float(self.feet(xy)[1]) - self.storey.level
-        return above if abs(above) > self.level else 0.0
+        above = float(self.feet(xy)[1]) - self.level
+        return above if abs(above) > LEVEL else 0.0
 
     def is_free(self, xy: np.ndarray) -> np.ndarray:
         points = np.asarray(xy, dtype=np.float64)
@@ -221,52 +217,22 @@ class HabitatNavMesh:
         return np.array(flat, dtype=bool).reshape(points.shape[:-1])
 
     def _stands(self, feet: np.ndarray) -> bool:
-        on_storey = abs(float(feet[1]) - self.storey.level) <= BAND and self.pathfinder.is_navigable(feet, 0.5)
-        return on_storey and self.pathfinder.get_island(feet) == self.storey.island
-
-    def _checked(self, point: np.ndarray) -> np.ndarray:
-        """A point ``(2,)`` on which the body can stand, float64. Raises `WorldError`."""
-        found = np.asarray(point, dtype=np.float64)
-        if not self.is_free(found):
-            raise WorldError(
-                f"({found[0]:.3f}, {found[1]:.3f}) is not on the navigation mesh of this storey of {self.source}; "
-                "start from a free point, such as snap() gives"
-            )
-        return found
-
-    def between(self, start: np.ndarray, goal: np.ndarray) -> tuple[float, np.ndarray]:
-        """Geodesic metres between two places ``(3,)`` of Habitat's world, inf without a path, and the path ``(n, 2)``.
-
-        Habitat moves places beside the mesh onto it, and counts the height of a goal above the mesh.
-        """
-        path = import_habitat().ShortestPath()
-        path.requested_start, path.requested_end = start.astype(np.float32), goal.astype(np.float32)
-        if not self.pathfinder.find_path(path):
-            return math.inf, np.zeros((0, 2))
-        return float(path.geodesic_distance), self.frames.from_habitat(np.array(path.points))[:, :2]
-
-    # --- points ---
+        on_storey = abs(float(feet[1]) - self.level) <= BAND and self.pathfinder.is_navigable(feet, 0.5)
+        return on_storey and self.pathfinder.get_island(feet) == self.island
 
     def snap(self, xy: np.ndarray, within: float = math.inf) -> np.ndarray | None:
         xy = np.asarray(xy, dtype=np.float64)
         if self.is_free(xy):
             return xy.copy()
-        found = self.plan.snap(xy, within)
-        if found is None or self.is_free(found):
-            return found
-        centre = self._centre_near(found)
-        return centre if np.hypot(*(centre - xy)) <= within else None
+        away = np.hypot(*(self.points - xy).T)  # the middles of free cells are on the mesh
+        best = int(away.argmin())
+        return self.points[best] if away[best] <= within else None
 
     def sample(self, rng: np.random.Generator, clearance: float = 0.0) -> np.ndarray:
-        point = self.plan.sample(rng, clearance)
         for _ in range(TRIES):
-            if self.is_free(point):
+            if self.is_free(point := super().sample(rng, clearance)):
                 return point
-            point = self.plan.sample(rng, clearance)
-        return self._centre_near(point)
-
-    def _centre_near(self, xy: np.ndarray) -> np.ndarray:
-        return self.points[np.hypot(*(self.points - xy).T).argmin()].copy()
+        return self.points[rng.integers(len(self.points))]
 
     # --- distances ---
 
@@ -274,23 +240,17 @@ class HabitatNavMesh:
         points, starts = checked_goals(points, offsets)
         stand = self.is_free(points)
         goals = np.array([self.feet(point) for point in points[stand]], dtype=np.float64).reshape(-1, 3)
-        return NavMeshDistance(self, goals, starts[stand])
-
-    def field_to_places(self, places: np.ndarray) -> NavMeshDistance:
-        """Distances to the nearest of places ``(n, 3)``, our world, as habitat-lab measures them (`between`).
-
-        Places beside the mesh, or on another storey, count as well.
-        """
-        goals = self.frames.to_habitat(np.asarray(places, dtype=np.float64).reshape(-1, 3))
-        return NavMeshDistance(self, goals, np.zeros(len(goals)))
-
-    def at_points(self, way: NavMeshDistance) -> np.ndarray:
-        return self.plan.at_points(way.over_plan)
+        # A goal at the edge may lie beside the cells of the plan.
+        near, offs = [], []
+        for goal, start in zip(self.frames.from_habitat(goals)[:, :2], starts[stand], strict=True):
+            if (cell := self.plan.snap(goal, 2 * CELL)) is not None:
+                near.append(cell)
+                offs.append(start + float(np.hypot(*(cell - goal))))
+        metres = self.plan.field(np.array(near).reshape(-1, 2), np.array(offs)).metres
+        return NavMeshDistance(self.origin, CELL, metres, self, goals, starts[stand])
 
     def footprint(self, instance: Instance) -> NavMeshDistance:
-        if instance not in self._ways:  # looking from all sides takes seconds
-            self._ways[instance] = self.field(*self.beside(instance))
-        return self._ways[instance]
+        return self.field(*self.beside(instance))
 
     def beside(self, instance: Instance) -> tuple[np.ndarray, np.ndarray]:
         """The free points ``(k, 2)`` beside an instance, and their distances ``(k,)`` to its footprint, metres.
@@ -305,35 +265,37 @@ class HabitatNavMesh:
         chosen = order[np.sort(first)]  # the nearest of each square, nearest first
         close = away[chosen] <= BESIDE
         for group in (chosen[close][:PLACES], chosen[~close][:PLACES]):
-            sights = [self.sees is None or self.sees(points[k], self.height(points[k]), instance) for k in group]
-            seen = group[np.array(sights, dtype=bool)]
+            seen = np.array([k for k in group if self.sees(points[k], self.height(points[k]), instance)], dtype=int)
             if len(seen):
                 kept = seen[away[seen] <= away[seen].min() + BESIDE]
                 return points[kept], away[kept]
         return points[chosen[:1]], away[chosen[:1]]
 
-    def path(self, start: np.ndarray, goal: np.ndarray | NavMeshDistance) -> np.ndarray:
-        """The shortest path ``(n, 2)`` from a free point to another, or along a way to its goal.
-
-        Raises `WorldError` if the start is not free or there is no path.
-        """
+    def path(self, start: np.ndarray, goal: np.ndarray | DistanceField) -> np.ndarray:
         start = self._checked(start)
-        feet = self.feet(start)
-        metres, points, end = math.inf, np.zeros((0, 2)), start
-        if not isinstance(goal, NavMeshDistance):
-            end = np.asarray(goal, dtype=np.float64)
-            metres, points = self.between(feet, self.feet(end))
-        elif (index := goal.nearest(start)[1]) >= 0:
-            end = self.frames.from_habitat(goal.goals[index])[:2]
-            metres, points = self.between(feet, goal.goals[index])
+        way = goal if isinstance(goal, NavMeshDistance) else self.field(np.asarray(goal))
+        metres, path = way.path(start)
         if not math.isfinite(metres):
             raise WorldError(
                 f"there is no path from ({start[0]:.2f}, {start[1]:.2f}) to the goal over the navigation mesh of "
                 f"{self.source}; snap() finds free ground"
             )
-        return np.concatenate([start[None], points[1:-1], end[None]])
+        path[0] = start
+        if not isinstance(goal, NavMeshDistance):
+            path[-1] = goal
+        return path
 
     # --- steps ---
+
+    def _checked(self, point: np.ndarray) -> np.ndarray:
+        """A point ``(2,)`` on which the body can stand, float64. Raises `WorldError`."""
+        found = np.asarray(point, dtype=np.float64)
+        if not self.is_free(found):
+            raise WorldError(
+                f"({found[0]:.3f}, {found[1]:.3f}) is not on the navigation mesh of this storey of {self.source}; "
+                "start from a free point, such as snap() gives"
+            )
+        return found
 
     def move(self, xy: np.ndarray, step: np.ndarray, slide: bool = True) -> tuple[np.ndarray, bool]:
         """The end of a step ``(2,)`` from a free point ``(2,)``, and whether it collided: Habitat's ``try_step``.
@@ -358,17 +320,13 @@ class HabitatNavMesh:
         # Freely moved, the body is where the step led, not where single precision has put it.
         if np.hypot(*(moved - way)) <= HELD:
             return start + way, False
-        return (end if slide else self._off_the_edge(start, moved)), True
-
-    def _off_the_edge(self, start: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """The first place ``(2,)`` on the way that comes within about `SHORT` of an edge.
-
-        Habitat's own step can cross a notch of the mesh and end behind it, so the way is followed from its start: each
-        time as far as nothing can be met.
-        """
+        if slide:
+            return end, True
+        # Habitat's own step can cross a notch of the mesh and end behind it, so the way is followed from its start:
+        # each time as far as nothing can be met, to the first place that comes within about `SHORT` of an edge.
         length, gone, clear = float(np.hypot(*moved)), 0.0, math.inf
         while gone < length and clear > SHORT + HELD:
             here = self.feet(start + moved * (gone / length))
             clear = float(self.pathfinder.distance_to_closest_obstacle(here, FAR))
             gone += max(0.0, clear - SHORT)
-        return start + moved * min(1.0, gone / length) if length else start.copy()
+        return start + moved * min(1.0, gone / max(length, gone, 1e-12)), True
