@@ -199,7 +199,7 @@ def _described(name: str, broken: str) -> dict[str, Any]:
     import msgspec
 
     from eagor.lab import worlds
-    from eagor.lab.tasks.task import choices_of, description_of
+    from eagor.lab.tasks.task import fields_of, meaning_of
 
     try:
         task = _load(name, broken)
@@ -211,13 +211,14 @@ def _described(name: str, broken: str) -> dict[str, Any]:
         "what": task.what,
         **(data or {"kind": "simulated", "worlds": sorted(worlds.known())}),
         "options": {
-            field.name: {
+            name: {
                 "default": None if field.default is msgspec.NODEFAULT else field.default,
-                "what": description_of(field.type),
-                "choices": list(choices_of(field.type)),
+                "what": what,
+                "choices": can,
             }
-            for field in msgspec.structs.fields(task.Config)
-            if description_of(field.type) and field.name not in GIVEN
+            for name, field in fields_of(msgspec.inspect.type_info(task.Config)).items()
+            for what, can in [meaning_of(field)]
+            if what and name not in GIVEN
         },
     }
 

@@ -21,7 +21,6 @@ from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.perception import Perception, load, look
-from eagor.perception.calibrated import from_json
 from eagor.perception.vlm import Chat
 from eagor.plugins import bring
 from eagor.queries import Named
@@ -81,6 +80,11 @@ class EpisodePerception:
         return {"looks": looks, "unread": unread, "milliseconds": mean, "source": self.source}
 
 
+def is_privileged(perception: Any) -> bool:
+    """Whether the perception reads instance ids."""
+    return hasattr(perception, "episode")
+
+
 @lru_cache(maxsize=1)
 def shared(perception: str) -> Perception:
     """The perception of this name, made once per process for all callers: a model may take minutes and gigabytes.
@@ -88,6 +92,18 @@ def shared(perception: str) -> Perception:
     `release` frees it. Raises as `eagor.perception.load`, and errors of its server.
     """
     return _checked(load(perception))
+
+
+@lru_cache(maxsize=1)
+def shared_chat(spec: str) -> Chat:
+    """The model that `spec` names, made once per process for all callers; `release` frees it.
+
+    Raises as `load_chat`, errors of its server, and `EagorError` for anything that is not a `Chat`.
+    """
+    made = load_chat(spec)
+    if not (callable(made) and inspect.signature(made).parameters):
+        raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted a callable that takes messages")
+    return _checked(made)
 
 
 def _checked(made: Any) -> Any:
@@ -105,16 +121,6 @@ def release() -> None:
     torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():
         torch.cuda.empty_cache()
-
-
-def recalibrator(calibrated: Mapping[str, Any] | None) -> Callable[[Evidence], Evidence]:
-    """Gives looks the calibration of a run (its setting "calibrated"); without one they keep their own."""
-    return from_json(calibrated, "the settings").reread if calibrated else lambda evidence: evidence
-
-
-def is_privileged(perception: Any) -> bool:
-    """Whether the perception reads instance ids."""
-    return hasattr(perception, "episode")
 
 
 def load_chat(spec: str) -> Chat:
@@ -144,15 +150,3 @@ def load_chat(spec: str) -> Chat:
     from eagor.perception.endpoint import chat_from_text
 
     return chat_from_text(spec)
-
-
-@lru_cache(maxsize=1)
-def shared_chat(spec: str) -> Chat:
-    """The model that `spec` names, made once per process for all callers; `release` frees it.
-
-    Raises as `load_chat`, errors of its server, and `EagorError` for anything that is not a `Chat`.
-    """
-    made = load_chat(spec)
-    if not (callable(made) and inspect.signature(made).parameters):
-        raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted a callable that takes messages")
-    return _checked(made)

@@ -6,7 +6,6 @@ One agent plays such a run. Predictions that were made elsewhere are scored by t
 from __future__ import annotations
 
 import re
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -18,7 +17,7 @@ from eagor._checks import parsed, shown
 from eagor._version import __version__
 from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import Evidence
-from eagor.lab.tasks.task import Metric, Payload, Record, Sample
+from eagor.lab.tasks.task import Metric, Payload, Record
 from eagor.queries import singular
 
 TALKING = "vlm"  # the agent that asks a model, in every task
@@ -36,24 +35,12 @@ class PublishedConfig(msgspec.Struct, kw_only=True):
     agent: Annotated[str, Meta(description="who plays")] = ""
     perception: Annotated[str | None, Meta(description="detector of the agents that look")] = None
     model: Annotated[str | None, Meta(description=f"model of the agent {TALKING}")] = None
-    seed: Annotated[int, Meta(ge=0, description="seed of the perception truth and of random agents")] = 0
+    seed: Annotated[int, Meta(ge=0, description="seed of the perception truth")] = 0
     calibrated: dict[str, Any] | None = None
     versions: dict[str, str] = {}
 
     def __post_init__(self) -> None:
         self.data = str(Path(self.data).resolve())
-
-
-class Would(msgspec.Struct):
-    """The answer that would have been given at a step: the probability of success that it states."""
-
-    p: Share | None = None
-
-
-class AnswerStep(msgspec.Struct):
-    """A step before the answer."""
-
-    would: Would | None = None
 
 
 class PublishedRecord(msgspec.Struct, kw_only=True):
@@ -76,17 +63,21 @@ class PublishedRecord(msgspec.Struct, kw_only=True):
     scoring: str = ""
     scores: dict[str, float | None] = {}
     error: float | None = None
-    steps: list[AnswerStep] = []
     seconds: float | None = None
 
 
 class PublishedTask:
     """The parts of an `eagor.lab.tasks.task.Task` that do not depend on its data.
 
-    A task adds `name`, `title`, `what`, `metrics`, `samples`, `player` (or `runner`), `info` and `score`, and says
+    A task adds `name`, `title`, `what`, `metrics`, `samples`, and
 
     - `agents`: {name: what it does}, the default first; `looking`: those that need a perception;
-    - `truth`: what the perception truth is in this task, in words; "" if there is none.
+    - `truth`: what the perception truth is in this task, in words; "" if there is none;
+    - `player(config, perception, chat, read)`: what plays a sample with the perception and the model of the config,
+      None where it names none, and the calibration of looks; or `runner`;
+    - `info(data)`: the content of the folder, as JSON: counts and oddities; raises `FormatError` for other data;
+    - `score(sample, prediction, config)`: the record of a prediction made elsewhere, with "text" or own keys; raises
+      `FormatError` without any of them.
     """
 
     agents: ClassVar[Mapping[str, str]]
@@ -97,6 +88,7 @@ class PublishedTask:
     ranked_by: ClassVar[Sequence[str]] = ("overall",)
     name: Any
     metrics: Any
+    player: Any
     Config: ClassVar[type[PublishedConfig]] = PublishedConfig
     Record: ClassVar[type[msgspec.Struct]] = PublishedRecord
 
@@ -106,16 +98,19 @@ class PublishedTask:
 
         return shared(config.perception)
 
-    def player(self, config: Any, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
-        """What plays a sample with the perception and the model of the config, None where it names none."""
-        raise NotImplementedError
-
-    def runner(self, config: Any) -> Callable[[Payload], Record]:
-        from eagor.lab.agents.models import recalibrator, shared_chat
+    def _tools(self, config: Any) -> tuple[Any, Any]:
+        """The perception and the model of the config, None where it names none."""
+        from eagor.lab.agents.models import shared_chat
 
         perception = self.open_perception(config) if config.perception else None
-        chat = shared_chat(config.model) if config.model else None
-        return self.player(config, perception, chat, recalibrator(config.calibrated))
+        return perception, shared_chat(config.model) if config.model else None
+
+    def runner(self, config: Any) -> Callable[[Payload], Record]:
+        from eagor.perception.calibrated import from_json
+
+        own: Recalibrate = lambda evidence: evidence  # noqa: E731
+        read = from_json(config.calibrated, "the settings").reread if config.calibrated else own
+        return self.player(config, *self._tools(config), read)
 
     def resolve(self, config: Any) -> Any:
         """The config with its agent, what that agent needs, and no more. Raises `EagorError`."""
@@ -142,26 +137,13 @@ class PublishedTask:
             calibrated=config.calibrated if looks else None,
             versions={"eagor": __version__},
         )
-        if found.perception:
-            self.open_perception(found)
-        if found.model:
-            from eagor.lab.agents.models import shared_chat
-
-            shared_chat(found.model)
+        self._tools(found)
         return found
 
     def failure(self, record: Record) -> str | None:
         """Its cause; "wrong" where the record names none."""
         cause = record.get("cause")
         return str(cause or "wrong") if cause or record.get("score", 1) < 1 else None
-
-    def info(self, data: Path) -> dict[str, Any]:
-        """The content of the folder `data`, as JSON: counts and oddities. Raises `FormatError` for other data."""
-        raise NotImplementedError
-
-    def score(self, sample: Sample, prediction: Mapping[str, Any], config: Any) -> Record:
-        """The record of a prediction made elsewhere: "text", or own keys. Raises `FormatError` without any of them."""
-        raise NotImplementedError
 
 
 def score_metric(
@@ -188,9 +170,11 @@ def words_of(prediction: Mapping[str, Any], keys: Sequence[str], wanted: str) ->
     return text
 
 
-def case_seed(seed: int, case: str) -> list[int]:
-    """The seed of one case; independent of all other cases."""
-    return [seed, zlib.crc32(case.encode())]
+def answer_in(text: str) -> str | None:
+    """What is between the first ``<answer>`` in a model's reply and the next ``</answer>``; None without them."""
+    _, opened, rest = text.partition("<answer>")
+    answer, closed, _ = rest.partition("</answer>")
+    return answer if opened and closed else None
 
 
 def read_json(path: Path, kind: type[Kind], fault: str) -> Kind:

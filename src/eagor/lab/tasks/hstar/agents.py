@@ -1,4 +1,4 @@
-"""The agents of H*Bench: ours, a fixed sweep, the model alone, single-view baselines, and blind ones.
+"""The agents of H*Bench: ours, a fixed sweep, the model alone, single-view baselines, and one that knows.
 
 An agent gets the current view, may look, and returns an action. At every turn it also returns the answer that it would
 submit if the episode ended there, so that success by turn needs no further runs. Those that look are given a
@@ -8,6 +8,7 @@ submit if the episode ended there, so that success by turn needs no further runs
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Annotated, Any, NamedTuple
@@ -27,7 +28,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.agents.steering import next_heading
 from eagor.lab.tasks import hstar
 from eagor.lab.tasks.hstar.search import DEGREE, ELSEWHERE, HEADINGS, SURE, Answer, Search
-from eagor.lab.tasks.published import PublishedConfig, Recalibrate, case_seed, first_known, queries_of
+from eagor.lab.tasks.published import PublishedConfig, Recalibrate, first_known, queries_of
 from eagor.perception import Perception
 from eagor.perception.partial import look_at_view
 from eagor.perception.truth import Noise, Report, displaced, drawn
@@ -42,8 +43,6 @@ AGENTS = {
     "sweep": "ten views in a fixed order, then the best single response of them",
     "single": "submits what the first view says",
     "oracle": "knows the answer; submits it at once",
-    "random": "submits a random direction near the horizon at once",
-    "constant": "submits straight ahead at once",
 }
 LOOKING = ("eagor", "centroid", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
@@ -72,6 +71,32 @@ class ViewEvidence(NamedTuple):
     evidence: Evidence
     world_R_capture: np.ndarray
 
+    def response(self) -> np.ndarray:
+        """The response ``(H, W)``, -1 in cells that were not looked at."""
+        response, seen = to_numpy(self.evidence.response).astype(np.float64), self.evidence.seen
+        return response if seen is None or not seen[-1] else np.where(looked_at(seen), response, -1.0)
+
+    def middle(self) -> np.ndarray:
+        """Direction ``(3,)``, world frame, of the middle cell of the part that was looked at."""
+        rows, columns = np.nonzero(self.response() >= 0)
+        nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
+        return self.world_R_capture @ np.asarray(self.evidence.grid.directions[rows[nearest], columns[nearest]])
+
+    def peak(self) -> tuple[np.ndarray, float]:
+        """Direction ``(3,)``, world frame, and value of the response's maximum; the middle of the view if flat."""
+        response = self.response()
+        if np.ptp(response[response >= 0]) < 1e-6:
+            return self.middle(), max(float(response.max()), 0.0)
+        place = np.unravel_index(int(response.argmax()), response.shape)
+        return self.world_R_capture @ np.asarray(self.evidence.grid.directions[place]), float(response.max())
+
+    def notes(self) -> dict[str, Any]:
+        """The strongest response and its source, for the record."""
+        direction, height = self.peak()
+        yaw, pitch = hstar_from_direction(direction)
+        peak = {"yaw": round(float(yaw), 1), "pitch": round(float(pitch), 1), "score": round(height, 3)}
+        return {"peak": peak} | ({"source": dict(source)} if (source := self.evidence.source) else {})
+
 
 Detector = Callable[[hstar.View], ViewEvidence]  # for the target of one episode
 
@@ -89,14 +114,14 @@ def open_detector(
     """
     if isinstance(perception, Noise):
         yaw, pitch = episode.item["yaw"], episode.item.get("pitch")
-        detect = SimulatedDetector(yaw, pitch, perception, case_seed(seed, episode.id))
+        luck = [seed, zlib.crc32(episode.id.encode())]  # independent of all other cases
+        detect = SimulatedDetector(yaw, pitch, perception, luck)
         return lambda view: (look := detect(view))._replace(evidence=read(look.evidence))
     queries = queries_of(episode.item["task"])
 
     def look(view: hstar.View) -> ViewEvidence:
-        image = hstar.without_cross(
-            hstar.render_view(hstar.open_panorama(episode.panorama), view.yaw, view.pitch, resolution)
-        )
+        panorama = hstar.open_panorama(episode.panorama)
+        image = hstar.without_cross(hstar.render_view(panorama, view.yaw, view.pitch, resolution))
         upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
         grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(hstar.HFOV_DEG), upright)
         query, evidence = first_known(queries, lambda query: look_at_view(perception, image, grid, query))
@@ -188,27 +213,25 @@ def make_agent(
     """The agent of a run for one episode; those in `LOOKING` need a detector, the one that talks a model."""
     if chat is not None:
         return VlmAgent(episode, chat, config.window, config.resolution)
-    if detector is not None:
-        if config.agent == "eagor":
-            return EagorAgent(Search.begin(episode.kind, config.elsewhere), detector, config.sure)
-        return SweepAgent(config.agent, episode.start, detector)
-    yaw, pitch, probability = episode.start, 0.0, math.nan
-    if config.agent == "oracle":
-        (yaw, pitch), probability = hstar.window_of(episode.item).centre, 1.0
-    elif config.agent == "random":
-        rng = np.random.default_rng(case_seed(config.seed, episode.id))
-        yaw, pitch = int(rng.integers(360)), float(rng.normal(-10, 15))
-    answer = Answer(round(yaw) % 360, round(max(-90, min(90, pitch))), probability)
-    return lambda view, last: Turn(_submit(answer), answer, {})
+    if detector is None:
+        answer = _answer(*hstar.window_of(episode.item).centre, 1.0)
+        return lambda view, last: Turn(_submit(answer), answer, {})
+    if config.agent == "eagor":
+        return EagorAgent(Search.begin(episode.kind, config.elsewhere), detector, config.sure)
+    return SweepAgent(config.agent, episode.start, detector)
+
+
+def _answer(yaw: Any, pitch: Any, probability: float = math.nan) -> Answer:
+    return Answer(round(float(yaw)) % 360, round(float(pitch)), probability)
 
 
 def _submit(answer: Answer) -> hstar.Action:
     return hstar.Action("submit", answer.yaw, answer.pitch)
 
 
-def _rotate(now: hstar.View, to: hstar.View) -> hstar.Action:
-    """The rotation from one view to another, the short way around."""
-    return hstar.Action("rotate", round((to.yaw - now.yaw + 180) % 360 - 180), round(to.pitch - now.pitch))
+def _rotate(now: hstar.View, yaw: float, pitch: float) -> hstar.Action:
+    """The rotation from a view to a direction, the short way around."""
+    return hstar.Action("rotate", round((yaw - now.yaw + 180) % 360 - 180), round(pitch - now.pitch))
 
 
 class EagorAgent:
@@ -223,11 +246,13 @@ class EagorAgent:
     def __call__(self, view: hstar.View, last: bool) -> Turn:
         look = self._detector(view)
         self.search = self.search.update(look.evidence, look.world_R_capture, view)
-        answer, to = self.search.answer(), None
-        if answer.probability < self._sure:
-            to = next_heading(HEADINGS, self.search.tells(), hstar.headings_of(view.yaw, view.pitch))
-        action = _submit(answer) if last or to is None else _rotate(view, hstar.View.facing(to))
-        return Turn(action, answer, _peak(look) | {"sure": to is None})
+        answer = self.search.answer()
+        sure, action = answer.probability >= self._sure, _submit(answer)
+        if not (last or sure):
+            to = next_heading(HEADINGS, self.search.tells(), np.radians([-view.yaw, view.pitch]))
+            yaw, pitch = np.degrees(to).round(6).tolist()
+            action = _rotate(view, -yaw, pitch)
+        return Turn(action, answer, look.notes() | {"sure": sure})
 
 
 class VlmAgent:
@@ -254,7 +279,7 @@ class VlmAgent:
             notes["tokens"] = [reply.prompt_tokens, reply.completion_tokens]
         if action is not None and action.kind == "submit":
             return Turn(action, Answer(action.yaw, action.pitch), notes)
-        return Turn(action, Answer(round(view.yaw) % 360, round(view.pitch)), notes)
+        return Turn(action, _answer(view.yaw, view.pitch), notes)
 
 
 class SweepAgent:
@@ -273,61 +298,29 @@ class SweepAgent:
 
     def __call__(self, view: hstar.View, last: bool) -> Turn:
         look = self._detector(view)
-        direction, content = self._read(look)
-        yaw, pitch = hstar_from_direction(direction)
-        answer = Answer(round(float(yaw)) % 360, round(float(pitch)))
-        to = None if last or content else next(self._left, None)
-        action = _submit(answer) if to is None else _rotate(view, hstar.View((self._start + to[0]) % 360, to[1]))
-        return Turn(action, answer, _peak(look))
+        direction, done = self._read(look)
+        answer = _answer(*hstar_from_direction(direction))
+        to = None if last or done else next(self._left, None)
+        action = _submit(answer) if to is None else _rotate(view, self._start + to[0], to[1])
+        return Turn(action, answer, look.notes())
 
     def _read(self, look: ViewEvidence) -> tuple[np.ndarray, bool]:
         """The answer ``(3,)``, world frame, and whether to stop with it."""
         evidence, pose = look
-        direction, height = peak_of(look)
+        direction, height = look.peak()
         if self._name == "grid":
             turned = replace(self._filter, body_R_grid=pose.T, calibration=evidence.calibration)
             self._filter = turned.update(evidence)
             return pose @ self._filter.direction(), False
         if self._name == "centroid":
-            response = _response(evidence)
             if height < RESPONDS:
-                return pose @ np.asarray(evidence.grid.directions[_middle(response)]), False
+                return look.middle(), False
             # Without its lowest response, which would draw the mean towards the middle of the view.
+            response = look.response()
             floor = max(0.5 * response.max(), float(response[response >= 0].min()) + 1e-6)
-            cleared = np.where(response < floor, 0.0, response)
-            high = Evidence.from_response(np.clip(cleared, 0, 1), evidence.grid, evidence.calibration)
-            return pose @ Centroid().update(high).direction(), True
+            high = np.clip(np.where(response < floor, 0.0, response), 0, 1)
+            cleared = Evidence.from_response(high, evidence.grid, evidence.calibration)
+            return pose @ Centroid().update(cleared).direction(), True
         if height > self._strongest + 1e-6:
             self._best, self._strongest = direction, height
         return self._best, self._name == "single"
-
-
-def peak_of(look: ViewEvidence) -> tuple[np.ndarray, float]:
-    """Direction ``(3,)`` in the world frame and value of the response's maximum; the middle of the view if flat."""
-    response = _response(look.evidence)
-    flat = np.ptp(response[response >= 0]) < 1e-6
-    place = _middle(response) if flat else np.unravel_index(int(response.argmax()), response.shape)
-    direction = look.world_R_capture @ np.asarray(look.evidence.grid.directions[place])
-    return direction, max(float(response.max()), 0.0)
-
-
-def _peak(look: ViewEvidence) -> dict[str, Any]:
-    """The strongest response of a look, for the record."""
-    direction, height = peak_of(look)
-    yaw, pitch = hstar_from_direction(direction)
-    peak = {"yaw": round(float(yaw), 1), "pitch": round(float(pitch), 1), "score": round(height, 3)}
-    source = look.evidence.source
-    return {"peak": peak} | ({"source": dict(source)} if source else {})
-
-
-def _response(evidence: Evidence) -> np.ndarray:
-    """The response ``(H, W)``, -1 in cells that were not looked at."""
-    response, seen = to_numpy(evidence.response).astype(np.float64), evidence.seen
-    return response if seen is None or not seen[-1] else np.where(looked_at(seen), response, -1.0)
-
-
-def _middle(response: np.ndarray) -> tuple[int, int]:
-    """The middle cell of the part that was looked at."""
-    rows, columns = np.nonzero(response >= 0)
-    nearest = int(np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2))
-    return int(rows[nearest]), int(columns[nearest])

@@ -13,7 +13,6 @@ import random
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -37,28 +36,19 @@ from eagor.sphere import angular_distance
 ANNOTATION = "annotation.json"
 STARTS = (0, 90, 180, 270)  # degrees of yaw, for entries without any
 SHUFFLE = 42  # the published environment shuffles its episodes with this seed
-
-Real = Annotated[float, Meta(ge=-hstar.FARTHEST, le=hstar.FARTHEST)]  # degrees
-Degrees = (
-    Annotated[int, Meta(ge=-int(hstar.FARTHEST), le=int(hstar.FARTHEST))] | Real
-)  # records show them as the file has them
+FAULT = (
+    'is no list of targets, each with a task such as "Find the red chair", yaw and pitch as two angles of at most 3600 '
+    "degrees, initial yaw as a list of such, level as 0, 1, 2, ..."
+)
 Level = Annotated[int, Meta(ge=0)]
 
 
-class Entry(msgspec.Struct):
-    """One target in annotation.json: its box in degrees, the yaws to begin at, and the level of each or of all."""
+class Entry(hstar.Box, kw_only=True):
+    """One target in annotation.json: its task, its box, the yaws to begin at, and the level of each or of all."""
 
     task: str
-    yaw: tuple[Degrees, Degrees]
-    pitch: tuple[Degrees, Degrees] | None = None
-    starts: list[Real] | None = field(name="initial yaw", default=None)
+    starts: list[Annotated[float, Meta(ge=-3600, le=3600)]] | None = field(name="initial yaw", default=None)
     level: list[Level | None] | Level | None = None
-
-    @property
-    def item(self) -> dict[str, Any]:
-        """Its task, yaw and, for an object, pitch."""
-        pitch = {} if self.pitch is None else {"pitch": list(self.pitch)}
-        return {"task": self.task, "yaw": list(self.yaw), **pitch}
 
 
 Scene = tuple[Path, list[Entry]]  # its picture and its targets
@@ -69,30 +59,18 @@ def read_scenes(data: Path) -> tuple[dict[str, Scene], list[str]]:
 
     A scene is named by its folder alone if that is unique. Raises `FormatError` if there is none, or one is malformed.
     """
-    if not data.exists():
-        raise FormatError(f"there is no {data}; wanted the folder of the unpacked archive of H*Bench")
-    pictures: dict[Path, Path] = {}
-    skipped = []
-    for folder in sorted(path.parent for path in data.rglob(ANNOTATION)):
-        found = sorted(folder.glob("*.png")) or sorted(folder.glob("*.jpg"))
-        if found:
-            pictures[folder] = found[0]
-        else:
-            skipped.append(str(folder))
-    if not pictures:
-        why = f"; {skipped[0]} has {ANNOTATION}, but no such picture" if skipped else ""
-        packed = [data] if data.is_file() else sorted(data.glob("*.zip"))
-        why += f"; {packed[0]} has to be unpacked first" if packed else ""
-        raise FormatError(f"{data} holds no scene of H*Bench, {ANNOTATION} beside a .png or .jpg (lower case){why}")
-    count = Counter(folder.name for folder in pictures)
-    scenes: dict[str, Scene] = {}
-    for folder, picture in pictures.items():
-        name = folder.name if count[folder.name] == 1 else folder.relative_to(data).as_posix()
-        fault = (
-            'is no list of targets, each with a task such as "Find the red chair", yaw and pitch as two angles of at '
-            f"most {hstar.FARTHEST:g} degrees, initial yaw as a list of such, level as 0, 1, 2, ..."
+    folders = sorted(path.parent for path in data.rglob(ANNOTATION))
+    pictures = {folder: sorted(folder.glob("*.png")) or sorted(folder.glob("*.jpg")) for folder in folders}
+    skipped = [str(folder) for folder in folders if not pictures[folder]]
+    if len(skipped) == len(folders):
+        raise FormatError(
+            f"{data} holds no scene of H*Bench, {ANNOTATION} beside a .png or .jpg (lower case). Give the folder of "
+            f"the unpacked archive{f'; {skipped[0]} has {ANNOTATION}, but no such picture' if skipped else ''}"
         )
-        scenes[name] = picture, published.read_json(folder / ANNOTATION, list[Entry], fault)
+    count, scenes = Counter(folder.name for folder in folders if pictures[folder]), {}
+    for folder in filter(pictures.get, folders):
+        name = folder.name if count[folder.name] == 1 else folder.relative_to(data).as_posix()
+        scenes[name] = pictures[folder][0], published.read_json(folder / ANNOTATION, list[Entry], FAULT)
     return dict(sorted(scenes.items())), skipped
 
 
@@ -111,7 +89,8 @@ def read_episodes(data: Path, kind: hstar.Kind) -> list[hstar.Episode]:
 
 
 def _episodes(scene: str, panorama: Path, entries: list[Entry]) -> Iterator[hstar.Episode]:
-    items = [entry.item for entry in entries]
+    boxes = [{"yaw": list(e.yaw)} | ({} if e.pitch is None else {"pitch": list(e.pitch)}) for e in entries]
+    items = [{"task": entry.task, **box} for entry, box in zip(entries, boxes, strict=True)]
     for index, entry in enumerate(entries):
         kind: hstar.Kind = "hos" if entry.pitch is not None else "hps"
         starts = STARTS if entry.starts is None else entry.starts
@@ -183,25 +162,21 @@ class HStar(PublishedTask):
         self.metrics: tuple[Metric, ...] = (
             published.score_metric("overall", "Overall", "success of all episodes", lambda record: record["score"]),
             *published.level_metrics(hstar.LEVELS[kind], "success of episodes of level"),
-            published.score_metric("official", "Official", "success by the published rule", partial(_by, "official")),
-            published.score_metric("strict", "Strict", "success with the pitch always counted", partial(_by, "strict")),
+            published.score_metric("official", "Official", "success by the published rule", _official),
+            published.score_metric("strict", "Strict", "success with the pitch always counted", _strict),
             Metric("views", "Views", "number of views", lambda r: r.get("views"), "", "low", 1.0, 2),
         )
 
     def info(self, data: Path) -> dict[str, Any]:
         scenes, skipped = read_scenes(Path(data))
-        entries = [entry for _, entries in scenes.values() for entry in entries]
         episodes = [each for name, scene in scenes.items() for each in _episodes(name, *scene)]
         levels = {kind: Counter(each.level_name for each in episodes if each.kind == kind) for kind in hstar.LEVELS}
         return {
             "scenes": len(scenes),
-            "targets": len(entries),
+            "targets": sum(len(entries) for _, entries in scenes.values()),
             "episodes": {kind: sum(count.values()) for kind, count in levels.items()},
             "levels": {kind: dict(count) for kind, count in levels.items() if count},
             "skipped": skipped,
-            "without_initial_yaw": sum(entry.starts is None for entry in entries),
-            "without_level": sum(entry.level is None for entry in entries),
-            "windows_across_yaw_0": sum(hstar.window_of(entry.item).wraps for entry in entries),
         }
 
     def samples(self, config: HStarConfig) -> list[Sample]:
@@ -214,8 +189,7 @@ class HStar(PublishedTask):
 
     def player(self, config: HStarConfig, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
         def play(payload: Payload) -> Record:
-            episode = msgspec.convert(payload, hstar.Episode)
-            detector = None
+            episode, detector = msgspec.convert(payload, hstar.Episode), None
             if perception is not None:
                 detector = open_detector(perception, episode, config.seed, config.resolution, read)
             return run_episode(episode, make_agent(config, episode, detector, chat), config.scoring, config.turns)
@@ -229,28 +203,34 @@ class HStar(PublishedTask):
         )
 
 
-def _by(way: hstar.Scoring, record: Record) -> float | None:
-    return record.get("scores", {}).get(way)
+def _official(record: Record) -> float | None:
+    return record.get("scores", {}).get("official")
+
+
+def _strict(record: Record) -> float | None:
+    return record.get("scores", {}).get("strict")
+
+
+class Submission(msgspec.Struct):
+    """A direction in a prediction, degrees."""
+
+    yaw: Annotated[float, Meta(ge=-hstar.FARTHEST_ANSWER, le=hstar.FARTHEST_ANSWER)]
+    pitch: Annotated[float, Meta(ge=-hstar.FARTHEST_ANSWER, le=hstar.FARTHEST_ANSWER)] = 0.0
 
 
 def _submission(prediction: Mapping[str, Any]) -> tuple[dict[str, int] | None, str]:
     """The submission of a prediction, or None and the reason why there is none."""
-    given = prediction.get("submit")
-    if given is None and "yaw" in prediction:
-        given = prediction["yaw"], prediction.get("pitch", 0)
-    if given is None:
-        wanted = "submit: [yaw, pitch], or yaw and pitch, or text, the model's last reply"
-        action = hstar.parse_action(published.words_of(prediction, ("text",), wanted)).action
+    if "yaw" not in prediction:
+        text = published.words_of(prediction, ("text",), "yaw and pitch, or text, the model's last reply")
+        action = hstar.parse_action(text).action
         if action is None or action.kind != "submit":
             return None, "format" if action is None else "budget"
         return {"yaw": action.yaw, "pitch": action.pitch}, "submitted"
     try:
-        yaw, pitch = (round(float(value)) for value in given)
-    except (TypeError, ValueError, OverflowError):
-        raise FormatError(f"a prediction submits {shown(given)}; wanted yaw and pitch in degrees") from None
-    if max(abs(yaw), abs(pitch)) > hstar.FARTHEST_ANSWER:
-        raise FormatError(f"a prediction submits {shown(given)}; wanted degrees, at most {hstar.FARTHEST_ANSWER}")
-    return {"yaw": yaw, "pitch": pitch}, "submitted"
+        given = msgspec.convert(prediction, Submission)
+    except msgspec.ValidationError as error:
+        raise FormatError(f"a prediction is {shown(prediction)}; wanted yaw and pitch in degrees ({error})") from None
+    return {"yaw": round(given.yaw), "pitch": round(given.pitch)}, "submitted"
 
 
 HOS = HStar("hos", "H*Bench: object search (HOS)", "look around in a photograph for a thing, and name its direction")
@@ -271,22 +251,21 @@ def run_episode(
     item, view, answer = episode.item, hstar.View(float(episode.start), 0.0), None
     steps: list[dict[str, Any]] = []
     while answer is None and len(steps) < turns:
-        turn = agent(view, len(steps) + 1 == turns)
-        yaw, pitch, p = turn.would
+        action, (yaw, pitch, p), notes = agent(view, len(steps) + 1 == turns)
         succeeds = {each: hstar.submit_succeeds(item, yaw, pitch, each) for each in hstar.SCORINGS}
         steps.append(
             {
                 "turn": len(steps) + 1,
                 "view": {"yaw": view.yaw, "pitch": view.pitch},
                 "shown": round(hstar.visible_share(view, item["yaw"], item.get("pitch")), 3),
-                "action": None if turn.action is None else str(turn.action),
+                "action": None if action is None else str(action),
                 "would": {"yaw": yaw, "pitch": pitch, **succeeds, "p": None if math.isnan(p) else round(p, 4)},
-                **turn.notes,
+                **notes,
             }
         )
-        if turn.action is not None and turn.action.kind == "submit":
-            answer = {"yaw": turn.action.yaw, "pitch": turn.action.pitch}
-        view = view.after(turn.action)
+        if action is not None and action.kind == "submit":
+            answer = {"yaw": action.yaw, "pitch": action.pitch}
+        view = view.after(action)
     unread = any(step.get("valid") is False for step in steps)
     reason = "submitted" if answer is not None else "format" if unread else "budget"
     record = record_of(episode, scoring, answer, steps, reason)
@@ -312,17 +291,15 @@ def record_of(
 
     `answer`: None if there was none, for the `reason`, which is then also the cause of the failure.
     """
-    item, pitch = episode.item, episode.item.get("pitch")
-    scores = dict.fromkeys(hstar.SCORINGS, 0.0)
-    errors: dict[str, float | None] = {"yaw_error": None, "pitch_error": None, "error": None}
-    cause: str | None = reason
+    item, pitch, middle = episode.item, episode.item.get("pitch"), hstar.window_of(episode.item).centre
+    scores, cause, turn, lift, off = dict.fromkeys(hstar.SCORINGS, 0.0), reason, None, None, None
     if answer is not None:
-        at, middle = (answer["yaw"], answer["pitch"]), hstar.window_of(item).centre
+        at = answer["yaw"], answer["pitch"]
         scores = {way: float(hstar.submit_succeeds(item, *at, way)) for way in hstar.SCORINGS}
-        turn = abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0)
-        lift = None if pitch is None else round(abs(at[1] - middle[1]), 2)
-        errors = {"yaw_error": round(turn, 2), "pitch_error": lift, "error": round(_apart(at, middle), 2)}
         cause = None if scores[scoring] else cause_of(item, steps, at, episode.others, scoring)
+        turn = round(abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0), 2)
+        lift = None if pitch is None else round(abs(at[1] - middle[1]), 2)
+        off = round(_apart(at, middle), 2)
     return {
         "case": episode.id,
         "cluster": episode.cluster,
@@ -336,7 +313,9 @@ def record_of(
         "cause": cause,
         "reason": reason,
         "answer": answer,
-        **errors,
+        "yaw_error": turn,
+        "pitch_error": lift,
+        "error": off,
     }
 
 
@@ -349,7 +328,7 @@ def cause_of(
 ) -> str:
     """Why an answer `at` (yaw, pitch) failed, one of `CAUSES`; `others`: the rest of its scene; `steps`: recorded."""
     same = [other for other in others if published.head_of(other["task"]) == published.head_of(item["task"])]
-    if any(hstar.window_of(other).contains(*at, "strict") for other in same):
+    if any(hstar.submit_succeeds(other, *at, "strict") for other in same):
         return "wrong_instance"
     if any((step.get("would") or {}).get(scoring) for step in steps):
         return "stopped_wrongly"
@@ -357,7 +336,7 @@ def cause_of(
         return "never_in_view"
     peaks = [step["peak"] for step in steps if "peak" in step]
     loud = [(peak["yaw"], peak["pitch"]) for peak in peaks if peak["score"] >= RESPONDS]
-    if any(hstar.window_of(item).contains(*peak, "strict") for peak in loud):
+    if any(hstar.submit_succeeds(item, *peak, "strict") for peak in loud):
         return "fusion_error"
     return "false_detection" if not peaks or any(_apart(peak, at) <= NEAR for peak in loud) else "missed"
 

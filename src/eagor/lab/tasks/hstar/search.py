@@ -20,7 +20,7 @@ from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid
 from eagor.harmonics.peaks import decoding_grid
-from eagor.lab.tasks.hstar import HFOV_DEG, PITCH_TOLERANCE, YAW_TOLERANCE, Kind, View, headings_of
+from eagor.lab.tasks.hstar import HFOV_DEG, PITCH_TOLERANCE, YAW_TOLERANCE, Kind, View
 from eagor.perception.partial import coverage
 from eagor.tracking.looking import even_and_usual, information
 
@@ -40,7 +40,8 @@ STEP = 5  # degrees: cells of the map for planning and decisions
 CELLS = PatchGrid(180 // STEP, 360 // STEP)
 YAWS = np.arange(0, 360, 15)
 PITCHES = (-60, -30, 0, 30, 60)
-HEADINGS = headings_of(np.tile(YAWS, len(PITCHES)), np.repeat(PITCHES, len(YAWS)))  # of the views that are weighed
+# Of the views that are weighed: azimuth and elevation ``(n, 2)``, radians, world frame.
+HEADINGS = np.radians([(-yaw, pitch) for pitch in PITCHES for yaw in YAWS])
 
 
 class Answer(NamedTuple):

@@ -23,20 +23,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from eagor._checks import parsed, shown
 from eagor.errors import FormatError
-
-__all__ = [
-    "SIZE", "SKILLS", "MapScore", "cells", "direction_label", "extracted", "is_tied", "layout_of", "map_text",
-    "mistake", "named", "products", "ranked", "read_map", "score", "score_map", "steps", "swapped", "tags", "turned",
-]  # fmt: skip
+from eagor.lab.tasks.published import answer_in
 
 SIZE = 10  # rows and columns of a layout
 Cell = tuple[int, int]
 Layout = Mapping[str, Sequence[Sequence[int]]]
 Grid = list[list[list[str]]]  # rows of cells, each a list of names, as maps are published
+Number = int | float | bool
 
 NO_POSITION = "The positioning object is not found in the picture."
 NOT_UNIQUE = "The positioning object is not unique in the picture."
@@ -63,7 +61,7 @@ def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
     things. If there is no answer, one of `ERRORS`. Raises `FormatError` for an invalid layout.
     """
     found = steps(map, P, O, Q)
-    return found if isinstance(found, str) else named(*products(*found))
+    return found if isinstance(found, str) else named(*found)
 
 
 def steps(layout: Layout, P: str, O: str, Q: str) -> tuple[Cell, Cell] | str:
@@ -80,8 +78,9 @@ def products(v1: Any, v2: Any) -> tuple[Any, Any]:
     return v1[0] * v2[0] + v1[1] * v2[1], v1[0] * v2[1] - v1[1] * v2[0]
 
 
-def named(dot: float, cross: float) -> str:
-    """The words for a dot product and a cross product (positive to the left)."""
+def named(v1: Any, v2: Any) -> str:
+    """The words for the side of the direction v1 on which v2 lies."""
+    dot, cross = products(v1, v2)
     along = "Front" if dot > 0 else "Back" if dot < 0 else ""
     aside = "Left" if cross > 0 else "Right" if cross < 0 else ""
     return f"{along} {aside}".strip()
@@ -90,7 +89,7 @@ def named(dot: float, cross: float) -> str:
 def is_tied(layout: Layout, P: str, name: str) -> bool:
     """Whether several cells of `name` are equally near to P, so that the smallest angle decides."""
     start = cells(layout, P)
-    near = [_square(way) for way in ranked(start[0], cells(layout, name))[:2]] if len(start) == 1 else []
+    near = [r * r + c * c for r, c in ranked(start[0], cells(layout, name))[:2]] if len(start) == 1 else []
     return len(near) == 2 and near[0] == near[1]
 
 
@@ -112,12 +111,10 @@ def tags(layout: Layout | None, names: Sequence[str], label: str) -> list[str]:
 
 def cells(layout: Layout, name: str) -> list[Cell]:
     """The cells of `name`, row by row, each once. Raises `FormatError` for what is no cell."""
-    found: set[Cell] = set()
-    for cell in layout.get(name, ()):
-        if len(cell) != 2 or not all(isinstance(k, int) and not isinstance(k, bool) for k in cell):
-            raise FormatError(f"the layout has {name!r} at {cell!r}; wanted [row, column], whole numbers")
-        found.add((int(cell[0]), int(cell[1])))
-    return sorted(found)
+    try:
+        return sorted(set(msgspec.convert(layout.get(name, ()), list[Cell])))
+    except msgspec.ValidationError as error:
+        raise FormatError(f"the layout has {name!r} at {layout[name]!r}; wanted [row, column] ({error})") from None
 
 
 def ranked(start: Cell, where: Iterable[Cell]) -> list[Cell]:
@@ -126,11 +123,7 @@ def ranked(start: Cell, where: Iterable[Cell]) -> list[Cell]:
     Angles go from the direction of growing columns to that of growing rows, from 0 up to a full turn.
     """
     ways = [(row - start[0], column - start[1]) for row, column in where]
-    return sorted(ways, key=lambda way: (_square(way), math.atan2(*way) % (2 * math.pi)))
-
-
-def _square(way: Cell) -> int:
-    return way[0] ** 2 + way[1] ** 2
+    return sorted(ways, key=lambda way: (way[0] ** 2 + way[1] ** 2, math.atan2(*way) % (2 * math.pi)))
 
 
 def swapped(answer: str) -> str:
@@ -155,20 +148,25 @@ def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
     if skill == MAP:
         return score_map(truth, answer).f1
     reply, true = extracted(answer, think).strip().lower(), str(truth).strip().lower()
-    if skill == COUNTING:
-        return _counted(reply, true)
     if skill == DISTANCE:
         return float(reply == true)
     if skill == DIRECTION:
         return float(_HYPHENS.get(reply, reply) == _HYPHENS.get(true, true))
-    raise FormatError(f"there is no skill {skill!r}; known are {', '.join(SKILLS)}")
+    if skill != COUNTING:
+        raise FormatError(f"there is no skill {skill!r}; known are {', '.join(SKILLS)}")
+    number = re.search(r"\d+", reply)
+    if not re.fullmatch(r"[+-]?\d{1,9}", true):
+        raise FormatError(f"the true count is {shown(true)}; wanted a whole number")
+    if number is None or len(number.group()) > 4000:  # more digits than Python reads: practically infinite
+        return 0.0
+    count, wanted = int(number.group()), int(true)
+    return 1.0 if count == wanted else max(0.0, 1 - abs(count - wanted) / max(count, wanted))
 
 
 def extracted(answer: str, think: bool) -> str:
     """The part of an answer that counts: with `think`, the text between the tags, or all of it without tags."""
-    _, opened, rest = answer.partition("<answer>")
-    reply, closed, _ = rest.partition("</answer>")
-    return reply if think and opened and closed else answer
+    reply = answer_in(answer) if think else None
+    return answer if reply is None else reply
 
 
 def mistake(truth: str, answer: str, think: bool) -> str | None:
@@ -179,16 +177,6 @@ def mistake(truth: str, answer: str, think: bool) -> str | None:
         return "format"
     mirrored = swapped(truth) != truth and score(DIRECTION, swapped(truth), answer)
     return "left and right exchanged" if mirrored else None
-
-
-def _counted(reply: str, true: str) -> float:
-    number = re.search(r"\d+", reply)
-    if not re.fullmatch(r"[+-]?\d{1,9}", true):
-        raise FormatError(f"the true count is {shown(true)}; wanted a whole number")
-    if number is None or len(number.group()) > 4000:  # more digits than Python reads: practically infinite
-        return 0.0
-    count, wanted = int(number.group()), int(true)
-    return 1.0 if count == wanted else max(0.0, 1 - abs(count - wanted) / max(count, wanted))
 
 
 @dataclass(frozen=True)
@@ -249,28 +237,21 @@ def read_map(reply: str) -> dict[str, list[list[int]]] | None:
 
     As published, cells outside of the grid are dropped, and a map with fractions is none.
     """
-    end = reply.rfind("}")
-    depth, start = 0, -1
+    end, depth = reply.rfind("}"), 0
     for start in range(end, -1, -1):
         depth += {"}": 1, "{": -1}.get(reply[start], 0)
-        if depth == 0:
+        if not depth:
             break
-    if end < 0 or depth:
+    else:
         return None
-    found: dict[str, list[list[int]]] = {}
     try:
-        for name, where in parsed(reply[start : end + 1]).items():
-            if not isinstance(where, list):
-                return None
-            for x, y in where:
-                inside = [0 <= k < SIZE for k in (x, y)]  # of anything but numbers an error
-                if all(inside) and not (isinstance(x, int) and isinstance(y, int)):
-                    return None
-                if all(inside):
-                    found.setdefault(name, []).append([int(y), int(x)])
-    except (ValueError, TypeError):
+        named = msgspec.convert(parsed(reply[start : end + 1]), dict[str, list[tuple[Number, Number]]])
+    except (ValueError, msgspec.ValidationError):
         return None
-    return {name: sorted(where) for name, where in found.items()}
+    found = {name: [cell for cell in where if all(0 <= k < SIZE for k in cell)] for name, where in named.items()}
+    if any(isinstance(k, float) for where in found.values() for cell in where for k in cell):
+        return None
+    return {name: sorted([int(y), int(x)] for x, y in where) for name, where in found.items() if where}
 
 
 def _compared(there: dict[str, list[list[int]]], prediction: dict[str, list[list[int]]], rotation: int) -> MapScore:
@@ -299,8 +280,8 @@ def _compared(there: dict[str, list[list[int]]], prediction: dict[str, list[list
         "chair_instance": sum(len(prediction[name]) for name in absent) / named,
         "hallucinated_classes": absent,
     }
-    most = _f1(right, sum(len(prediction[name]) for name in common), sum(len(there[name]) for name in common))
-    return MapScore(rotation, most, overall, categories)
+    both = sum(len(each[name]) for each in (prediction, there) for name in common)
+    return MapScore(rotation, 2 * right / both, overall, categories)
 
 
 def _figures(right: int, named: int, true: int, away: float, empty: float) -> dict[str, Any]:
@@ -308,13 +289,9 @@ def _figures(right: int, named: int, true: int, away: float, empty: float) -> di
     return {
         "precision": right / named if named else empty,
         "recall": right / true if true else empty,
-        "f1": _f1(right, named, true),
+        "f1": 2 * right / (named + true) if right else 0.0,
         "avg_distance": away,
         "tp": right,
         "fp": named - right,
         "fn": true - right,
     }
-
-
-def _f1(right: int, named: int, true: int) -> float:
-    return 2 * right / (named + true) if right else 0.0

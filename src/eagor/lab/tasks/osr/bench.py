@@ -12,38 +12,28 @@ import math
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
 
-from eagor.errors import EagorError, FormatError, QueryError
-from eagor.lab.tasks import osr
+from eagor.errors import FormatError, QueryError
+from eagor.lab.tasks import osr, published
 from eagor.lab.tasks.osr import geometry
 from eagor.lab.tasks.osr.data import SUFFIXES, Question, Scene, Suffix, load, questions_of
-from eagor.lab.tasks.published import (
-    TALKING,
-    PublishedConfig,
-    PublishedRecord,
-    PublishedTask,
-    Recalibrate,
-    read_json,
-    score_metric,
-    words_of,
-)
-from eagor.lab.tasks.task import Payload, Record, Sample
+from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedRecord, PublishedTask, Recalibrate
+from eagor.lab.tasks.task import Metric, Payload, Record, Sample
 from eagor.media.panorama import read_panorama
 from eagor.perception import Perception
 from eagor.perception.vlm import IMAGE, Chat, Message
 
-TRUTH, FILE = "truth", "physical_truth.json"
+FILE = "physical_truth.json"
 TITLES = {osr.COUNTING: "Counting", osr.DISTANCE: "Distance", osr.DIRECTION: "Direction", osr.MAP: "Map"}
 AGENTS = {
     "eagor": "bearings from a belief, ranges from floor contacts",
     TALKING: "asks the model, with the map or without it (--set suffix=...)",
-    "constant": "gives the same answer to every question of a kind",
     "oracle": "knows the label (the official one, if both are asked for)",
 }
 
@@ -73,15 +63,11 @@ class OsrConfig(PublishedConfig, kw_only=True):
         Meta(description="left and right as published (mirrored), as they are in the room, or both side by side"),
     ] = "official"
     suffix: Annotated[Suffix, Meta(description="which of the published files")] = "qa_without_cogmap"
-    skill: Annotated[
-        Literal["all", "object_counting", "relative_distance", "relative_direction", "cognitive_map"],
-        Meta(description="questions of one kind only"),
-    ] = "all"
     prompt: Annotated[
         Literal["vanilla", "think"],
         Meta(description="what the model is asked for: an answer, or its reasoning first"),
     ] = "vanilla"
-    camera_height: Annotated[float, Meta(gt=0, description="metres above the floor; it scales the room")] = (
+    camera_height: Annotated[float, Meta(gt=0, le=1e6, description="metres above the floor; it scales the room")] = (
         geometry.HEIGHT
     )
 
@@ -89,27 +75,15 @@ class OsrConfig(PublishedConfig, kw_only=True):
 # --- agents -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Reply:
+class Reply(NamedTuple):
     """An answer for scoring, and notes for the record."""
 
     text: str
-    notes: dict[str, Any] = field(default_factory=dict)
+    notes: Mapping[str, Any] = {}
 
 
 Agent = Callable[[Scene, Question], Reply]  # raises if there is no reply: that is not a wrong answer
 Detector = Callable[[Scene], geometry.SceneLayout]  # looks at a scene for the things that its questions name
-
-
-def constant(scene: Scene, question: Question, negative: bool) -> str:
-    """A fixed answer, without looking; with absent categories (`negative`), that something is absent."""
-    if question.skill == osr.MAP:
-        return osr.map_text({name: [[5, 5]] for name in question.names or scene.categories})
-    if question.skill == osr.DIRECTION:
-        return osr.NO_OBJECT if negative else "Front Left"
-    if question.skill == osr.DISTANCE:
-        return question.names[1] if len(question.names) > 1 else osr.NO_CANDIDATE
-    return "1"
 
 
 class Vlm:
@@ -144,8 +118,7 @@ class Eagor:
     """
 
     def __init__(self, look: Detector, negative: bool = False) -> None:
-        self._look, self._negative = look, negative
-        self._seen: tuple[str, geometry.SceneLayout] | None = None
+        self.around, self._negative = lru_cache(maxsize=1)(look), negative  # looked at once, for all questions
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
         around, skill, names = self.around(scene), question.skill, question.names
@@ -171,12 +144,6 @@ class Eagor:
             found = geometry.direction_between(start, *(places[name] for name in others))
             return Reply(found or _guess(question), notes)
         return Reply(min(there, key=lambda name: math.dist(start, geometry.nearest(start, places[name]))), notes)
-
-    def around(self, scene: Scene) -> geometry.SceneLayout:
-        """The scene as seen: looked at once, for all names in its questions."""
-        if self._seen is None or self._seen[0] != scene.id:
-            self._seen = scene.id, self._look(scene)
-        return self._seen[1]
 
 
 def _guess(question: Question) -> str:
@@ -219,19 +186,18 @@ class Room(msgspec.Struct):
     camera: Annotated[float, Meta(gt=0, le=1e6)] = geometry.HEIGHT
 
 
-def read_room(folder: Path) -> Room:
-    """The room of a scene's folder. Raises `FormatError` if there is none."""
-    return read_json(folder / FILE, Room, f"is not a room (see {__name__}.Room), which the perception {TRUTH} reads")
-
-
 def true_layout(scene: Scene) -> geometry.SceneLayout:
-    """The true places in a scene, as if the camera saw the things and the floor points below them."""
-    room, found = read_room(scene.folder), []
+    """The true places in a scene, as if the camera saw the things and the floor points below them.
+
+    Raises `FormatError` if its folder does not say them.
+    """
+    room = published.read_json(scene.folder / FILE, Room, f"is not a room (see {__name__}.Room)")
+    found = []
     for body in room.objects:
         azimuth, away = math.atan2(-body.xy[0], body.xy[1]), math.hypot(*body.xy)
         middle, foot = (math.atan2(z - room.camera, away) for z in (body.z_centre, 0.0))
         if body.name in scene.categories:
-            found.append(geometry.Detection(body.name, azimuth, middle, foot=foot))
+            found.append(geometry.Detection(body.name, azimuth, middle, bottom=foot))
     return geometry.SceneLayout(geometry.place(found, room.camera))
 
 
@@ -254,59 +220,46 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
     skill, think = question.skill, config.prompt == "think"
     wanted = ("official", "corrected") if config.labels == "both" else (config.labels,)
     truths = {labels: question.truth(labels) for labels in wanted}
-    maps = {labels: osr.score_map(truth, reply.text) for labels, truth in truths.items()} if skill == osr.MAP else {}
-    scores = {
-        labels: maps[labels].f1 if maps else osr.score(skill, truth, reply.text, think)
-        for labels, truth in truths.items()
-    }
-    truth, main = truths[wanted[0]], scores[wanted[0]]
+    maps = [osr.score_map(truth, reply.text) for truth in truths.values()] if skill == osr.MAP else []
+    values = [each.f1 for each in maps] or [osr.score(skill, each, reply.text, think) for each in truths.values()]
+    scores, truth, cause = dict(zip(wanted, values, strict=True)), truths[wanted[0]], None
+    if values[0] < 1:
+        guessed = "range guessed" if reply.notes.get("guessed") else "wrong"
+        formal = osr.mistake(truth, reply.text, think) if skill == osr.DIRECTION else None
+        cause = "missed" if reply.notes.get("problem") else formal or guessed
     record: dict[str, Any] = {
         "case": question.id,
         "cluster": scene.id,
-        "score": main,
+        "score": values[0],
         "scores": scores,
         "skill": skill,
         "level": TITLES[skill],
         "question": question.text,
         "tags": osr.tags(scene.layout, question.names, question.answer) if skill == osr.DIRECTION else [],
         "answer": reply.text,
-        "cause": cause(skill, truth, reply, think) if main < 1 else None,
+        "cause": cause,
     }
     if maps:
-        found = maps[wanted[0]]
-        record["map"] = {
-            "overall": found.overall, "per_class": found.per_class, "truth": truth, "rotation": found.rotation
-        }  # fmt: skip
-        record["map_range"] = {"least": found.f1, "most": found.f1_most}
+        found = msgspec.to_builtins(maps[0])
+        record["map_range"] = {"least": maps[0].f1, "most": found.pop("f1_most")}
+        record["map"] = found | {"truth": truth}
     else:
         record["truth"] = truth
     return record | ({"steps": [reply.notes]} if reply.notes else {})
 
 
-def cause(skill: str, truth: Any, reply: Reply, think: bool) -> str:
-    """The cause of a wrong answer."""
-    if reply.notes.get("problem"):
-        return "missed"
-    found = osr.mistake(truth, reply.text, think) if skill == osr.DIRECTION else None
-    return found or ("range guessed" if reply.notes.get("guessed") else "wrong")
-
-
 # --- the task ---------------------------------------------------------------------------------------------------------
 
 
-def _of(skill: str, labels: str | None = None) -> Callable[[Record], float | None]:
-    """The score of the questions of one kind: by the labels of the run, or by these."""
+def _score(key: str, title: str, what: str, skill: str, labels: str = "") -> Metric:
+    """The score of the questions of one kind, or with one tag: by the labels of the run, or by these."""
 
     def read(record: Record) -> float | None:
-        if record["skill"] != skill:
+        if skill not in (record["skill"], *record["tags"]):
             return None
-        return record["score"] if labels is None else record["scores"].get(labels)
+        return record["scores"].get(labels) if labels else record["score"]
 
-    return read
-
-
-def _tagged(tag: str) -> Callable[[Record], float | None]:
-    return lambda record: record["score"] if tag in record["tags"] else None
+    return published.score_metric(key, title, what, read)
 
 
 class OsrBench(PublishedTask):
@@ -318,20 +271,18 @@ class OsrBench(PublishedTask):
     agents, looking = AGENTS, ("eagor",)
     truth: ClassVar = f"the true places, for data that has a {FILE} in each scene"
     metrics = (
-        score_metric(
+        published.score_metric(
             "overall", "Overall", "mean over the kinds of questions", lambda r: r["score"], lambda r: r["skill"]
         ),
-        score_metric("direction", "Direction", "relative direction, by the labels of the run", _of(osr.DIRECTION)),
-        score_metric("direction_official", "official", "by the published labels", _of(osr.DIRECTION, "official")),
-        score_metric(
-            "direction_corrected", "corrected", "with left and right put right", _of(osr.DIRECTION, "corrected")
-        ),
-        score_metric("direction_clear", "clear", "both products above one squared cell", _tagged("clear")),
-        score_metric("direction_border", "border", "a product of at most one squared cell", _tagged("near a border")),
-        score_metric("distance", "Distance", "which is the closest", _of(osr.DISTANCE)),
-        score_metric("counting", "Counting", "how many, with the partial credit of the benchmark", _of(osr.COUNTING)),
-        score_metric("map", "Map F1", "the map: the least that the published code gives", _of(osr.MAP)),
-        score_metric(
+        _score("direction", "Direction", "relative direction, by the labels of the run", osr.DIRECTION),
+        _score("direction_official", "official", "by the published labels", osr.DIRECTION, "official"),
+        _score("direction_corrected", "corrected", "with left and right put right", osr.DIRECTION, "corrected"),
+        _score("direction_clear", "clear", "both products above one squared cell", "clear"),
+        _score("direction_border", "border", "a product of at most one squared cell", "near a border"),
+        _score("distance", "Distance", "which is the closest", osr.DISTANCE),
+        _score("counting", "Counting", "how many, with the partial credit of the benchmark", osr.COUNTING),
+        _score("map", "Map F1", "the map: the least that the published code gives", osr.MAP),
+        published.score_metric(
             "map_most",
             "at most",
             "the most it gives: it depends on PYTHONHASHSEED",
@@ -340,73 +291,65 @@ class OsrBench(PublishedTask):
     )
 
     def info(self, data: Path) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        seen: dict[str, Scene] = {}
+        files, seen = {}, dict[str, Scene]()
         for suffix in SUFFIXES:
             try:
                 scenes = load(Path(data), suffix)
-            except FormatError:
+            except FormatError as error:
+                why = error
                 continue
             seen |= {scene.id: scene for scene in scenes}
             questions = [question for scene in scenes for question in scene.questions]
             labels = Counter(question.answer for question in questions if question.skill == osr.DIRECTION)
-            found[suffix] = {
+            files[suffix] = {
                 "scenes": len(scenes),
                 "questions": dict(Counter(question.skill for question in questions)),
                 "empty_labels_skipped": sum(scene.skipped for scene in scenes),
                 "direction_labels": dict(labels.most_common()),
-                "not_understood": sum(not question.names for question in questions),
             }
-        if not found:
-            load(Path(data))  # raises with the reason
+        if not files:
+            raise why
         without = sum(scene.image is None for scene in seen.values())
-        return {"files": found, "pictures": len(seen) - without, "pictures_missing": without}
+        return {"files": files, "pictures": len(seen) - without, "pictures_missing": without}
 
     def samples(self, config: OsrConfig) -> list[Sample]:
-        return [
-            Sample(question.id, scene.id, {"question": question.id})
-            for scene, question in questions_of(config.data, config.suffix).values()
-            if config.skill in ("all", question.skill)
-        ]
+        found = questions_of(config.data, config.suffix)
+        return [Sample(id, scene.id, {"question": id}) for id, (scene, _) in found.items()]
 
     def open_perception(self, config: OsrConfig) -> Any:
-        name, *options = str(config.perception).split(":", 1)
-        if name != TRUTH:
+        if config.perception != "truth":
             return super().open_perception(config)
-        if options:
-            raise EagorError(f"perception {config.perception!r}; osr has {TRUTH}, which takes no options")
-        for folder in {scene.folder for scene, _ in questions_of(config.data, config.suffix).values()}:
-            read_room(folder)  # all of them, before the run
-        return TRUTH
+        for scene, _ in questions_of(config.data, config.suffix).values():
+            true_layout(scene)  # all of them, before the run
+        return None
 
     def player(self, config: OsrConfig, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
-        negative, labels = "with_negative" in config.suffix, "corrected" if config.labels == "corrected" else "official"
+        labels = "corrected" if config.labels == "corrected" else "official"
 
         def oracle(scene: Scene, question: Question) -> Reply:
             truth = question.truth(labels)
             return Reply(osr.map_text(osr.layout_of(truth)) if question.skill == osr.MAP else str(truth))
 
-        agents: dict[str, Agent] = {
+        def look(scene: Scene) -> geometry.SceneLayout:
+            return (
+                true_layout(scene) if perception is None else seen_layout(perception, config.camera_height, read, scene)
+            )
+
+        agents = {
             "oracle": oracle,
-            "constant": lambda scene, question: Reply(constant(scene, question, negative)),
             TALKING: Vlm(chat, config.prompt),
-            "eagor": Eagor(
-                true_layout
-                if perception == TRUTH
-                else lambda scene: seen_layout(perception, config.camera_height, read, scene),
-                negative,
-            ),
+            "eagor": Eagor(look, "negative" in config.suffix),
         }
-        questions, agent = questions_of(config.data, config.suffix), agents[config.agent]
+        agent: Agent = agents[config.agent]
 
         def play(payload: Payload) -> Record:
-            scene, question = questions[payload["question"]]
+            scene, question = questions_of(config.data, config.suffix)[payload["question"]]
             return record_of(scene, question, agent(scene, question), config)
 
         return play
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: OsrConfig) -> Record:
-        answer = words_of(prediction, ("text", "answer", "model_answer"), '"text": words')
+        answer = published.words_of(prediction, ("text", "answer", "model_answer"), '"text": words')
         return record_of(*questions_of(config.data, config.suffix)[sample.id], Reply(answer), config)
 
 

@@ -13,7 +13,7 @@ import csv
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -32,11 +32,11 @@ Suffix = Literal["qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negativ
 SUFFIXES: tuple[Suffix, ...] = get_args(Suffix)
 WITHOUT = "_without_cogmap"
 FAULT = "cannot be read as JSON of OSR-Bench"
-# The text of each kind of question, with names of things in groups: one name, or several separated by commas.
+# The text of each kind of question, with names of things in groups, the last of several separated by commas.
 _WORDS = {
     DIRECTION: r"standing by the (.+?) and facing the closest (.+?), is the closest (.+?) to my front",
-    DISTANCE: r"which of these objects \((?P<several>[^)]*)\) is the closest to the (?P<first>.+?) in this PANO",
-    MAP: r"in this scene: \{(?P<several>[^}]*)\}",
+    DISTANCE: r"which of these objects \(([^)]*)\) is the closest to the (.+?) in this PANO",
+    MAP: r"in this scene: \{([^}]*)\}",
     COUNTING: r"How many (.+?)\(s\) are in this room",
 }
 
@@ -74,8 +74,10 @@ class Question:
 
         The category counted; the category and then the choices; P, O and Q; or all categories of the map.
         """
-        skill, names = read(self.text) or ("", ())
-        return names if skill == self.skill else ()
+        found = re.search(_WORDS[self.skill], self.text)
+        if not found or self.skill in (COUNTING, DIRECTION):
+            return found.groups() if found else ()
+        return (*found.groups()[1:], *(name for part in found[1].split(",") if (name := part.strip())))
 
     def truth(self, labels: str) -> Any:
         """The answer according to the labels "official" or "corrected": left and right as they are in the room."""
@@ -84,18 +86,6 @@ class Question:
         if self.skill == MAP:
             return [row[::-1] for row in self.answer]
         return swapped(self.answer) if self.skill == DIRECTION else self.answer
-
-
-def read(text: str) -> tuple[str, tuple[str, ...]] | None:
-    """The skill that `text` asks for, and the names in it; None if it is not a question of this benchmark."""
-    for skill, words in _WORDS.items():
-        if found := re.search(words, text):
-            groups = found.groupdict()
-            if not groups:
-                return skill, found.groups()
-            listed = tuple(name.strip() for name in groups["several"].split(",") if name.strip())
-            return skill, ((groups["first"], *listed) if "first" in groups else listed)
-    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,15 +130,17 @@ def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
     If there are only files with the map's question, files without it are derived from them (the questions are the
     same). Raises `FormatError` if there are none, or one cannot be read.
     """
-    if not data.exists():
-        raise FormatError(f"there is no folder {data}; give the one that holds the scenes of OSR-Bench")
-    plain = suffix.removesuffix(WITHOUT)
-    files = sorted(data.rglob(f"*_{suffix}.json"))
+    plain, scenes = suffix.removesuffix(WITHOUT), list[Scene]()
+    files = list(data.rglob(f"*_{suffix}.json"))
     have = {path.parent for path in files}
-    files += [path for path in sorted(data.rglob(f"*_{plain}.json")) if path.parent not in have]
-    scenes = [_from_json(path, suffix) for path in files]
-    if not scenes and plain == "qa":
-        scenes = [scene for path in sorted(data.rglob("qa.csv")) for scene in _from_table(path, suffix)]
+    for path in [*files, *(path for path in data.rglob(f"*_{plain}.json") if path.parent not in have)]:
+        found = read_json(path, _Conversation, FAULT)
+        scenes.append(_scene(found.conversation, found.image_id, path.parent.name, path.parent, suffix, path))
+    for path in data.rglob("qa.csv") if plain == "qa" and not scenes else ():
+        for image_id, turns in _table(path).items():  # a scene for each picture
+            place = PurePosixPath(image_id)
+            name = place.parent.name or place.stem
+            scenes.append(_scene(turns, image_id, name, path.parent / place.parent, suffix, path))
     if not scenes:
         there = sorted(kind for kind in SUFFIXES if any(data.rglob(f"*_{kind}.json")))
         hint = f"it has files of the kind {', '.join(there)}: choose one with --set suffix=KIND"
@@ -166,26 +158,25 @@ def questions_of(data: str, suffix: str) -> dict[str, tuple[Scene, Question]]:
     return {question.id: (scene, question) for scene in load(Path(data), suffix) for question in scene.questions}
 
 
-def _scene(turns: Iterable[Turn], image_id: str, name: str, folder: Path, suffix: str, path: Path) -> Scene:
+def _scene(turns: Sequence[Turn], image_id: str, name: str, folder: Path, suffix: str, path: Path) -> Scene:
     """The scene in `folder` with those questions in the file `path` that have an answer."""
     found: list[Question] = []
     skipped, taken = 0, Counter[int]()
     for place, turn in enumerate(turns):
-        asked, answer = read(turn.question), turn.answer
-        skill = turn.skills_tested or (asked[0] if asked else None)
+        skill = turn.skills_tested or next((s for s, words in _WORDS.items() if re.search(words, turn.question)), None)
         if skill not in SKILLS:
             raise FormatError(
                 f"{path}, {shown(turn.question)}: the skill is {shown(skill)}; known are {', '.join(SKILLS)}"
             )
         if skill == MAP and suffix.endswith(WITHOUT):
             continue
-        if answer is None or answer == "":
+        if turn.answer is None or turn.answer == "":
             skipped += 1
             continue
         number = place if turn.turn_id is None else turn.turn_id
         taken[number] += 1
         again = f"-{taken[number]}" if taken[number] > 1 else ""
-        answer = _grid(answer, path) if skill == MAP else str(answer)
+        answer = _grid(turn.answer, path) if skill == MAP else str(turn.answer)
         found.append(Question(f"{name}/{suffix}/{number}{again}", skill, turn.question, answer))
     pictures = [folder / "rgb.png", *(above / image_id for above in (folder, *folder.parents[:3]))]
     image = next((picture for picture in pictures if os.path.isfile(picture)), None)  # False for invalid names
@@ -200,13 +191,8 @@ def _grid(answer: str | int | Grid, path: Path) -> Grid:
         raise FormatError(f"{path}: the map is {shown(answer)}; wanted rows of lists of names ({error})") from None
 
 
-def _from_json(path: Path, suffix: str) -> Scene:
-    found = read_json(path, _Conversation, FAULT)
-    return _scene(found.conversation, found.image_id, path.parent.name, path.parent, suffix, path)
-
-
-def _from_table(path: Path, suffix: str) -> Iterator[Scene]:
-    """The scenes of a table, one for each picture."""
+def _table(path: Path) -> dict[str, list[Turn]]:
+    """The turns in a table, by picture."""
     turns: dict[str, list[Turn]] = {}
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
@@ -214,6 +200,4 @@ def _from_table(path: Path, suffix: str) -> Iterator[Scene]:
                 turns.setdefault(row["image_id"], []).append(msgspec.convert(row, Turn, strict=False))
     except (OSError, UnicodeError, csv.Error, KeyError, msgspec.ValidationError) as error:
         raise FormatError(f"{path} cannot be read as CSV with image_id, question and answer ({error})") from None
-    for image_id, asked in turns.items():
-        place = PurePosixPath(image_id)
-        yield _scene(asked, image_id, place.parent.name or place.stem, path.parent / place.parent, suffix, path)
+    return turns

@@ -21,7 +21,7 @@ from eagor._values import lazy
 from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.evidence.shapes import MIN_SPREAD
-from eagor.lab.tasks.osr import SIZE, named, products
+from eagor.lab.tasks.osr import SIZE, named
 from eagor.sphere import azimuth_elevation
 
 HEIGHT = 1.5  # metres of the camera above the floor, by default
@@ -42,7 +42,6 @@ SKIRT = 0.35  # share of a peak's height down to which the response around it be
 NEAR = math.radians(50)
 PARAMETERS = 6  # of a bump
 
-Source = Literal["contact", "height", "beyond", "guess"]
 Spot = tuple[float, float]  # on the floor
 Box = tuple[np.ndarray, np.ndarray, np.ndarray]  # a rectangle's axes, as rows, and its least and greatest along them
 
@@ -52,9 +51,9 @@ class Detection:
     """One thing as seen: its category, and the azimuth and elevation of its middle.
 
     - `bottom`: the elevation of its lowest edge; `half_width`: half of its angular width.
-    - `foot`: the elevation at which its middle meets the floor, if known better than `bottom`.
     - `contact`: whether its lowest edge touches the floor.
     - `weight`: its strength of belief, relative to others.
+    - `xy`: once it is placed, where it is in metres, and `range_from`: what its range was taken from.
     """
 
     name: str
@@ -62,25 +61,21 @@ class Detection:
     elevation: float
     bottom: float | None = None
     half_width: float = 0.0
-    foot: float | None = None
     contact: bool = True
     weight: float = 1.0
+    xy: Spot = (0.0, 0.0)
+    range_from: Literal["contact", "height", "beyond", "guess"] = "guess"
 
-
-@dataclass(frozen=True)
-class Placed:
-    """A thing on the floor: `xy` in metres, and what its range was taken from."""
-
-    thing: Detection
-    xy: Spot
-    source: Source
+    def at(self, away: float, source: Any) -> Detection:
+        """The same thing on the floor, `away` metres from the camera."""
+        return replace(self, xy=_on_floor(self.azimuth, away), range_from=source)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneLayout:
-    """What is around, the likeliest first, and the names that the perception did not understand."""
+    """What is around, placed, the likeliest first, and the names that the perception did not understand."""
 
-    placed: Sequence[Placed]
+    placed: Sequence[Detection]
     unknown_queries: Sequence[str] = ()
 
     @lazy
@@ -88,25 +83,25 @@ class SceneLayout:
         """Where the things are, by name."""
         found: dict[str, list[Spot]] = {}
         for each in self.placed:
-            found.setdefault(each.thing.name, []).append(each.xy)
+            found.setdefault(each.name, []).append(each.xy)
         return found
 
     def notes(self, names: Sequence[str]) -> dict[str, Any]:
         """Where the things with these names were seen and placed, for the record."""
-        shown = [each for name in dict.fromkeys(names) for each in self.placed if each.thing.name == name]
+        shown = [each for name in dict.fromkeys(names) for each in self.placed if each.name == name]
         notes: dict[str, Any] = {
             "things": [
                 {
-                    "name": each.thing.name,
-                    "azimuth_deg": round(math.degrees(each.thing.azimuth), 1),
-                    "elevation_deg": round(math.degrees(each.thing.elevation), 1),
+                    "name": each.name,
+                    "azimuth_deg": round(math.degrees(each.azimuth), 1),
+                    "elevation_deg": round(math.degrees(each.elevation), 1),
                     "xy": [round(value, 2) for value in each.xy],
-                    "range_from": each.source,
+                    "range_from": each.range_from,
                 }
                 for each in shown
             ]
         }
-        if any(each.source != "contact" for each in shown):
+        if any(each.range_from != "contact" for each in shown):
             notes["guessed"] = True
         if unknown := [name for name in names if name in self.unknown_queries]:
             notes["strange"] = unknown
@@ -116,42 +111,44 @@ class SceneLayout:
 # --- places -----------------------------------------------------------------------------------------------------------
 
 
-def place(things: Sequence[Detection], height: float) -> list[Placed]:
+def place(things: Sequence[Detection], height: float) -> list[Detection]:
     """Every thing on the floor, the likeliest first; `height` of the camera in metres.
 
     Ranges come from the contact with the floor. The middle of a standing thing without a visible contact is assumed at
     the height `MIDDLE`. Hanging things are put on a rectangle around the standing ones ("beyond"), or, if there is
     none, at the median range of the others ("guess").
     """
-    measured = [_measured(thing, height) for thing in things]
-    known = [(thing.azimuth, found[0]) for thing, found in zip(things, measured, strict=True) if found]
+    ranges = [_range(thing, height) for thing in things]
+    known = [(thing.azimuth, away) for thing, away in zip(things, ranges, strict=True) if away is not None]
     box = enclosing([_on_floor(*each) for each in known])
     middle = float(np.median([away for _, away in known])) if known else GUESS
     placed = []
-    for thing, found in zip(things, measured, strict=True):
-        away, source = found or ((middle, "guess") if box is None else (range_to(box, thing.azimuth), "beyond"))
-        placed.append(Placed(thing, _on_floor(thing.azimuth, away), source))
-    return sorted(placed, key=lambda each: -each.thing.weight)
+    for thing, away in zip(things, ranges, strict=True):
+        if away is not None:
+            placed.append(thing.at(away, "height" if thing.bottom is None else "contact"))
+        else:
+            placed.append(
+                thing.at(middle, "guess") if box is None else thing.at(range_to(box, thing.azimuth), "beyond")
+            )
+    return sorted(placed, key=lambda each: -each.weight)
 
 
 def _on_floor(azimuth: float, away: float) -> Spot:
     return away * math.cos(azimuth), away * math.sin(azimuth)
 
 
-def _measured(thing: Detection, height: float) -> tuple[float, Source] | None:
-    """The range from the floor, and what it was taken from."""
+def _range(thing: Detection, height: float) -> float | None:
+    """The range of a thing by the floor; None if it does not touch it, or too far away."""
     if not thing.contact:
         return None
-    if thing.foot is None and thing.bottom is None:
-        away = floor_range(thing.elevation, height - MIDDLE)
-        return None if away is None else (away, "height")
-    away = floor_range(thing.bottom if thing.foot is None else thing.foot, height)  # type: ignore[arg-type]
-    if away is not None and thing.foot is None:
-        # The lowest edge is the near one: half of the depth is added. It is assumed to be a share of the half width
-        # (of a round outline with the share 1, d becomes d / (1 - sin w)), and small: furniture is wider than deep.
-        share = DEPTH * math.sin(min(thing.half_width, WIDEST))
-        away = min(away + min(away * share / (1 - share), DEEPEST), FARTHEST)
-    return None if away is None else (away, "contact")
+    if thing.bottom is None:
+        return floor_range(thing.elevation, height - MIDDLE)
+    if (away := floor_range(thing.bottom, height)) is None:
+        return None
+    # The lowest edge is the near one: half of the depth is added. It is assumed to be a share of the half width (of a
+    # round outline with the share 1, d becomes d / (1 - sin w)), and small: furniture is wider than deep.
+    share = DEPTH * math.sin(min(thing.half_width, WIDEST))
+    return min(away + min(away * share / (1 - share), DEEPEST), FARTHEST)
 
 
 def floor_range(elevation: float, height: float) -> float | None:
@@ -201,8 +198,7 @@ def nearest(start: Spot, others: Sequence[Spot]) -> Spot:
 
 def direction_between(P: Spot, O: Sequence[Spot], Q: Sequence[Spot]) -> str:
     """The direction of the nearest Q from P facing the nearest O: "Front Left", and so on."""
-    facing, asked = (np.subtract(nearest(P, things), P).tolist() for things in (O, Q))
-    return named(*products(facing, asked))
+    return named(*(np.subtract(nearest(P, things), P).tolist() for things in (O, Q)))
 
 
 def layout_from(places: Mapping[str, Sequence[Spot]]) -> dict[str, list[list[int]]]:
