@@ -19,9 +19,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
-from eagor.lab.agents.models import is_privileged
 from eagor.lab.tasks import published
 from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, Recalibrate, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample
@@ -236,10 +234,9 @@ class Eagle360(PublishedTask):
     what = "name the direction of a thing in a panorama, looking closer at most six times"
     agents, causes, looking = AGENTS, CAUSES, ("eagor", "global")
     Config = Config
-    truth = ""
     metrics = (
-        score_metric("overall", "bFOV", "answers within half of the box's diagonal", lambda record: record["score"]),
-        *published.level_metrics(FACES, "the same of things"),
+        score_metric("overall", "bFOV", "answers within half of the box's diagonal"),
+        *(score_metric(face, face.capitalize(), f"the same of things {face}", of=face) for face in FACES),
         score_metric("within_50", "Within 50°", "answers within 50 degrees", lambda r: float(r["error"] < 50)),
         score_metric("answered", "Answered", "with an answer", lambda r: float(r["answer"] is not None)),
         Metric("distance", "Distance", "from the truth; none counts as 180", lambda r: r["error"], "°", "low", 1.0),
@@ -255,12 +252,6 @@ class Eagle360(PublishedTask):
 
     def samples(self, config: Config) -> list[Sample]:
         return read_samples(config.data)
-
-    def open_perception(self, config: Config) -> Any:
-        made = super().open_perception(config)
-        if is_privileged(made):
-            raise EagorError(f"{config.perception} reads what a simulator knows; {self.name} has photographs only")
-        return made
 
     def player(self, config: Config, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
         def play(payload: Payload) -> Record:

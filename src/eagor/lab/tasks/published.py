@@ -24,6 +24,7 @@ TALKING = "vlm"  # the agent that asks a model, in every task
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 Recalibrate = Callable[[Evidence], Evidence]  # what the calibration of a run makes of a look
+Read = Callable[[Record], float | None]  # what a metric reads in a record
 Kind = TypeVar("Kind")
 
 
@@ -82,7 +83,7 @@ class PublishedTask:
 
     agents: ClassVar[Mapping[str, str]]
     looking: ClassVar[Sequence[str]] = ()
-    truth: ClassVar[str] = "the annotations"
+    truth: ClassVar[str] = ""
     causes: ClassVar[Mapping[str, str]] = {}
     strata: ClassVar[Mapping[str, str]] = {}
     ranked_by: ClassVar[Sequence[str]] = ("overall",)
@@ -94,9 +95,12 @@ class PublishedTask:
 
     def open_perception(self, config: Any) -> Any:
         """The perception that the config names, made once per process. Raises `EagorError` if it cannot be."""
-        from eagor.lab.agents.models import shared  # imports perceptions: not for those who only list tasks
+        from eagor.lab.agents import models  # imports perceptions: not for those who only list tasks
 
-        return shared(config.perception)
+        made = models.shared(config.perception)
+        if models.is_privileged(made):
+            raise EagorError(f"{config.perception} reads what a simulator knows; {self.name} has photographs only")
+        return made
 
     def _tools(self, config: Any) -> tuple[Any, Any]:
         """The perception and the model of the config, None where it names none."""
@@ -129,14 +133,9 @@ class PublishedTask:
                 f"the agent {agent} asks a model; name it with --model, such as MODEL@http://localhost:8000/v1, "
                 "or package.module:function"
             )
-        found = msgspec.structs.replace(
-            config,
-            agent=agent,
-            perception=config.perception if looks else None,
-            model=config.model if talks else None,
-            calibrated=config.calibrated if looks else None,
-            versions={"eagor": __version__},
-        )
+        needs = {"perception": looks, "model": talks, "calibrated": looks}
+        kept = {name: getattr(config, name) if need else None for name, need in needs.items()}
+        found = msgspec.structs.replace(config, agent=agent, versions={"eagor": __version__}, **kept)
         self._tools(found)
         return found
 
@@ -147,19 +146,19 @@ class PublishedTask:
 
 
 def score_metric(
-    key: str, title: str, what: str, read: Callable[[Record], float | None], over: Callable[[Record], str] | None = None
+    key: str, title: str, what: str, read: Read | None = None, over: Any = None, of: str = "", by: str = ""
 ) -> Metric:
-    """A metric in per cent of what `read` finds in a record."""
-    return Metric(key, title, what, read, digits=2, share=True, over=over)
+    """A metric in per cent of what `read` finds in a record: by default its score.
 
+    `of`: only of records of this level, or with this tag; `by`: the one of its scores with this name; `over`: as there.
+    """
 
-def level_metrics(levels: Sequence[str], what: str) -> list[Metric]:
-    """For each of the levels the score of the records of that level; `what` they are, before the level's name."""
+    def own(record: Record) -> float | None:
+        if of and of not in (record.get("level"), *record.get("tags", ())):
+            return None
+        return record.get("scores", {}).get(by) if by else record["score"]
 
-    def read(level: str) -> Callable[[Record], float | None]:
-        return lambda record: record["score"] if record.get("level") == level else None
-
-    return [score_metric(level, level.capitalize(), f"{what} {level}", read(level)) for level in levels]
+    return Metric(key, title, what, read or own, digits=2, share=True, over=over)
 
 
 def words_of(prediction: Mapping[str, Any], keys: Sequence[str], wanted: str) -> str:

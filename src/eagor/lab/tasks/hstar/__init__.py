@@ -57,7 +57,7 @@ class Episode(msgspec.Struct, frozen=True):
     """One start for one target; `id` is ``scene/entry/start``, which share all but the start in a `cluster`.
 
     `item`: the task, and the annotated box in degrees, as written (without pitch in HPS); `others`: those of the rest
-    of the scene. `start`: yaw of the first view, whose pitch is 0. `level`: 0, 1, ..., None if unknown.
+    of the scene. `start`: yaw of the first view, whose pitch is 0. `level`: one of `LEVELS`, or "unknown".
     """
 
     id: str
@@ -67,17 +67,8 @@ class Episode(msgspec.Struct, frozen=True):
     item: dict[str, Any]
     others: list[dict[str, Any]]
     start: int | float
-    level: int | None
+    level: str
     panorama: str
-
-    @property
-    def level_name(self) -> str:
-        """The level in words; "unknown" if there is none."""
-        names = LEVELS[self.kind]
-        return names[self.level] if self.level is not None and self.level < len(names) else "unknown"
-
-
-# --- success ----------------------------------------------------------------------------------------------------------
 
 
 class Box(msgspec.Struct):
@@ -154,11 +145,10 @@ _FORM = "\n".join(["You can take 1 action(s) at a time.", *TEXTS["form"]])  # en
 def system_text(kind: str) -> str:
     """The system message for ``hos`` or ``hps``."""
     lines = [TEXTS["goal"][kind], *TEXTS["actions"], "", "Example:"]
-    feedback, replies = [], []
-    for index, (thought, action, pose) in enumerate(TEXTS["example"], start=1):
-        replies.append(f"<think>{thought}</think><answer>{action}</answer>")
-        lines += [f"Round {index}:", *feedback, f"image_{index}", replies[-1]]
-        feedback = [f"Env_feedback: {succeeded(pose)}."]
+    replies = [f"<think>{thought}</think><answer>{action}</answer>" for thought, action, _ in TEXTS["example"]]
+    for index, reply in enumerate(replies):
+        feedback = [f"Env_feedback: {succeeded(TEXTS['example'][index - 1][2])}."] if index else []
+        lines += [f"Round {index + 1}:", *feedback, f"image_{index + 1}", reply]
     return "\n".join([*lines, "Round 4:", "Env_feedback: Success", _FORM, f"e.g. {replies[0]}"])
 
 
@@ -242,8 +232,7 @@ def parse_action(text: str) -> Reply:
 
 HFOV_DEG = 100.0
 RESOLUTION = 1080  # rows; columns are rows // 9 * 16
-CROSS = (0, 255, 0)
-ARM = 10  # pixels of the cross to each side of the centre
+ARM = 10  # pixels of the green cross to each side of the centre
 
 
 @dataclass(frozen=True)
@@ -258,9 +247,17 @@ class View:
         """The pose ``(3, 3)`` in our world frame: x at yaw 0, y to the left, z up."""
         return world_R_body(-math.radians(self.yaw), -math.radians(self.pitch))
 
-    def grid(self, rows: int = RESOLUTION, columns: int | None = None) -> PerspectiveGrid:
+    def grid(self, rows: int = RESOLUTION) -> PerspectiveGrid:
         """The view's cells in the world frame."""
-        return PerspectiveGrid(rows, columns or rows // 9 * 16, math.radians(HFOV_DEG), self.world_R_view)
+        return PerspectiveGrid(rows, rows // 9 * 16, math.radians(HFOV_DEG), self.world_R_view)
+
+    def shows(self, directions: np.ndarray) -> np.ndarray:
+        """Which directions ``(n, 3)`` of the world it shows, bool ``(n,)``."""
+        return self.grid().project(directions)[2]
+
+    def share(self, item: Mapping[str, Any]) -> float:
+        """The visible fraction of an item's box (without pitch, of a window of 10 degrees at the horizon)."""
+        return float(self.shows(box_points(item["yaw"], item.get("pitch"))).mean())
 
     def after(self, action: Action | None) -> View:
         """The view after `action`; only ``rotate`` changes it: yaw wraps, pitch ends straight up and straight down."""
@@ -302,7 +299,7 @@ def render_view(
     out = (np.stack(bands, axis=-1) + np.float32(0.5)).astype(np.uint8)
     if cross:
         row, column, upright, level = _cross(out)
-        out[upright, column] = out[row, level] = CROSS
+        out[upright, column] = out[row, level] = (0, 255, 0)
     return out
 
 
@@ -335,28 +332,10 @@ def _cross(picture: np.ndarray) -> tuple[int, int, slice, slice]:
     return row, column, slice(max(0, row - ARM), row + ARM + 1), slice(max(0, column - ARM), column + ARM + 1)
 
 
-def visible_share(view: View, yaw: tuple[float, float], pitch: tuple[float, float] | None) -> float:
-    """The visible fraction of a box (degrees; without pitch, of a window of 10 degrees at the horizon)."""
-    return float(inside(view, box_points(yaw, pitch)).mean())
-
-
-def level_of(view: View, yaw: tuple[float, float], pitch: tuple[float, float]) -> int:
-    """0 if at least half of the box is in the view, 1 if some of it is, 2 if none."""
-    share = visible_share(view, yaw, pitch)
-    return 0 if share >= 0.5 else 1 if share > 0 else 2
-
-
-def inside(view: View, directions: np.ndarray) -> np.ndarray:
-    """Which directions ``(n, 3)`` of the world the view shows, bool ``(n,)``."""
-    return view.grid().project(directions)[2]
-
-
 def box_points(yaw: tuple[float, float], pitch: tuple[float, float] | None) -> np.ndarray:
     """Directions ``(576, 3)`` that sample a box evenly by solid angle."""
-    low, high = pitch if pitch is not None else (-10.0, 10.0)
+    low, high = np.sin(np.radians(pitch if pitch is not None else (-10.0, 10.0)))
     parts = (np.arange(24) + 0.5) / 24
-    sines = np.sin(np.radians(low)) + parts * (np.sin(np.radians(high)) - np.sin(np.radians(low)))
-    yaws, pitches = np.meshgrid(
-        yaw[0] + parts * ((yaw[1] - yaw[0]) % 360.0), np.degrees(np.arcsin(np.clip(sines, -1, 1)))
-    )
+    pitches = np.degrees(np.arcsin(np.clip(low + parts * (high - low), -1, 1)))
+    yaws, pitches = np.meshgrid(yaw[0] + parts * ((yaw[1] - yaw[0]) % 360.0), pitches)
     return direction_from_hstar(yaws, pitches).reshape(-1, 3)

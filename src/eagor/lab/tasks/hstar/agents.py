@@ -3,6 +3,10 @@
 An agent gets the current view, may look, and returns an action. At every turn it also returns the answer that it would
 submit if the episode ended there, so that success by turn needs no further runs. Those that look are given a
 `Detector`: any perception, or ``truth``, a simulated detector of known quality based on the annotations.
+
+Ours keeps a belief about the target's direction (`Search`) in the world frame. Directions that were looked at without a
+response lose belief, others keep theirs. What a view tells is the mutual information between the outcome of the look
+and the target's direction. The submission is the window with the most belief.
 """
 
 from __future__ import annotations
@@ -10,30 +14,36 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from msgspec import Meta
+from scipy.ndimage import convolve1d
 
 from eagor._arrays import to_numpy
+from eagor._values import lazy
 from eagor.baselines import Centroid, HistogramFilter
+from eagor.belief import Belief
 from eagor.conventions import hstar_from_direction
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.coverage import looked_at
 from eagor.evidence.detections import resolved
 from eagor.evidence.shapes import MIN_SPREAD
-from eagor.grids import PerspectiveGrid
+from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.harmonics.peaks import decoding_grid
 from eagor.lab.agents.steering import next_heading
 from eagor.lab.tasks import hstar
-from eagor.lab.tasks.hstar.search import DEGREE, ELSEWHERE, HEADINGS, SURE, Answer, Search
+from eagor.lab.tasks.hstar import HFOV_DEG, PITCH_TOLERANCE, YAW_TOLERANCE, View
 from eagor.lab.tasks.published import PublishedConfig, Recalibrate, first_known, queries_of
 from eagor.perception import Perception
-from eagor.perception.partial import look_at_view
+from eagor.perception.partial import coverage, look_at_view
 from eagor.perception.truth import Noise, Report, displaced, drawn
 from eagor.perception.vlm import Chat, Message
 from eagor.sphere import world_R_body
+from eagor.tracking.looking import even_and_usual, information
 
 AGENTS = {
     "eagor": "one belief over all directions from all views; looks where it expects to learn most, submits when sure",
@@ -49,6 +59,26 @@ LOOKING = ("eagor", "centroid", "grid", "sweep", "single")
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
 RESPONDS = 0.3  # response from which on a per-view agent counts a detection
 CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)  # of truth; tuned as `Search` was
+
+
+# Tuned on development apartments (random trials, benchmarks/search.py --fit of commit 5a35d191): the model of a look
+# and the probability that is stated; the prior on development scenes with things at all heights.
+DEGREE = 15  # of the harmonics
+HIT, ALARM = 0.7, 0.2  # model of a look: probabilities of a detection of a target in view, and of a false alarm
+# Share of a look that repeats the one before, as a model's errors persist; of the one before that, its square; ...
+REPEATS = 0.48
+HEIGHT, TILT = -15.0, 20.0  # degrees: mean and standard deviation of the elevation where things usually are
+SURE, ELSEWHERE = 0.95, 0.5  # defaults of the settings of these names
+# Of the probability stated for a window with the share p of the belief: logit(stated) = SHIFT + SLOPE logit(p) (Platt
+# 1999), by the log score at each of ten turns. Looks are read cautiously, so the belief is underconfident.
+SHIFT, SLOPE = 1.44, 1.24
+
+STEP = 5  # degrees: cells of the map for planning and decisions
+CELLS = PatchGrid(180 // STEP, 360 // STEP)
+YAWS = np.arange(0, 360, 15)
+PITCHES = (-60, -30, 0, 30, 60)
+# Of the views that are weighed: azimuth and elevation ``(n, 2)``, radians, world frame.
+HEADINGS = np.radians([(-yaw, pitch) for pitch in PITCHES for yaw in YAWS])
 
 
 class HStarConfig(PublishedConfig, kw_only=True):
@@ -98,7 +128,7 @@ class ViewEvidence(NamedTuple):
         return {"peak": peak} | ({"source": dict(source)} if (source := self.evidence.source) else {})
 
 
-Detector = Callable[[hstar.View], ViewEvidence]  # for the target of one episode
+Detector = Callable[[View], ViewEvidence]  # for the target of one episode
 
 
 def open_detector(
@@ -119,11 +149,11 @@ def open_detector(
         return lambda view: (look := detect(view))._replace(evidence=read(look.evidence))
     queries = queries_of(episode.item["task"])
 
-    def look(view: hstar.View) -> ViewEvidence:
+    def look(view: View) -> ViewEvidence:
         panorama = hstar.open_panorama(episode.panorama)
         image = hstar.without_cross(hstar.render_view(panorama, view.yaw, view.pitch, resolution))
         upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
-        grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(hstar.HFOV_DEG), upright)
+        grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(HFOV_DEG), upright)
         query, evidence = first_known(queries, lambda query: look_at_view(perception, image, grid, query))
         del queries[: queries.index(query)]  # what it does not know it is not asked for in the next view
         return ViewEvidence(read(evidence), world_R_body(-math.radians(view.yaw)))
@@ -131,7 +161,7 @@ def open_detector(
     return look
 
 
-LENS = PerspectiveGrid(27, 48, math.radians(hstar.HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
+LENS = PerspectiveGrid(27, 48, math.radians(HFOV_DEG))  # the cells of truth's response: 2 degrees in the middle
 NARROWEST = resolved(DEGREE)  # radians, standard deviation of truth's reports: what a belief can hold
 WHOLE = 0.5  # visible share of a box from which on it is detected as well as a whole one
 
@@ -149,37 +179,36 @@ class SimulatedDetector:
     ) -> None:
         self._points, self._noise, self._rng = hstar.box_points(yaw, pitch), noise, np.random.default_rng(seed)
         self._persistence = 0.0  # of the first look, which has nothing to keep
-        # Of the target and of the false alarm: reported or not, score, place in the view (of the false alarm), 0 to 1.
-        self._luck = np.zeros((2, 4))
-        self._error = np.zeros((2, 3))  # standard normal, in the world's axes
+        # Of the target and of the false alarm, from 0 to 1: reported or not, score, place in the view (of the false
+        # alarm); and the error, standard normal, in the world's axes.
+        self._luck = np.zeros((2, 7))
         self._alarm: np.ndarray | None = None  # direction of the false alarm in the world, once a view had it
 
-    def __call__(self, view: hstar.View) -> ViewEvidence:
+    def __call__(self, view: View) -> ViewEvidence:
         response = drawn(self.reports(view), LENS, self._noise.floor)
         return ViewEvidence(Evidence.from_response(response, LENS, CALIBRATION), view.world_R_view)
 
-    def reports(self, view: hstar.View) -> list[Report]:
+    def reports(self, view: View) -> list[Report]:
         """The next look as a list of reports, in the view's own frame. Mistakes persist or are drawn anew."""
-        draws, error = self._rng.random((2, 5)), self._rng.standard_normal((2, 3))
+        draws = np.hstack([self._rng.random((2, 5)), self._rng.standard_normal((2, 3))])
         fresh = draws[:, 0] >= self._persistence
-        self._persistence = self._noise.persistence
-        self._luck[fresh], self._error[fresh] = draws[fresh, 1:], error[fresh]
+        self._persistence, self._luck[fresh] = self._noise.persistence, draws[fresh, 1:]
         if fresh[1]:
             self._alarm = None
         noise, pose, reports = self._noise, view.world_R_view, []
-        visible = hstar.inside(view, self._points)
+        visible, (target, alarm) = view.shows(self._points), self._luck
         share = min(1.0, float(visible.mean()) / WHOLE)
-        if visible.any() and self._luck[0, 0] < (1 - noise.miss) * share:
-            error = pose.T @ self._error[0] * noise.spread
-            reports.append(self._report("found", 0, self._points[visible] @ pose, error))
-        if self._luck[1, 0] < noise.false_alarm:
+        if visible.any() and target[0] < (1 - noise.miss) * share:
+            error = pose.T @ target[4:] * noise.spread
+            reports.append(self._report("found", target[1], self._points[visible] @ pose, error))
+        if alarm[0] < noise.false_alarm:
             if self._alarm is None:
-                self._alarm = pose @ LENS.unproject(*(self._luck[1, 2:] * (LENS.width, LENS.height)))
-            if hstar.inside(view, self._alarm[None])[0]:
-                reports.append(self._report("false alarm", 1, (self._alarm @ pose)[None], np.zeros(3)))
+                self._alarm = pose @ LENS.unproject(*(alarm[2:4] * (LENS.width, LENS.height)))
+            if view.shows(self._alarm[None])[0]:
+                reports.append(self._report("false alarm", alarm[1], (self._alarm @ pose)[None], np.zeros(3)))
         return reports
 
-    def _report(self, kind: str, row: int, points: np.ndarray, error: np.ndarray) -> Report:
+    def _report(self, kind: str, luck: float, points: np.ndarray, error: np.ndarray) -> Report:
         """A report of a thing at `points` ``(n, 3)``, displaced by `error` ``(3,)``."""
         centre = points.mean(axis=0)
         centre /= np.linalg.norm(centre)
@@ -189,22 +218,155 @@ class SimulatedDetector:
         width = max(self._noise.spread**2 + MIN_SPREAD**2, NARROWEST**2)
         covariance = carry @ (offsets.T @ offsets / len(points)) @ carry.T
         covariance = covariance + width * (np.eye(3) - np.outer(placed, placed))
-        score = self._noise.weakest + (1 - self._noise.weakest) * float(self._luck[row, 1])
+        score = self._noise.weakest + (1 - self._noise.weakest) * float(luck)
         return Report(kind, None, placed, covariance, score)
+
+
+# --- what our agent believes ------------------------------------------------------------------------------------------
+
+
+class Answer(NamedTuple):
+    """A submission in whole degrees, and its probability of success according to the belief, NaN if it has none."""
+
+    yaw: int
+    pitch: int
+    probability: float = math.nan
+
+
+def prior_of(kind: hstar.Kind, elsewhere: float = ELSEWHERE) -> np.ndarray:
+    """Prior probability of each of `CELLS` ``(H, W)``, up to a factor.
+
+    A share `elsewhere` is even over the sphere; the rest has a normal density in the elevation. For paths all is even.
+    """
+    if kind == "hps":
+        return CELLS.weights
+    return even_and_usual(np.degrees(CELLS.latitudes)[:, None], CELLS.weights, HEIGHT, TILT, elsewhere)
+
+
+def stated(share: float) -> float:
+    """The calibrated probability that the window with this share of the belief is right."""
+    share = min(max(share, 1e-6), 1 - 1e-6)
+    return 1 / (1 + math.exp(-SHIFT - SLOPE * math.log(share / (1 - share))))
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The state after some looks. Immutable: `update` returns a new one.
+
+    Per cell of `CELLS`: `prior`, up to a factor; `shown`, the visible fraction so far; `stale`, the fraction of the
+    next look that repeats earlier ones. A look counts for less towards the border of its view, as its evidence does.
+    """
+
+    kind: hstar.Kind
+    prior: np.ndarray
+    belief: Belief
+    shown: np.ndarray
+    stale: np.ndarray
+
+    @classmethod
+    def begin(cls, kind: hstar.Kind, elsewhere: float = ELSEWHERE) -> Search:
+        """The state before the first look; `elsewhere`: of the prior (`prior_of`)."""
+        nothing = np.zeros(CELLS.shape)
+        return cls(kind, prior_of(kind, elsewhere), Belief.uniform(DEGREE), nothing, nothing)
+
+    def update(self, evidence: Evidence, world_R_capture: np.ndarray, view: View) -> Search:
+        """The state after one more look: its evidence, the pose of the evidence's frame, and the view.
+
+        The look counts for less where it repeats recent ones: a model's errors persist.
+        """
+        belief = self.belief
+        if not self.stale.any():
+            belief = belief.update(evidence, world_R_capture)
+        elif evidence.detections is None:
+            new = self._new_at(evidence.grid.directions @ world_R_capture.T)
+            belief = belief.update(replace(evidence, drawn=evidence.log_ratio * new), world_R_capture)
+        else:
+            basis, grid = belief.basis, decoding_grid(DEGREE)
+            new = self._new_at(grid.directions @ world_R_capture.T)
+            log_ratio = basis.synthesise(evidence.coefficients(DEGREE), grid)
+            belief = belief.plus(basis.rotate(basis.analyse(log_ratio * new, grid), world_R_capture))
+        shares, weights = _shown_by(view)
+        shown, stale = np.maximum(self.shown, shares), REPEATS * np.maximum(self.stale, weights)
+        return replace(self, belief=belief, shown=shown, stale=stale)
+
+    def _new_at(self, directions: np.ndarray) -> np.ndarray:
+        """The fraction ``(...)`` of a look at directions ``(..., 3)`` of the world that is new."""
+        x, y, _ = CELLS.project(directions)
+        rows = np.clip(y.astype(np.intp), 0, CELLS.height - 1)
+        return 1 - self.stale[rows, x.astype(np.intp) % CELLS.width]
+
+    @lazy
+    def probability(self) -> np.ndarray:
+        """The probability of each cell of `CELLS` ``(H, W)``; sums to 1.
+
+        The belief counts only where something was looked at: elsewhere it is ringing from its finite degree.
+        """
+        field = np.asarray(self.belief.log_ratio(CELLS)) * self.shown
+        found = np.exp(field - field.max()) * self.prior
+        return found / found.sum()
+
+    def answer(self) -> Answer:
+        """The submission whose window holds most of the belief, centred on that belief."""
+        p, path = self.probability, self.kind == "hps"
+        high, wide = (CELLS.height if path else PITCH_TOLERANCE // STEP), YAW_TOLERANCE[self.kind] // STEP
+        # What the smallest window around each cell holds; cells at its border count half.
+        mass = _sums(p, np.r_[0.5, np.ones(2 * high - 1), 0.5], np.r_[0.5, np.ones(2 * wide - 1), 0.5])
+        # Of equal windows the one with its belief in the middle.
+        near = np.where(mass >= mass.max() - 1e-9, _sums(p, np.ones(3), np.ones(3)), -1.0)
+        row, column = np.unravel_index(int(near.argmax()), p.shape)
+        rows = np.arange(max(0, row - high), min(CELLS.height, row + high + 1))
+        columns = np.arange(column - wide, column + wide + 1) % CELLS.width
+        part, yaws = p[np.ix_(rows, columns)], -np.degrees(CELLS.longitudes)[columns]
+        offset = (yaws - yaws[wide] + 180.0) % 360.0 - 180.0
+        yaw = yaws[wide] + float((part * offset).sum() / part.sum())
+        pitch = float((part * np.degrees(CELLS.latitudes)[rows][:, None]).sum() / part.sum())
+        return Answer(round(yaw) % 360, 0 if path else round(pitch), stated(float(mass[row, column])))
+
+    def tells(self) -> np.ndarray:
+        """Expected information of looks at `HEADINGS` ``(n,)`` about the target's direction, nats."""
+        return np.concatenate([_information(self.probability, 1 - self.stale, pitch) for pitch in PITCHES])
+
+
+def _information(p: np.ndarray, new: np.ndarray, pitch: float) -> np.ndarray:
+    """Mutual information (nats) of a look with this pitch, for each of `YAWS`; `new`: the fraction of each cell's look.
+
+    A target in view is reported with the probability `HIT`; else there is a false report, anywhere, with `ALARM`.
+    """
+    shown = _shown_by(View(0.0, float(pitch)))[1]
+    rows, columns = np.nonzero(shown)
+    places = (columns[None] + (YAWS // STEP)[:, None]) % CELLS.width  # cells in view, for each yaw
+    here, share = p[rows[None], places], HIT * shown[rows, columns] * new[rows[None], places]
+    area = CELLS.weights[rows, columns]
+    return information(here, share, ALARM, area / area.sum())
+
+
+@lru_cache(maxsize=256)
+def _shown_by(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """The fraction of each cell ``(H, W)`` that a view shows, and its weight: less towards the border.
+
+    The evidence of a view rises from its border as sin^2 and is full pi / (DEGREE + 1) inside.
+    """
+    rays, grid = CELLS.directions @ view.world_R_view, view.grid()
+    half_width = math.tan(math.radians(HFOV_DEG) / 2)
+    half_height = half_width * grid.height / grid.width
+    to_sides = (half_width * rays[..., 0] - np.abs(rays[..., 1])) / math.hypot(1, half_width)
+    to_ends = (half_height * rays[..., 0] - np.abs(rays[..., 2])) / math.hypot(1, half_height)
+    depth = np.arcsin(np.clip(np.minimum(to_sides, to_ends), -1, 1))
+    shares = coverage(*CELLS.shape, grid)
+    return shares, shares * np.sin(np.clip(depth * (DEGREE + 1) / 2, 0, math.pi / 2)) ** 2
+
+
+def _sums(p: np.ndarray, tall: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    """The sums of `p` about each cell ``(H, W)``, with these weights of the rows and of the columns around it."""
+    return convolve1d(convolve1d(p, wide, axis=1, mode="wrap"), tall, axis=0, mode="constant")
 
 
 # --- agents -----------------------------------------------------------------------------------------------------------
 
 
-class Turn(NamedTuple):
-    """One turn: an action (None: an invalid one), the answer it would submit now, and notes for the record."""
-
-    action: hstar.Action | None
-    would: Answer
-    notes: Mapping[str, Any]
-
-
-Agent = Callable[[hstar.View, bool], Turn]  # the turn at this view; True: it is the last one
+# An action (None: an invalid one), the answer that it would submit now, and notes for the record.
+Turn = tuple[hstar.Action | None, Answer, Mapping[str, Any]]
+Agent = Callable[[View, bool], Turn]  # the turn at this view; True: it is the last one
 
 
 def make_agent(
@@ -214,22 +376,22 @@ def make_agent(
     if chat is not None:
         return VlmAgent(episode, chat, config.window, config.resolution)
     if detector is None:
-        answer = _answer(*hstar.window_of(episode.item).centre, 1.0)
-        return lambda view, last: Turn(_submit(answer), answer, {})
+        answer = _answer(hstar.window_of(episode.item).centre, 1.0)
+        return lambda view, last: (_submit(answer), answer, {})
     if config.agent == "eagor":
         return EagorAgent(Search.begin(episode.kind, config.elsewhere), detector, config.sure)
     return SweepAgent(config.agent, episode.start, detector)
 
 
-def _answer(yaw: Any, pitch: Any, probability: float = math.nan) -> Answer:
-    return Answer(round(float(yaw)) % 360, round(float(pitch)), probability)
+def _answer(at: Any, probability: float = math.nan) -> Answer:
+    return Answer(round(float(at[0])) % 360, round(float(at[1])), probability)
 
 
 def _submit(answer: Answer) -> hstar.Action:
     return hstar.Action("submit", answer.yaw, answer.pitch)
 
 
-def _rotate(now: hstar.View, yaw: float, pitch: float) -> hstar.Action:
+def _rotate(now: View, yaw: float, pitch: float) -> hstar.Action:
     """The rotation from a view to a direction, the short way around."""
     return hstar.Action("rotate", round((yaw - now.yaw + 180) % 360 - 180), round(pitch - now.pitch))
 
@@ -243,7 +405,7 @@ class EagorAgent:
     def __init__(self, search: Search, detector: Detector, sure: float = SURE) -> None:
         self.search, self._detector, self._sure = search, detector, sure
 
-    def __call__(self, view: hstar.View, last: bool) -> Turn:
+    def __call__(self, view: View, last: bool) -> Turn:
         look = self._detector(view)
         self.search = self.search.update(look.evidence, look.world_R_capture, view)
         answer = self.search.answer()
@@ -252,7 +414,7 @@ class EagorAgent:
             to = next_heading(HEADINGS, self.search.tells(), np.radians([-view.yaw, view.pitch]))
             yaw, pitch = np.degrees(to).round(6).tolist()
             action = _rotate(view, -yaw, pitch)
-        return Turn(action, answer, look.notes() | {"sure": sure})
+        return action, answer, look.notes() | {"sure": sure}
 
 
 class VlmAgent:
@@ -264,7 +426,7 @@ class VlmAgent:
         self._messages: list[Message] = []
         self._reply: hstar.Reply | None = None
 
-    def __call__(self, view: hstar.View, last: bool) -> Turn:
+    def __call__(self, view: View, last: bool) -> Turn:
         picture = hstar.render_view(hstar.open_panorama(self._episode.panorama), view.yaw, view.pitch, self._resolution)
         text = hstar.turn_text(self._episode.item["task"], view, self._reply)
         self._messages.append(Message("user", text, (picture,)))
@@ -272,14 +434,12 @@ class VlmAgent:
         reply = self._chat([system, *self._messages[-self._most :]])
         self._messages.append(Message("assistant", reply.text))
         self._reply = hstar.parse_action(reply.text)
-        action = self._reply.action
-        notes: dict[str, Any] = {"raw": reply.text, "format": self._reply.format_correct, "valid": action is not None}
-        notes["pixels"] = list(picture.shape[:2])
+        action, kept = self._reply.action, self._reply.format_correct
+        notes = {"raw": reply.text, "format": kept, "valid": action is not None, "pixels": list(picture.shape[:2])}
         if reply.prompt_tokens is not None:
             notes["tokens"] = [reply.prompt_tokens, reply.completion_tokens]
-        if action is not None and action.kind == "submit":
-            return Turn(action, Answer(action.yaw, action.pitch), notes)
-        return Turn(action, _answer(view.yaw, view.pitch), notes)
+        submits = action is not None and action.kind == "submit"
+        return action, Answer(action.yaw, action.pitch) if submits else _answer((view.yaw, view.pitch)), notes
 
 
 class SweepAgent:
@@ -292,17 +452,16 @@ class SweepAgent:
 
     def __init__(self, name: str, start: float, detector: Detector) -> None:
         self._name, self._start, self._detector = name, start, detector
-        self._left = iter(SWEEP[1:])
+        self._left, self._filter = iter(SWEEP[1:]), HistogramFilter()
         self._best, self._strongest = np.zeros(3), -1.0
-        self._filter = HistogramFilter()
 
-    def __call__(self, view: hstar.View, last: bool) -> Turn:
+    def __call__(self, view: View, last: bool) -> Turn:
         look = self._detector(view)
         direction, done = self._read(look)
-        answer = _answer(*hstar_from_direction(direction))
+        answer = _answer(hstar_from_direction(direction))
         to = None if last or done else next(self._left, None)
         action = _submit(answer) if to is None else _rotate(view, self._start + to[0], to[1])
-        return Turn(action, answer, look.notes())
+        return action, answer, look.notes()
 
     def _read(self, look: ViewEvidence) -> tuple[np.ndarray, bool]:
         """The answer ``(3,)``, world frame, and whether to stop with it."""

@@ -25,7 +25,7 @@ from eagor.conventions import direction_from_hstar
 from eagor.errors import FormatError
 from eagor.lab.tasks import hstar, published
 from eagor.lab.tasks.hstar.agents import AGENTS, LOOKING, RESPONDS, Agent, HStarConfig, make_agent, open_detector
-from eagor.lab.tasks.published import PublishedTask, Recalibrate
+from eagor.lab.tasks.published import PublishedTask, Recalibrate, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample
 from eagor.perception.truth import Noise
 from eagor.queries import singular
@@ -95,15 +95,16 @@ def _episodes(scene: str, panorama: Path, entries: list[Entry]) -> Iterator[hsta
         kind: hstar.Kind = "hos" if entry.pitch is not None else "hps"
         starts = STARTS if entry.starts is None else entry.starts
         levels = entry.level if isinstance(entry.level, list) else [entry.level] * len(starts)
-        cluster, others = f"{scene}/{index}", items[:index] + items[index + 1 :]
-        names = Counter[str]()
+        cluster, others, names = f"{scene}/{index}", items[:index] + items[index + 1 :], Counter[str]()
         for start, level in zip(starts, levels, strict=False):  # the shorter of the two lists decides, as published
             name = f"{cluster}/{start:g}"
             names[name] += 1
             name += f"-{names[name]}" if names[name] > 1 else ""
-            if level is None and entry.pitch is not None:
-                level = hstar.level_of(hstar.View(start, 0.0), entry.yaw, entry.pitch)
-            yield hstar.Episode(name, cluster, scene, kind, items[index], others, start, level, str(panorama))
+            if level is None and kind == "hos":  # half of the box is in the first view, some of it, none
+                share = hstar.View(start, 0.0).share(items[index])
+                level = 0 if share >= 0.5 else 1 if share > 0 else 2
+            title = dict(enumerate(hstar.LEVELS[kind])).get(-1 if level is None else level, "unknown")
+            yield hstar.Episode(name, cluster, scene, kind, items[index], others, start, title, str(panorama))
 
 
 # --- the tags of targets ----------------------------------------------------------------------------------------------
@@ -159,18 +160,22 @@ class HStar(PublishedTask):
     def __init__(self, kind: hstar.Kind, title: str, what: str) -> None:
         self.kind: hstar.Kind = kind
         self.title, self.what, self.name = title, what, f"hstar-{kind}"
+        levels = hstar.LEVELS[kind]
         self.metrics: tuple[Metric, ...] = (
-            published.score_metric("overall", "Overall", "success of all episodes", lambda record: record["score"]),
-            *published.level_metrics(hstar.LEVELS[kind], "success of episodes of level"),
-            published.score_metric("official", "Official", "success by the published rule", _official),
-            published.score_metric("strict", "Strict", "success with the pitch always counted", _strict),
+            score_metric("overall", "Overall", "success of all episodes"),
+            *(
+                score_metric(name, name.capitalize(), f"success of episodes of level {name}", of=name)
+                for name in levels
+            ),
+            score_metric("official", "Official", "success by the published rule", by="official"),
+            score_metric("strict", "Strict", "success with the pitch always counted", by="strict"),
             Metric("views", "Views", "number of views", lambda r: r.get("views"), "", "low", 1.0, 2),
         )
 
     def info(self, data: Path) -> dict[str, Any]:
         scenes, skipped = read_scenes(Path(data))
         episodes = [each for name, scene in scenes.items() for each in _episodes(name, *scene)]
-        levels = {kind: Counter(each.level_name for each in episodes if each.kind == kind) for kind in hstar.LEVELS}
+        levels = {kind: Counter(each.level for each in episodes if each.kind == kind) for kind in hstar.LEVELS}
         return {
             "scenes": len(scenes),
             "targets": sum(len(entries) for _, entries in scenes.values()),
@@ -201,14 +206,6 @@ class HStar(PublishedTask):
         return record_of(
             msgspec.convert(sample.payload, hstar.Episode), config.scoring, answer, [{"shown": 1.0}], reason
         )
-
-
-def _official(record: Record) -> float | None:
-    return record.get("scores", {}).get("official")
-
-
-def _strict(record: Record) -> float | None:
-    return record.get("scores", {}).get("strict")
 
 
 class Submission(msgspec.Struct):
@@ -257,7 +254,7 @@ def run_episode(
             {
                 "turn": len(steps) + 1,
                 "view": {"yaw": view.yaw, "pitch": view.pitch},
-                "shown": round(hstar.visible_share(view, item["yaw"], item.get("pitch")), 3),
+                "shown": round(view.share(item), 3),
                 "action": None if action is None else str(action),
                 "would": {"yaw": yaw, "pitch": pitch, **succeeds, "p": None if math.isnan(p) else round(p, 4)},
                 **notes,
@@ -303,7 +300,7 @@ def record_of(
     return {
         "case": episode.id,
         "cluster": episode.cluster,
-        "level": episode.level_name,
+        "level": episode.level,
         "tags": [tag_of(item, episode.others)],
         "words": item["task"],
         "start": episode.start,

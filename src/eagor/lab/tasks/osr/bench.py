@@ -12,24 +12,22 @@ import math
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from contextlib import suppress
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-import msgspec
 from msgspec import Meta
 
 from eagor.errors import FormatError, QueryError
 from eagor.lab.tasks import osr, published
-from eagor.lab.tasks.osr import geometry
-from eagor.lab.tasks.osr.data import SUFFIXES, Question, Scene, Suffix, load, questions_of
-from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedRecord, PublishedTask, Recalibrate
-from eagor.lab.tasks.task import Metric, Payload, Record, Sample
+from eagor.lab.tasks.osr import Question, Scene, geometry, questions_of
+from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, Recalibrate, score_metric
+from eagor.lab.tasks.task import Payload, Record, Sample
 from eagor.media.panorama import read_panorama
 from eagor.perception import Perception
 from eagor.perception.vlm import IMAGE, Chat, Message
 
-FILE = "physical_truth.json"
 TITLES = {osr.COUNTING: "Counting", osr.DISTANCE: "Distance", osr.DIRECTION: "Direction", osr.MAP: "Map"}
 AGENTS = {
     "eagor": "bearings from a belief, ranges from floor contacts",
@@ -62,7 +60,7 @@ class OsrConfig(PublishedConfig, kw_only=True):
         Literal["official", "corrected", "both"],
         Meta(description="left and right as published (mirrored), as they are in the room, or both side by side"),
     ] = "official"
-    suffix: Annotated[Suffix, Meta(description="which of the published files")] = "qa_without_cogmap"
+    suffix: Annotated[osr.Suffix, Meta(description="which of the published files")] = "qa_without_cogmap"
     prompt: Annotated[
         Literal["vanilla", "think"],
         Meta(description="what the model is asked for: an answer, or its reasoning first"),
@@ -108,7 +106,7 @@ class Vlm:
 
 
 def _with_picture(text: str, scene: Scene) -> Message:
-    return Message("user", f"{text}\n{IMAGE}", (read_panorama(scene.picture),))
+    return Message("user", f"{text}\n{IMAGE}", (read_panorama(scene.image),))
 
 
 class Eagor:
@@ -155,7 +153,7 @@ def _guess(question: Question) -> str:
 
 def seen_layout(perception: Perception, height: float, read: Recalibrate, scene: Scene) -> geometry.SceneLayout:
     """What a perception sees of a scene; `height` of the camera above the floor, metres; `read`: recalibrates looks."""
-    panorama, things, unknown = read_panorama(scene.picture), list[geometry.Detection](), []
+    panorama, things, unknown = read_panorama(scene.image), list[geometry.Detection](), []
     for name in scene.categories:
         try:
             things += geometry.detections_in(read(perception(panorama, name.replace("_", " "), stamp=0.0)), name)
@@ -164,55 +162,7 @@ def seen_layout(perception: Perception, height: float, read: Recalibrate, scene:
     return geometry.SceneLayout(geometry.place(things, height), unknown)
 
 
-# The true places, which are not part of the benchmark: scenes that are made for tests have them, others may have, too.
-_Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]  # farther ones are taken for a mistake
-
-
-class Body(msgspec.Struct):
-    """A thing: where its middle is, metres, x to the right and y forward of the camera, and above the floor."""
-
-    name: str
-    xy: tuple[_Metres, _Metres]
-    z_centre: _Metres
-
-
-class Room(msgspec.Struct):
-    """The content of physical_truth.json: the things around a camera, and its height above the floor (metres).
-
-    Forward is the middle of the panorama. Other fields may be there, too.
-    """
-
-    objects: list[Body]
-    camera: Annotated[float, Meta(gt=0, le=1e6)] = geometry.HEIGHT
-
-
-def true_layout(scene: Scene) -> geometry.SceneLayout:
-    """The true places in a scene, as if the camera saw the things and the floor points below them.
-
-    Raises `FormatError` if its folder does not say them.
-    """
-    room = published.read_json(scene.folder / FILE, Room, f"is not a room (see {__name__}.Room)")
-    found = []
-    for body in room.objects:
-        azimuth, away = math.atan2(-body.xy[0], body.xy[1]), math.hypot(*body.xy)
-        middle, foot = (math.atan2(z - room.camera, away) for z in (body.z_centre, 0.0))
-        if body.name in scene.categories:
-            found.append(geometry.Detection(body.name, azimuth, middle, bottom=foot))
-    return geometry.SceneLayout(geometry.place(found, room.camera))
-
-
 # --- the record of an answer ------------------------------------------------------------------------------------------
-
-
-class OsrRecord(PublishedRecord, kw_only=True):
-    """What the metrics of OSR-Bench read."""
-
-    skill: str
-    question: str
-    answer: str
-    tags: list[str]  # pyright: ignore[reportGeneralTypeIssues] (here it has no default)
-    scores: dict[str, float | None]  # pyright: ignore[reportGeneralTypeIssues]
-    map_range: dict[str, float | None] = msgspec.field(default_factory=dict)
 
 
 def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig) -> dict[str, Any]:
@@ -221,7 +171,9 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
     wanted = ("official", "corrected") if config.labels == "both" else (config.labels,)
     truths = {labels: question.truth(labels) for labels in wanted}
     maps = [osr.score_map(truth, reply.text) for truth in truths.values()] if skill == osr.MAP else []
-    values = [each.f1 for each in maps] or [osr.score(skill, each, reply.text, think) for each in truths.values()]
+    values = [each["overall"]["f1"] for each in maps] or [
+        osr.score(skill, each, reply.text, think) for each in truths.values()
+    ]
     scores, truth, cause = dict(zip(wanted, values, strict=True)), truths[wanted[0]], None
     if values[0] < 1:
         guessed = "range guessed" if reply.notes.get("guessed") else "wrong"
@@ -240,9 +192,8 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
         "cause": cause,
     }
     if maps:
-        found = msgspec.to_builtins(maps[0])
-        record["map_range"] = {"least": maps[0].f1, "most": found.pop("f1_most")}
-        record["map"] = found | {"truth": truth}
+        record["map_range"] = {"least": values[0], "most": maps[0].pop("most")}
+        record["map"] = maps[0] | {"truth": truth}
     else:
         record["truth"] = truth
     return record | ({"steps": [reply.notes]} if reply.notes else {})
@@ -251,15 +202,8 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
 # --- the task ---------------------------------------------------------------------------------------------------------
 
 
-def _score(key: str, title: str, what: str, skill: str, labels: str = "") -> Metric:
-    """The score of the questions of one kind, or with one tag: by the labels of the run, or by these."""
-
-    def read(record: Record) -> float | None:
-        if skill not in (record["skill"], *record["tags"]):
-            return None
-        return record["scores"].get(labels) if labels else record["score"]
-
-    return published.score_metric(key, title, what, read)
+def _most(record: Record) -> float | None:
+    return record.get("map_range", {}).get("most")
 
 
 class OsrBench(PublishedTask):
@@ -267,61 +211,43 @@ class OsrBench(PublishedTask):
 
     name, title = "osr", "OSR-Bench"
     what = "questions about what stands where around a camera"
-    Config, Record = OsrConfig, OsrRecord
+    Config = OsrConfig
     agents, looking = AGENTS, ("eagor",)
-    truth: ClassVar = f"the true places, for data that has a {FILE} in each scene"
     metrics = (
-        published.score_metric(
-            "overall", "Overall", "mean over the kinds of questions", lambda r: r["score"], lambda r: r["skill"]
+        score_metric("overall", "Overall", "mean over the kinds of questions", over=lambda r: r["level"]),
+        score_metric("direction", "Direction", "relative direction, by the labels of the run", of="Direction"),
+        score_metric("direction_official", "official", "by the published labels", of="Direction", by="official"),
+        score_metric(
+            "direction_corrected", "corrected", "with left and right put right", of="Direction", by="corrected"
         ),
-        _score("direction", "Direction", "relative direction, by the labels of the run", osr.DIRECTION),
-        _score("direction_official", "official", "by the published labels", osr.DIRECTION, "official"),
-        _score("direction_corrected", "corrected", "with left and right put right", osr.DIRECTION, "corrected"),
-        _score("direction_clear", "clear", "both products above one squared cell", "clear"),
-        _score("direction_border", "border", "a product of at most one squared cell", "near a border"),
-        _score("distance", "Distance", "which is the closest", osr.DISTANCE),
-        _score("counting", "Counting", "how many, with the partial credit of the benchmark", osr.COUNTING),
-        _score("map", "Map F1", "the map: the least that the published code gives", osr.MAP),
-        published.score_metric(
-            "map_most",
-            "at most",
-            "the most it gives: it depends on PYTHONHASHSEED",
-            lambda r: r.get("map_range", {}).get("most"),
-        ),
+        score_metric("direction_clear", "clear", "both products above one squared cell", of="clear"),
+        score_metric("direction_border", "border", "a product of at most one squared cell", of="near a border"),
+        score_metric("distance", "Distance", "which is the closest", of="Distance"),
+        score_metric("counting", "Counting", "how many, with the partial credit of the benchmark", of="Counting"),
+        score_metric("map", "Map F1", "the map: the least that the published code gives", of="Map"),
+        score_metric("map_most", "at most", "the most it gives: it depends on PYTHONHASHSEED", _most),
     )
 
     def info(self, data: Path) -> dict[str, Any]:
-        files, seen = {}, dict[str, Scene]()
-        for suffix in SUFFIXES:
-            try:
-                scenes = load(Path(data), suffix)
-            except FormatError as error:
-                why = error
-                continue
-            seen |= {scene.id: scene for scene in scenes}
-            questions = [question for scene in scenes for question in scene.questions]
-            labels = Counter(question.answer for question in questions if question.skill == osr.DIRECTION)
-            files[suffix] = {
-                "scenes": len(scenes),
-                "questions": dict(Counter(question.skill for question in questions)),
-                "empty_labels_skipped": sum(scene.skipped for scene in scenes),
-                "direction_labels": dict(labels.most_common()),
-            }
+        files = {}
+        for suffix in osr.SUFFIXES:
+            with suppress(FormatError):
+                scenes = osr.load(Path(data), suffix)
+                questions = [question for scene in scenes for question in scene.questions]
+                files[suffix] = {
+                    "scenes": len(scenes),
+                    "pictures_missing": sum(not scene.image.is_file() for scene in scenes),
+                    "questions": Counter(question.skill for question in questions),
+                    "empty_labels_skipped": sum(scene.skipped for scene in scenes),
+                    "direction_labels": Counter(each.answer for each in questions if each.skill == osr.DIRECTION),
+                }
         if not files:
-            raise why
-        without = sum(scene.image is None for scene in seen.values())
-        return {"files": files, "pictures": len(seen) - without, "pictures_missing": without}
+            osr.load(Path(data))  # raises with the reason
+        return {"files": files}
 
     def samples(self, config: OsrConfig) -> list[Sample]:
         found = questions_of(config.data, config.suffix)
         return [Sample(id, scene.id, {"question": id}) for id, (scene, _) in found.items()]
-
-    def open_perception(self, config: OsrConfig) -> Any:
-        if config.perception != "truth":
-            return super().open_perception(config)
-        for scene, _ in questions_of(config.data, config.suffix).values():
-            true_layout(scene)  # all of them, before the run
-        return None
 
     def player(self, config: OsrConfig, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
         labels = "corrected" if config.labels == "corrected" else "official"
@@ -330,11 +256,7 @@ class OsrBench(PublishedTask):
             truth = question.truth(labels)
             return Reply(osr.map_text(osr.layout_of(truth)) if question.skill == osr.MAP else str(truth))
 
-        def look(scene: Scene) -> geometry.SceneLayout:
-            return (
-                true_layout(scene) if perception is None else seen_layout(perception, config.camera_height, read, scene)
-            )
-
+        look = partial(seen_layout, perception, config.camera_height, read)
         agents = {
             "oracle": oracle,
             TALKING: Vlm(chat, config.prompt),
