@@ -171,18 +171,17 @@ def read_config(task: Task, values: Mapping[str, Any], changes: Mapping[str, str
     """
     values = task.defaults(values) if hasattr(task, "defaults") else values  # type: ignore[attr-defined]
     found = {"task": task.name, **{key: value for key, value in values.items() if value is not None}}
-    fields = fields_of(inspect.type_info(task.Config))
-    homes = {key: name for name, field in fields.items() for key in fields_of(field.type)}
+    options = options_of(task)
+    names = {path.rpartition(".")[2]: path for path in options}
     for key, value in (changes or {}).items():
-        if key in homes:
-            found[homes[key]] = settings_of(found.get(homes[key], {})) | {key: value}
-        elif key in fields:
-            found[key] = value
-        else:
-            can = [*(name for name, field in fields.items() if meaning_of(field)[0]), *sorted(homes)]
+        if key not in names:
+            can = [name for name, path in names.items() if "." in path or options[path][1]]
             raise EagorError(f"{task.name} has no {key!r} to set; it has {', '.join(can)}")
-    if unknown := [key for key in found if key not in fields]:
-        raise EagorError(f"{task.name} has no {', '.join(unknown)}; it has {', '.join(fields)}")
+        home, within, _ = names[key].partition(".")
+        found[home] = settings_of(found.get(home, {})) | {key: value} if within else value
+    if unknown := [key for key in found if key not in options]:
+        fields = ", ".join(path for path in options if "." not in path)
+        raise EagorError(f"{task.name} has no {', '.join(unknown)}; it has {fields}")
     return config_of(task, found)
 
 
@@ -192,12 +191,12 @@ def config_of(task: Task, values: Mapping[str, Any]) -> Any:
         return msgspec.convert(values, task.Config, strict=False)
     except msgspec.ValidationError as error:
         why, _, path = str(error).partition(" - at `$.")
-    kind, value, wanted = inspect.type_info(task.Config), values, ""
-    for name in path.rstrip("`").split(".") if path else ():
-        if (field := fields_of(kind).get(name)) is not None and isinstance(value, Mapping):
-            kind, value, (what, choices) = field.type, value[name], meaning_of(field)
-            wanted = (f"; wanted {', '.join(map(str, choices))}" if choices else "") + (f" ({what})" if what else "")
-    raise EagorError(f"{path.rstrip('`')} = {shown(value)}: {why}{wanted}" if path else f"{task.name}: {why}")
+    path, value = path.rstrip("`").partition("[")[0], values
+    for name in path.split("."):
+        value = value.get(name, value) if isinstance(value, Mapping) else value
+    _, what, choices = options_of(task).get(path, (None, "", ()))
+    wanted = (f"; wanted {', '.join(choices)}" if choices else "") + (f" ({what})" if what else "")
+    raise EagorError(f"{path} = {shown(value)}: {why}{wanted}" if path else f"{task.name}: {why}")
 
 
 def settings_of(config: Any) -> dict[str, Any]:
@@ -205,16 +204,19 @@ def settings_of(config: Any) -> dict[str, Any]:
     return msgspec.json.decode(msgspec.json.encode(config))
 
 
-def fields_of(kind: inspect.Type) -> dict[str, inspect.Field]:
-    """The fields of a struct or a dataclass by name; none of other types."""
-    return {field.name: field for field in getattr(kind, "fields", ())}
+def options_of(task: Task) -> dict[str, tuple[Any, str, tuple[str, ...]]]:
+    """The default of each field of the config, what it is in words, and the choices where it is one of a few words.
 
-
-def meaning_of(field: inspect.Field) -> tuple[str, tuple[Any, ...]]:
-    """What a field is, in words, and what it can be, where that is a short list."""
-    kind: Any = field.type
-    words = (kind.extra_json_schema or {}).get("description", "") if isinstance(kind, inspect.Metadata) else ""
-    return words, getattr(getattr(kind, "type", kind), "values", ())
+    By name, those within a field as "rules.max_steps".
+    """
+    found = {}
+    for field in getattr(inspect.type_info(task.Config), "fields", ()):
+        within = [(f"{field.name}.{each.name}", each) for each in getattr(field.type, "fields", ())]
+        for path, each in [(field.name, field), *within]:
+            words = (getattr(each.type, "extra_json_schema", None) or {}).get("description", "")
+            choices = getattr(getattr(each.type, "type", each.type), "values", ())
+            found[path] = None if each.default is msgspec.NODEFAULT else each.default, words, choices
+    return found
 
 
 # --- reading records --------------------------------------------------------------------------------------------------
