@@ -184,8 +184,6 @@ def read_json(path: Path, kind: type[Kind], fault: str) -> Kind:
         raise FormatError(f"{path} {fault} ({error})") from None
 
 
-# --- the words of a task ----------------------------------------------------------------------------------------------
-
 _VERBS = r"^(?:please\s+)?(?:find|locate|look for|search for|go to|navigate to|get to|move to|reach|walk to|show me)\s+"
 _ARTICLES = r"^(?:the|a|an|some|any|your|my|one of the|way to the|path to the|way to|path to)\s+"
 _BREAKS = (

@@ -155,9 +155,6 @@ def work(settings: Mapping[str, Any]) -> Callable[[Payload], Record]:
     return task.runner(config_of(task, settings))
 
 
-# --- the config of a run ----------------------------------------------------------------------------------------------
-
-
 def configure(task: Task, values: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> Any:
     """The config of a run, completed and checked; arguments and errors as of `read_config`."""
     config = read_config(task, values, changes)
@@ -219,9 +216,6 @@ def options_of(task: Task) -> dict[str, tuple[Any, str, tuple[str, ...]]]:
     return found
 
 
-# --- reading records --------------------------------------------------------------------------------------------------
-
-
 def finished(records: Iterable[Record]) -> list[Record]:
     """The records that hold a result."""
     return [record for record in records if record["status"] == "ok"]
@@ -251,9 +245,6 @@ def check_records(task: Task, records: Sequence[Record]) -> None:
                 f"the record {shown(record['key'], 200)} (attempt {record['attempt']}): {error}. Restore its line, or "
                 "delete it: its unit is then done again"
             ) from None
-
-
-# --- the contract, tested ---------------------------------------------------------------------------------------------
 
 
 def check_task(task: Task, **values: Any) -> list[Record]:

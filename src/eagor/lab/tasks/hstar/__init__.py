@@ -136,8 +136,6 @@ def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: 
     return left <= yaw <= right and high_enough
 
 
-# --- what models are told, and what their replies mean ----------------------------------------------------------------
-
 TEXTS = json.loads(Path(__file__).with_name("texts.json").read_text(encoding="utf-8"))
 _FORM = "\n".join(["You can take 1 action(s) at a time.", *TEXTS["form"]])  # ends every turn
 
@@ -227,8 +225,6 @@ def parse_action(text: str) -> Reply:
         thought, answer = thought.replace(tag, "").strip(), (answer or "").replace(tag, "").strip()
     return Reply(thought, [part.strip() for part in answer.split("|") if part.strip()][:1], kept)
 
-
-# --- the camera -------------------------------------------------------------------------------------------------------
 
 HFOV_DEG = 100.0
 RESOLUTION = 1080  # rows; columns are rows // 9 * 16

@@ -31,8 +31,6 @@ from eagor.perception.truth import Noise
 from eagor.queries import singular
 from eagor.sphere import angular_distance
 
-# --- the published files ----------------------------------------------------------------------------------------------
-
 ANNOTATION = "annotation.json"
 STARTS = (0, 90, 180, 270)  # degrees of yaw, for entries without any
 SHUFFLE = 42  # the published environment shuffles its episodes with this seed
@@ -107,8 +105,6 @@ def _episodes(scene: str, panorama: Path, entries: list[Entry]) -> Iterator[hsta
             yield hstar.Episode(name, cluster, scene, kind, items[index], others, start, title, str(panorama))
 
 
-# --- the tags of targets ----------------------------------------------------------------------------------------------
-
 FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
 COMMON = frozenset(hstar.TEXTS["nouns"])  # things that any detector knows well: of homes, offices, shops and streets
 _TEXT = (
@@ -133,8 +129,6 @@ def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) ->
         return "multi_instance"
     return "plain" if {head, singular(head)} & COMMON else "rare"
 
-
-# --- the tasks --------------------------------------------------------------------------------------------------------
 
 # In order of precedence: the first that applies is the cause.
 CAUSES = {
@@ -232,9 +226,6 @@ def _submission(prediction: Mapping[str, Any]) -> tuple[dict[str, int] | None, s
 
 HOS = HStar("hos", "H*Bench: object search (HOS)", "look around in a photograph for a thing, and name its direction")
 HPS = HStar("hps", "H*Bench: path search (HPS)", "look around in a photograph for the way to go, and name it")
-
-
-# --- an episode and its record ----------------------------------------------------------------------------------------
 
 
 def run_episode(

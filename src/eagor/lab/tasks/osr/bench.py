@@ -65,12 +65,6 @@ class OsrConfig(PublishedConfig, kw_only=True):
         Literal["vanilla", "think"],
         Meta(description="what the model is asked for: an answer, or its reasoning first"),
     ] = "vanilla"
-    camera_height: Annotated[float, Meta(gt=0, le=1e6, description="metres above the floor; it scales the room")] = (
-        geometry.HEIGHT
-    )
-
-
-# --- agents -----------------------------------------------------------------------------------------------------------
 
 
 class Reply(NamedTuple):
@@ -151,18 +145,15 @@ def _guess(question: Question) -> str:
     return question.names[1] if question.skill == osr.DISTANCE and len(question.names) > 1 else "0"
 
 
-def seen_layout(perception: Perception, height: float, read: Recalibrate, scene: Scene) -> geometry.SceneLayout:
-    """What a perception sees of a scene; `height` of the camera above the floor, metres; `read`: recalibrates looks."""
+def seen_layout(perception: Perception, read: Recalibrate, scene: Scene) -> geometry.SceneLayout:
+    """What a perception sees of a scene; `read`: recalibrates looks."""
     panorama, things, unknown = read_panorama(scene.image), list[geometry.Detection](), []
     for name in scene.categories:
         try:
             things += geometry.detections_in(read(perception(panorama, name.replace("_", " "), stamp=0.0)), name)
         except QueryError:
             unknown.append(name)
-    return geometry.SceneLayout(geometry.place(things, height), unknown)
-
-
-# --- the record of an answer ------------------------------------------------------------------------------------------
+    return geometry.SceneLayout(geometry.place(things), unknown)
 
 
 def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig) -> dict[str, Any]:
@@ -197,9 +188,6 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
     else:
         record["truth"] = truth
     return record | ({"steps": [reply.notes]} if reply.notes else {})
-
-
-# --- the task ---------------------------------------------------------------------------------------------------------
 
 
 def _most(record: Record) -> float | None:
@@ -256,7 +244,7 @@ class OsrBench(PublishedTask):
             truth = question.truth(labels)
             return Reply(osr.map_text(osr.layout_of(truth)) if question.skill == osr.MAP else str(truth))
 
-        look = partial(seen_layout, perception, config.camera_height, read)
+        look = partial(seen_layout, perception, read)
         agents = {
             "oracle": oracle,
             TALKING: Vlm(chat, config.prompt),

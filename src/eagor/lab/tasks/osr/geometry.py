@@ -10,9 +10,9 @@ Frame: the camera's body, x forward, y left, z up; metres on the floor, the came
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +43,6 @@ NEAR = math.radians(50)
 PARAMETERS = 6  # of a bump
 
 Spot = tuple[float, float]  # on the floor
-Box = tuple[np.ndarray, np.ndarray, np.ndarray]  # a rectangle's axes, as rows, and its least and greatest along them
 
 
 @dataclass(frozen=True)
@@ -64,11 +63,7 @@ class Detection:
     contact: bool = True
     weight: float = 1.0
     xy: Spot = (0.0, 0.0)
-    range_from: Literal["contact", "height", "beyond", "guess"] = "guess"
-
-    def at(self, away: float, source: Any) -> Detection:
-        """The same thing on the floor, `away` metres from the camera."""
-        return replace(self, xy=_on_floor(self.azimuth, away), range_from=source)
+    range_from: str = "guess"  # or contact, height, beyond
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,55 +76,44 @@ class SceneLayout:
     @lazy
     def places(self) -> dict[str, list[Spot]]:
         """Where the things are, by name."""
-        found: dict[str, list[Spot]] = {}
-        for each in self.placed:
-            found.setdefault(each.name, []).append(each.xy)
-        return found
+        names = dict.fromkeys(each.name for each in self.placed)
+        return {name: [each.xy for each in self.placed if each.name == name] for name in names}
 
     def notes(self, names: Sequence[str]) -> dict[str, Any]:
         """Where the things with these names were seen and placed, for the record."""
         shown = [each for name in dict.fromkeys(names) for each in self.placed if each.name == name]
-        notes: dict[str, Any] = {
-            "things": [
-                {
-                    "name": each.name,
-                    "azimuth_deg": round(math.degrees(each.azimuth), 1),
-                    "elevation_deg": round(math.degrees(each.elevation), 1),
-                    "xy": [round(value, 2) for value in each.xy],
-                    "range_from": each.range_from,
-                }
-                for each in shown
-            ]
-        }
-        if any(each.range_from != "contact" for each in shown):
-            notes["guessed"] = True
-        if unknown := [name for name in names if name in self.unknown_queries]:
-            notes["strange"] = unknown
-        return notes
+        things = [
+            {
+                "name": each.name,
+                "azimuth_deg": round(math.degrees(each.azimuth), 1),
+                "elevation_deg": round(math.degrees(each.elevation), 1),
+                "xy": [round(value, 2) for value in each.xy],
+                "range_from": each.range_from,
+            }
+            for each in shown
+        ]
+        guessed = {"guessed": True} if any(each.range_from != "contact" for each in shown) else {}
+        unknown = [name for name in names if name in self.unknown_queries]
+        return {"things": things, **guessed, **({"strange": unknown} if unknown else {})}
 
 
-# --- places -----------------------------------------------------------------------------------------------------------
-
-
-def place(things: Sequence[Detection], height: float) -> list[Detection]:
+def place(things: Sequence[Detection], height: float = HEIGHT) -> list[Detection]:
     """Every thing on the floor, the likeliest first; `height` of the camera in metres.
 
     Ranges come from the contact with the floor. The middle of a standing thing without a visible contact is assumed at
     the height `MIDDLE`. Hanging things are put on a rectangle around the standing ones ("beyond"), or, if there is
     none, at the median range of the others ("guess").
     """
-    ranges = [_range(thing, height) for thing in things]
-    known = [(thing.azimuth, away) for thing, away in zip(things, ranges, strict=True) if away is not None]
-    box = enclosing([_on_floor(*each) for each in known])
-    middle = float(np.median([away for _, away in known])) if known else GUESS
-    placed = []
-    for thing, away in zip(things, ranges, strict=True):
-        if away is not None:
-            placed.append(thing.at(away, "height" if thing.bottom is None else "contact"))
-        else:
-            placed.append(
-                thing.at(middle, "guess") if box is None else thing.at(range_to(box, thing.azimuth), "beyond")
-            )
+    known = {index: away for index, each in enumerate(things) if (away := _range(each, height)) is not None}
+    walls = walls_around([_on_floor(things[index].azimuth, away) for index, away in known.items()])
+    middle, placed = float(np.median([*known.values()])) if known else GUESS, []
+    for index, each in enumerate(things):
+        away, source = known.get(index, middle), "guess"
+        if index in known:
+            source = "height" if each.bottom is None else "contact"
+        elif walls:
+            away, source = walls(each.azimuth), "beyond"
+        placed.append(replace(each, xy=_on_floor(each.azimuth, away), range_from=source))
     return sorted(placed, key=lambda each: -each.weight)
 
 
@@ -139,10 +123,8 @@ def _on_floor(azimuth: float, away: float) -> Spot:
 
 def _range(thing: Detection, height: float) -> float | None:
     """The range of a thing by the floor; None if it does not touch it, or too far away."""
-    if not thing.contact:
-        return None
-    if thing.bottom is None:
-        return floor_range(thing.elevation, height - MIDDLE)
+    if thing.bottom is None or not thing.contact:
+        return floor_range(thing.elevation, height - MIDDLE) if thing.contact else None
     if (away := floor_range(thing.bottom, height)) is None:
         return None
     # The lowest edge is the near one: half of the depth is added. It is assumed to be a share of the half width (of a
@@ -159,8 +141,8 @@ def floor_range(elevation: float, height: float) -> float | None:
     return found if found <= FARTHEST else None
 
 
-def enclosing(points: Sequence[Spot]) -> Box | None:
-    """Walls estimated from the places of things: the smallest rectangle, widened.
+def walls_around(points: Sequence[Spot]) -> Callable[[float], float] | None:
+    """Metres from the camera to the walls at an azimuth: those of the smallest rectangle around the places of things.
 
     Things stand along walls, with their middles `MARGIN` away. None if they do not surround the camera.
     """
@@ -177,18 +159,13 @@ def enclosing(points: Sequence[Spot]) -> Box | None:
     turned = [(axes, hull @ axes.T) for axes in np.stack([ahead, ahead[:, ::-1] * [-1, 1]], axis=1)]
     axes, along = min(turned, key=lambda each: float(np.prod(np.ptp(each[1], axis=0))))
     low, high = along.min(axis=0) - MARGIN, along.max(axis=0) + MARGIN
-    return (axes, low, high) if (low < 0).all() and (high > 0).all() else None
 
+    def away(azimuth: float) -> float:
+        ahead = axes @ [math.cos(azimuth), math.sin(azimuth)]
+        with np.errstate(divide="ignore"):  # along an edge: infinitely far
+            return float((np.where(ahead > 0, high, low) / ahead).min(initial=math.inf, where=ahead != 0))
 
-def range_to(box: Box, azimuth: float) -> float:
-    """Metres from the camera, which is in the box, to its edge at `azimuth`."""
-    axes, low, high = box
-    ahead = axes @ [math.cos(azimuth), math.sin(azimuth)]
-    with np.errstate(divide="ignore"):  # along an edge: infinitely far
-        return float((np.where(ahead > 0, high, low) / ahead).min(initial=math.inf, where=ahead != 0))
-
-
-# --- answers from places ----------------------------------------------------------------------------------------------
+    return away if (low < 0).all() and (high > 0).all() else None
 
 
 def nearest(start: Spot, others: Sequence[Spot]) -> Spot:
@@ -215,23 +192,18 @@ def layout_from(places: Mapping[str, Sequence[Spot]]) -> dict[str, list[list[int
     return {name: [next(cells) for _ in where] for name, where in places.items()}
 
 
-# --- things in evidence -----------------------------------------------------------------------------------------------
-
-
 def detections_in(evidence: Evidence, name: str) -> list[Detection]:
     """The things in the evidence about `name`: peaks of its belief at which they are likelier than not."""
-    belief = Belief.uniform(DEGREE).update(evidence)
+    belief, found = Belief.uniform(DEGREE).update(evidence), []
     directions, weights = belief.modes(MOST, PROMINENCE)
     above = to_numpy(belief.log_ratio(directions)) > 0
-    found = []
-    for where, weight in zip(directions[above], weights[above], strict=True):
+    for where, weight in zip(directions[above], weights[above].tolist(), strict=True):
         azimuth, elevation = map(float, azimuth_elevation(where))
-        plain = Detection(name, azimuth, elevation, weight=float(weight), contact=name not in HANGING)
+        bottom, turn = None, 0.0
         if across := extent(evidence, where):
-            wide, tall = across
-            turn = min(wide / max(math.cos(elevation), 0.2), math.pi / 2)
-            plain = replace(plain, bottom=max(elevation - tall, -math.pi / 2), half_width=turn)
-        found.append(plain)
+            bottom = max(elevation - across[1], -math.pi / 2)
+            turn = min(across[0] / max(math.cos(elevation), 0.2), math.pi / 2)
+        found.append(Detection(name, azimuth, elevation, bottom, turn, name not in HANGING, weight))
     return found
 
 
