@@ -4,7 +4,7 @@ An agent gets the current view, may look, and returns an action. At every turn i
 submit if the episode ended there, so that success by turn needs no further runs. Those that look are given a
 `Detector`: any perception, or ``truth``, a simulated detector of known quality based on the annotations.
 
-Ours keeps a belief about the target's direction (`Search`) in the world frame. Directions that were looked at without a
+Ours keeps a belief about the target's direction in the world frame. Directions that were looked at without a
 response lose belief, others keep theirs. What a view tells is the mutual information between the outcome of the look
 and the target's direction. The submission is the window with the most belief.
 """
@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
@@ -23,7 +23,6 @@ from msgspec import Meta
 from scipy.ndimage import convolve1d
 
 from eagor._arrays import to_numpy
-from eagor._values import lazy
 from eagor.baselines import Centroid, HistogramFilter
 from eagor.belief import Belief
 from eagor.conventions import hstar_from_direction
@@ -58,7 +57,7 @@ LOOKING = ("eagor", "centroid", "grid", "sweep", "single")
 # Offsets in yaw from the start, and pitches, degrees: around the horizon first, then below, then above.
 SWEEP = ((0, 0), (90, 0), (180, 0), (270, 0), (0, -45), (120, -45), (240, -45), (0, 45), (120, 45), (240, 45))
 RESPONDS = 0.3  # response from which on a per-view agent counts a detection
-CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)  # of truth; tuned as `Search` was
+CALIBRATION = Calibration(floor=0.125, neutral=0.124, temperature=2.59)  # of truth; tuned as ours was
 
 
 # Tuned on development apartments (random trials, benchmarks/search.py --fit of commit 5a35d191): the model of a look
@@ -222,7 +221,7 @@ class SimulatedDetector:
         return Report(kind, None, placed, covariance, score)
 
 
-# --- what our agent believes ------------------------------------------------------------------------------------------
+# --- agents -----------------------------------------------------------------------------------------------------------
 
 
 class Answer(NamedTuple):
@@ -233,69 +232,84 @@ class Answer(NamedTuple):
     probability: float = math.nan
 
 
-def prior_of(kind: hstar.Kind, elsewhere: float = ELSEWHERE) -> np.ndarray:
-    """Prior probability of each of `CELLS` ``(H, W)``, up to a factor.
-
-    A share `elsewhere` is even over the sphere; the rest has a normal density in the elevation. For paths all is even.
-    """
-    if kind == "hps":
-        return CELLS.weights
-    return even_and_usual(np.degrees(CELLS.latitudes)[:, None], CELLS.weights, HEIGHT, TILT, elsewhere)
+# An action (None: an invalid one), the answer that it would submit now, and notes for the record.
+Turn = tuple[hstar.Action | None, Answer, Mapping[str, Any]]
+Agent = Callable[[View, bool], Turn]  # the turn at this view; True: it is the last one
 
 
-def stated(share: float) -> float:
-    """The calibrated probability that the window with this share of the belief is right."""
-    share = min(max(share, 1e-6), 1 - 1e-6)
-    return 1 / (1 + math.exp(-SHIFT - SLOPE * math.log(share / (1 - share))))
+def make_agent(
+    config: HStarConfig, episode: hstar.Episode, detector: Detector | None = None, chat: Chat | None = None
+) -> Agent:
+    """The agent of a run for one episode; those in `LOOKING` need a detector, the one that talks a model."""
+    if chat is not None:
+        return VlmAgent(episode, chat, config.window, config.resolution)
+    if detector is None:
+        answer = _answer(hstar.window_of(episode.item).centre, 1.0)
+        return lambda view, last: (_submit(answer), answer, {})
+    if config.agent == "eagor":
+        return EagorAgent(episode.kind, detector, config.sure, config.elsewhere)
+    return SweepAgent(config.agent, episode.start, detector)
 
 
-@dataclass(frozen=True, eq=False)
-class Search:
-    """The state after some looks. Immutable: `update` returns a new one.
+def _answer(at: Any, probability: float = math.nan) -> Answer:
+    return Answer(round(float(at[0])) % 360, round(float(at[1])), probability)
 
-    Per cell of `CELLS`: `prior`, up to a factor; `shown`, the visible fraction so far; `stale`, the fraction of the
+
+def _submit(answer: Answer) -> hstar.Action:
+    return hstar.Action("submit", answer.yaw, answer.pitch)
+
+
+def _rotate(now: View, yaw: float, pitch: float) -> hstar.Action:
+    """The rotation from a view to a direction, the short way around."""
+    return hstar.Action("rotate", round((yaw - now.yaw + 180) % 360 - 180), round(pitch - now.pitch))
+
+
+class EagorAgent:
+    """Our agent: looks where that tells most, and submits the window with the most belief if it is `sure`.
+
+    Per cell of `CELLS`: `prior`, up to a factor (a share `elsewhere` is even over the sphere; the rest has a normal
+    density in the elevation; for paths all is even); `shown`, the visible fraction so far; `stale`, the fraction of the
     next look that repeats earlier ones. A look counts for less towards the border of its view, as its evidence does.
     """
 
-    kind: hstar.Kind
-    prior: np.ndarray
-    belief: Belief
-    shown: np.ndarray
-    stale: np.ndarray
+    def __init__(self, kind: hstar.Kind, detector: Detector, sure: float = SURE, elsewhere: float = ELSEWHERE) -> None:
+        self._kind, self._detector, self._sure = kind, detector, sure
+        elevations = np.degrees(CELLS.latitudes)[:, None]
+        usual = even_and_usual(elevations, CELLS.weights, HEIGHT, TILT, elsewhere)
+        self.prior, self.belief = CELLS.weights if kind == "hps" else usual, Belief.uniform(DEGREE)
+        self.shown = self.stale = np.zeros(CELLS.shape)
 
-    @classmethod
-    def begin(cls, kind: hstar.Kind, elsewhere: float = ELSEWHERE) -> Search:
-        """The state before the first look; `elsewhere`: of the prior (`prior_of`)."""
-        nothing = np.zeros(CELLS.shape)
-        return cls(kind, prior_of(kind, elsewhere), Belief.uniform(DEGREE), nothing, nothing)
+    def __call__(self, view: View, last: bool) -> Turn:
+        look = self._detector(view)
+        self.update(look, view)
+        answer = self.answer()
+        sure, action = answer.probability >= self._sure, _submit(answer)
+        if not (last or sure):
+            to = next_heading(HEADINGS, self.tells(), np.radians([-view.yaw, view.pitch]))
+            yaw, pitch = np.degrees(to).round(6).tolist()
+            action = _rotate(view, -yaw, pitch)
+        return action, answer, look.notes() | {"sure": sure}
 
-    def update(self, evidence: Evidence, world_R_capture: np.ndarray, view: View) -> Search:
-        """The state after one more look: its evidence, the pose of the evidence's frame, and the view.
-
-        The look counts for less where it repeats recent ones: a model's errors persist.
-        """
-        belief = self.belief
+    def update(self, look: ViewEvidence, view: View) -> None:
+        """One more look, at this view. It counts for less where it repeats recent ones: a model's errors persist."""
+        evidence, pose = look
         if not self.stale.any():
-            belief = belief.update(evidence, world_R_capture)
+            self.belief = self.belief.update(evidence, pose)
         elif evidence.detections is None:
-            new = self._new_at(evidence.grid.directions @ world_R_capture.T)
-            belief = belief.update(replace(evidence, drawn=evidence.log_ratio * new), world_R_capture)
+            new = self._new_at(evidence.grid.directions @ pose.T)
+            self.belief = self.belief.update(replace(evidence, drawn=evidence.log_ratio * new), pose)
         else:
-            basis, grid = belief.basis, decoding_grid(DEGREE)
-            new = self._new_at(grid.directions @ world_R_capture.T)
-            log_ratio = basis.synthesise(evidence.coefficients(DEGREE), grid)
-            belief = belief.plus(basis.rotate(basis.analyse(log_ratio * new, grid), world_R_capture))
+            basis, grid = self.belief.basis, decoding_grid(DEGREE)
+            log_ratio = basis.synthesise(evidence.coefficients(DEGREE), grid) * self._new_at(grid.directions @ pose.T)
+            self.belief = self.belief.plus(basis.rotate(basis.analyse(log_ratio, grid), pose))
         shares, weights = _shown_by(view)
-        shown, stale = np.maximum(self.shown, shares), REPEATS * np.maximum(self.stale, weights)
-        return replace(self, belief=belief, shown=shown, stale=stale)
+        self.shown, self.stale = np.maximum(self.shown, shares), REPEATS * np.maximum(self.stale, weights)
 
     def _new_at(self, directions: np.ndarray) -> np.ndarray:
         """The fraction ``(...)`` of a look at directions ``(..., 3)`` of the world that is new."""
         x, y, _ = CELLS.project(directions)
-        rows = np.clip(y.astype(np.intp), 0, CELLS.height - 1)
-        return 1 - self.stale[rows, x.astype(np.intp) % CELLS.width]
+        return 1 - self.stale[np.clip(y.astype(np.intp), 0, CELLS.height - 1), x.astype(np.intp) % CELLS.width]
 
-    @lazy
     def probability(self) -> np.ndarray:
         """The probability of each cell of `CELLS` ``(H, W)``; sums to 1.
 
@@ -307,8 +321,8 @@ class Search:
 
     def answer(self) -> Answer:
         """The submission whose window holds most of the belief, centred on that belief."""
-        p, path = self.probability, self.kind == "hps"
-        high, wide = (CELLS.height if path else PITCH_TOLERANCE // STEP), YAW_TOLERANCE[self.kind] // STEP
+        p, path = self.probability(), self._kind == "hps"
+        high, wide = (CELLS.height if path else PITCH_TOLERANCE // STEP), YAW_TOLERANCE[self._kind] // STEP
         # What the smallest window around each cell holds; cells at its border count half.
         mass = _sums(p, np.r_[0.5, np.ones(2 * high - 1), 0.5], np.r_[0.5, np.ones(2 * wide - 1), 0.5])
         # Of equal windows the one with its belief in the middle.
@@ -320,11 +334,18 @@ class Search:
         offset = (yaws - yaws[wide] + 180.0) % 360.0 - 180.0
         yaw = yaws[wide] + float((part * offset).sum() / part.sum())
         pitch = float((part * np.degrees(CELLS.latitudes)[rows][:, None]).sum() / part.sum())
-        return Answer(round(yaw) % 360, 0 if path else round(pitch), stated(float(mass[row, column])))
+        return _answer((yaw, 0.0 if path else pitch), stated(float(mass[row, column])))
 
     def tells(self) -> np.ndarray:
         """Expected information of looks at `HEADINGS` ``(n,)`` about the target's direction, nats."""
-        return np.concatenate([_information(self.probability, 1 - self.stale, pitch) for pitch in PITCHES])
+        p = self.probability()
+        return np.concatenate([_information(p, 1 - self.stale, pitch) for pitch in PITCHES])
+
+
+def stated(share: float) -> float:
+    """The calibrated probability that the window with this share of the belief is right."""
+    share = min(max(share, 1e-6), 1 - 1e-6)
+    return 1 / (1 + math.exp(-SHIFT - SLOPE * math.log(share / (1 - share))))
 
 
 def _information(p: np.ndarray, new: np.ndarray, pitch: float) -> np.ndarray:
@@ -359,62 +380,6 @@ def _shown_by(view: View) -> tuple[np.ndarray, np.ndarray]:
 def _sums(p: np.ndarray, tall: np.ndarray, wide: np.ndarray) -> np.ndarray:
     """The sums of `p` about each cell ``(H, W)``, with these weights of the rows and of the columns around it."""
     return convolve1d(convolve1d(p, wide, axis=1, mode="wrap"), tall, axis=0, mode="constant")
-
-
-# --- agents -----------------------------------------------------------------------------------------------------------
-
-
-# An action (None: an invalid one), the answer that it would submit now, and notes for the record.
-Turn = tuple[hstar.Action | None, Answer, Mapping[str, Any]]
-Agent = Callable[[View, bool], Turn]  # the turn at this view; True: it is the last one
-
-
-def make_agent(
-    config: HStarConfig, episode: hstar.Episode, detector: Detector | None = None, chat: Chat | None = None
-) -> Agent:
-    """The agent of a run for one episode; those in `LOOKING` need a detector, the one that talks a model."""
-    if chat is not None:
-        return VlmAgent(episode, chat, config.window, config.resolution)
-    if detector is None:
-        answer = _answer(hstar.window_of(episode.item).centre, 1.0)
-        return lambda view, last: (_submit(answer), answer, {})
-    if config.agent == "eagor":
-        return EagorAgent(Search.begin(episode.kind, config.elsewhere), detector, config.sure)
-    return SweepAgent(config.agent, episode.start, detector)
-
-
-def _answer(at: Any, probability: float = math.nan) -> Answer:
-    return Answer(round(float(at[0])) % 360, round(float(at[1])), probability)
-
-
-def _submit(answer: Answer) -> hstar.Action:
-    return hstar.Action("submit", answer.yaw, answer.pitch)
-
-
-def _rotate(now: View, yaw: float, pitch: float) -> hstar.Action:
-    """The rotation from a view to a direction, the short way around."""
-    return hstar.Action("rotate", round((yaw - now.yaw + 180) % 360 - 180), round(pitch - now.pitch))
-
-
-class EagorAgent:
-    """Our agent: looks where that tells most (a `Search`), and submits if it is `sure`.
-
-    Every turn of the camera costs one of the episode's turns, whatever its angle.
-    """
-
-    def __init__(self, search: Search, detector: Detector, sure: float = SURE) -> None:
-        self.search, self._detector, self._sure = search, detector, sure
-
-    def __call__(self, view: View, last: bool) -> Turn:
-        look = self._detector(view)
-        self.search = self.search.update(look.evidence, look.world_R_capture, view)
-        answer = self.search.answer()
-        sure, action = answer.probability >= self._sure, _submit(answer)
-        if not (last or sure):
-            to = next_heading(HEADINGS, self.search.tells(), np.radians([-view.yaw, view.pitch]))
-            yaw, pitch = np.degrees(to).round(6).tolist()
-            action = _rotate(view, -yaw, pitch)
-        return action, answer, look.notes() | {"sure": sure}
 
 
 class VlmAgent:

@@ -49,11 +49,8 @@ class Entry(hstar.Box, kw_only=True):
     level: list[Level | None] | Level | None = None
 
 
-Scene = tuple[Path, list[Entry]]  # its picture and its targets
-
-
-def read_scenes(data: Path) -> tuple[dict[str, Scene], list[str]]:
-    """All scenes in `data`, by name, and the folders with annotations that have no such picture, left out as published.
+def read_data(data: Path) -> tuple[list[hstar.Episode], list[str]]:
+    """All episodes in `data`, by scene, and the folders with annotations that have no such picture, skipped as published.
 
     A scene is named by its folder alone if that is unique. Raises `FormatError` if there is none, or one is malformed.
     """
@@ -65,11 +62,14 @@ def read_scenes(data: Path) -> tuple[dict[str, Scene], list[str]]:
             f"{data} holds no scene of H*Bench, {ANNOTATION} beside a .png or .jpg (lower case). Give the folder of "
             f"the unpacked archive{f'; {skipped[0]} has {ANNOTATION}, but no such picture' if skipped else ''}"
         )
-    count, scenes = Counter(folder.name for folder in folders if pictures[folder]), {}
-    for folder in filter(pictures.get, folders):
-        name = folder.name if count[folder.name] == 1 else folder.relative_to(data).as_posix()
-        scenes[name] = pictures[folder][0], published.read_json(folder / ANNOTATION, list[Entry], FAULT)
-    return dict(sorted(scenes.items())), skipped
+    folders = [folder for folder in folders if pictures[folder]]
+    count = Counter(folder.name for folder in folders)
+    named = {f.name if count[f.name] == 1 else f.relative_to(data).as_posix(): f for f in folders}
+    episodes = []
+    for scene, folder in sorted(named.items()):
+        entries = published.read_json(folder / ANNOTATION, list[Entry], FAULT)
+        episodes += _episodes(scene, str(pictures[folder][0]), entries)
+    return episodes, skipped
 
 
 def read_episodes(data: Path, kind: hstar.Kind) -> list[hstar.Episode]:
@@ -77,16 +77,15 @@ def read_episodes(data: Path, kind: hstar.Kind) -> list[hstar.Episode]:
 
     Raises `FormatError` if there is none of this kind, or the data is not H*Bench's.
     """
-    scenes, _ = read_scenes(data)
-    episodes = [each for name, scene in scenes.items() for each in _episodes(name, *scene) if each.kind == kind]
+    episodes = [episode for episode in read_data(data)[0] if episode.kind == kind]
     if not episodes:
         wanted = "with pitch (objects)" if kind == "hos" else "without pitch (paths)"
-        raise FormatError(f"{data} has {len(scenes)} scenes, but no annotation {wanted}: it is not {kind.upper()} data")
+        raise FormatError(f"{data} has no annotation {wanted}: it is not {kind.upper()} data")
     random.Random(SHUFFLE).shuffle(episodes)
     return episodes
 
 
-def _episodes(scene: str, panorama: Path, entries: list[Entry]) -> Iterator[hstar.Episode]:
+def _episodes(scene: str, panorama: str, entries: list[Entry]) -> Iterator[hstar.Episode]:
     boxes = [{"yaw": list(e.yaw)} | ({} if e.pitch is None else {"pitch": list(e.pitch)}) for e in entries]
     items = [{"task": entry.task, **box} for entry, box in zip(entries, boxes, strict=True)]
     for index, entry in enumerate(entries):
@@ -102,7 +101,7 @@ def _episodes(scene: str, panorama: Path, entries: list[Entry]) -> Iterator[hsta
                 share = hstar.View(start, 0.0).share(items[index])
                 level = 0 if share >= 0.5 else 1 if share > 0 else 2
             title = dict(enumerate(hstar.LEVELS[kind])).get(-1 if level is None else level, "unknown")
-            yield hstar.Episode(name, cluster, scene, kind, items[index], others, start, title, str(panorama))
+            yield hstar.Episode(name, cluster, scene, kind, items[index], others, start, title, panorama)
 
 
 FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
@@ -167,14 +166,13 @@ class HStar(PublishedTask):
         )
 
     def info(self, data: Path) -> dict[str, Any]:
-        scenes, skipped = read_scenes(Path(data))
-        episodes = [each for name, scene in scenes.items() for each in _episodes(name, *scene)]
-        levels = {kind: Counter(each.level for each in episodes if each.kind == kind) for kind in hstar.LEVELS}
+        episodes, skipped = read_data(Path(data))
+        kinds = {kind: [episode for episode in episodes if episode.kind == kind] for kind in hstar.LEVELS}
         return {
-            "scenes": len(scenes),
-            "targets": sum(len(entries) for _, entries in scenes.values()),
-            "episodes": {kind: sum(count.values()) for kind, count in levels.items()},
-            "levels": {kind: dict(count) for kind, count in levels.items() if count},
+            "scenes": len({episode.scene for episode in episodes}),
+            "targets": len({episode.cluster for episode in episodes}),
+            "episodes": {kind: len(found) for kind, found in kinds.items()},
+            "levels": {kind: Counter(each.level for each in found) for kind, found in kinds.items() if found},
             "skipped": skipped,
         }
 
