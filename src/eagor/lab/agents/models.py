@@ -91,7 +91,9 @@ def shared(perception: str) -> Perception:
 
     `release` frees it. Raises as `eagor.perception.load`, and errors of its server.
     """
-    return _checked(load(perception))
+    made = load(perception)
+    getattr(made, "check", bool)()  # that it works, where it can tell
+    return made
 
 
 @lru_cache(maxsize=1)
@@ -103,13 +105,7 @@ def shared_chat(spec: str) -> Chat:
     made = load_chat(spec)
     if not (callable(made) and inspect.signature(made).parameters):
         raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted a callable that takes messages")
-    return _checked(made)
-
-
-def _checked(made: Any) -> Any:
-    """`made`, once it has made sure by itself that it works, where it can."""
-    if (check := getattr(made, "check", None)) is not None:
-        check()
+    getattr(made, "check", bool)()
     return made
 
 

@@ -50,7 +50,7 @@ class Entry(hstar.Box, kw_only=True):
 
 
 def read_data(data: Path) -> tuple[list[hstar.Episode], list[str]]:
-    """All episodes in `data`, by scene, and the folders with annotations that have no such picture, skipped as published.
+    """All episodes in `data`, by scene, and the folders with annotations but no such picture, skipped as published.
 
     A scene is named by its folder alone if that is unique. Raises `FormatError` if there is none, or one is malformed.
     """
@@ -143,6 +143,13 @@ CAUSES = {
 NEAR = 25.0  # degrees from the answer: a response there counts as taken for the target
 
 
+class Submission(msgspec.Struct):
+    """A direction in a prediction, degrees."""
+
+    yaw: Annotated[float, Meta(ge=-hstar.FARTHEST_ANSWER, le=hstar.FARTHEST_ANSWER)]
+    pitch: Annotated[float, Meta(ge=-hstar.FARTHEST_ANSWER, le=hstar.FARTHEST_ANSWER)] = 0.0
+
+
 class HStar(PublishedTask):
     """One half of H*Bench; see `eagor.lab.tasks.task.Task`."""
 
@@ -194,32 +201,17 @@ class HStar(PublishedTask):
         return play
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: HStarConfig) -> Record:
-        answer, reason = _submission(prediction)
-        return record_of(
-            msgspec.convert(sample.payload, hstar.Episode), config.scoring, answer, [{"shown": 1.0}], reason
-        )
-
-
-class Submission(msgspec.Struct):
-    """A direction in a prediction, degrees."""
-
-    yaw: Annotated[float, Meta(ge=-hstar.FARTHEST_ANSWER, le=hstar.FARTHEST_ANSWER)]
-    pitch: Annotated[float, Meta(ge=-hstar.FARTHEST_ANSWER, le=hstar.FARTHEST_ANSWER)] = 0.0
-
-
-def _submission(prediction: Mapping[str, Any]) -> tuple[dict[str, int] | None, str]:
-    """The submission of a prediction, or None and the reason why there is none."""
-    if "yaw" not in prediction:
-        text = published.words_of(prediction, ("text",), "yaw and pitch, or text, the model's last reply")
-        action = hstar.parse_action(text).action
-        if action is None or action.kind != "submit":
-            return None, "format" if action is None else "budget"
-        return {"yaw": action.yaw, "pitch": action.pitch}, "submitted"
-    try:
-        given = msgspec.convert(prediction, Submission)
-    except msgspec.ValidationError as error:
-        raise FormatError(f"a prediction is {shown(prediction)}; wanted yaw and pitch in degrees ({error})") from None
-    return {"yaw": round(given.yaw), "pitch": round(given.pitch)}, "submitted"
+        if "yaw" in prediction:
+            try:
+                given = msgspec.convert(prediction, Submission)
+            except msgspec.ValidationError as error:
+                raise FormatError(f"{shown(prediction)}: wanted yaw and pitch in degrees ({error})") from None
+            action = hstar.Action("submit", round(given.yaw), round(given.pitch))
+        else:
+            text = published.words_of(prediction, ("text",), "yaw and pitch, or text, the model's last reply")
+            action = hstar.parse_action(text).action
+        episode, steps = msgspec.convert(sample.payload, hstar.Episode), [{"shown": 1.0, "valid": action is not None}]
+        return record_of(episode, config.scoring, action, steps)
 
 
 HOS = HStar("hos", "H*Bench: object search (HOS)", "look around in a photograph for a thing, and name its direction")
@@ -234,9 +226,9 @@ def run_episode(
     `scoring` decides "score" and "by_turn" ("scores" has both); `turns`: views at most. Each step has "turn", "view",
     "shown" (visible fraction of the target), "action", "would" (its answer now), and the agent's notes.
     """
-    item, view, answer = episode.item, hstar.View(float(episode.start), 0.0), None
+    item, view, action = episode.item, hstar.View(float(episode.start), 0.0), None
     steps: list[dict[str, Any]] = []
-    while answer is None and len(steps) < turns:
+    while len(steps) < turns and (action is None or action.kind != "submit"):
         action, (yaw, pitch, p), notes = agent(view, len(steps) + 1 == turns)
         succeeds = {each: hstar.submit_succeeds(item, yaw, pitch, each) for each in hstar.SCORINGS}
         steps.append(
@@ -249,43 +241,35 @@ def run_episode(
                 **notes,
             }
         )
-        if action is not None and action.kind == "submit":
-            answer = {"yaw": action.yaw, "pitch": action.pitch}
         view = view.after(action)
-    unread = any(step.get("valid") is False for step in steps)
-    reason = "submitted" if answer is not None else "format" if unread else "budget"
-    record = record_of(episode, scoring, answer, steps, reason)
-    by_turn = [int(step["would"][scoring]) for step in steps]
+    record = record_of(episode, scoring, action, steps)
+    answered, by_turn = record["answer"] is not None, [int(step["would"][scoring]) for step in steps]
     return record | {
         "scoring": scoring,
         "by_turn": by_turn + [int(record["score"])] * (turns - len(steps)),
         "views": len(steps),
-        "stated": steps[-1]["would"]["p"] if answer is not None else None,
-        "sure": bool(steps[-1].get("sure", False)) and answer is not None,
+        "stated": steps[-1]["would"]["p"] if answered else None,
+        "sure": answered and bool(steps[-1].get("sure", False)),
         "steps": steps,
     }
 
 
 def record_of(
-    episode: hstar.Episode,
-    scoring: hstar.Scoring,
-    answer: Mapping[str, Any] | None,
-    steps: Sequence[Mapping[str, Any]],
-    reason: str,
+    episode: hstar.Episode, scoring: hstar.Scoring, last: hstar.Action | None, steps: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """The part of a record about the submission, with the errors in degrees.
-
-    `answer`: None if there was none, for the `reason`, which is then also the cause of the failure.
-    """
-    item, pitch, middle = episode.item, episode.item.get("pitch"), hstar.window_of(episode.item).centre
-    scores, cause, turn, lift, off = dict.fromkeys(hstar.SCORINGS, 0.0), reason, None, None, None
-    if answer is not None:
-        at = answer["yaw"], answer["pitch"]
+    """The part of a record about the `last` action, with the errors in degrees; None: it could not be read."""
+    item, pitch = episode.item, episode.item.get("pitch")
+    reason = "format" if any(step.get("valid") is False for step in steps) else "budget"
+    scores, cause, answer = dict.fromkeys(hstar.SCORINGS, 0.0), reason, None
+    errors: dict[str, float | None] = {"yaw_error": None, "pitch_error": None, "error": None}
+    if last is not None and last.kind == "submit":
+        reason, at, middle = "submitted", (last.yaw, last.pitch), hstar.window_of(item).centre
+        answer = {"yaw": last.yaw, "pitch": last.pitch}
         scores = {way: float(hstar.submit_succeeds(item, *at, way)) for way in hstar.SCORINGS}
         cause = None if scores[scoring] else cause_of(item, steps, at, episode.others, scoring)
-        turn = round(abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0), 2)
-        lift = None if pitch is None else round(abs(at[1] - middle[1]), 2)
-        off = round(_apart(at, middle), 2)
+        turn, lift = abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0), abs(at[1] - middle[1])
+        errors = {"yaw_error": round(turn, 2), "pitch_error": None if pitch is None else round(lift, 2)}
+        errors["error"] = round(_apart(at, middle), 2)
     return {
         "case": episode.id,
         "cluster": episode.cluster,
@@ -299,9 +283,7 @@ def record_of(
         "cause": cause,
         "reason": reason,
         "answer": answer,
-        "yaw_error": turn,
-        "pitch_error": lift,
-        "error": off,
+        **errors,
     }
 
 
