@@ -41,9 +41,7 @@ class EpisodePerception:
         if self._privileged:
             self._sees = perception.episode(things, int(spec.rng(purpose).integers(1 << 31)))
         self.source: dict[str, Any] = {}
-        self.milliseconds: list[float] = []
-        self.looks = 0
-        self.unread: list[AnswerError] = []
+        self.milliseconds, self.unread, self.looks = list[float](), list[AnswerError](), 0
 
     def look(
         self, observation: Mapping[str, Any], info: Mapping[str, Any], stamp: float, query: str = ""

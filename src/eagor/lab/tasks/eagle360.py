@@ -13,7 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -39,6 +39,7 @@ FACES = ("front", "right", "back", "left", "top", "bottom")
 TOOL = "rotate_and_project_panorama"
 
 Angles = tuple[float | None, float | None]
+Step = dict[str, Any]  # a look: its "view" (azimuth, elevation, field of view; or the whole), "answer", "raw" reply
 
 AGENTS = {
     "eagor": "one belief: the whole panorama first, then projections where it is, narrower each time",
@@ -135,14 +136,6 @@ def read_samples(data: str) -> list[Sample]:
     return found
 
 
-class Step(NamedTuple):
-    """A look: its `view` (azimuth, elevation, field of view; None: the whole panorama) and the answer after it."""
-
-    answer: Angles
-    view: Sequence[float] | None = None
-    text: str | None = None
-
-
 def grid_of(azimuth: float, elevation: float, fov: float) -> PerspectiveGrid:
     """The published projection, in the frame of a body that faces the panorama's middle."""
     turn = world_R_body(-math.radians(azimuth), -math.radians(elevation))
@@ -151,23 +144,21 @@ def grid_of(azimuth: float, elevation: float, fov: float) -> PerspectiveGrid:
 
 def explore(perception: Any, image: np.ndarray, question: str, looks: int, read: Recalibrate) -> Iterator[Step]:
     """Global first, then local: at the belief's best place that was not looked at so closely yet."""
-    tracker, views = DirectionTracker(), list[tuple[np.ndarray, float]]()
+    tracker, views, seen = DirectionTracker(), list[tuple[np.ndarray, float]](), {}
     words = re.sub(r"\b(in|within|from) (this|the) (panorama|panoramic|image|picture|scene)\b.*", "", question)
-    query, evidence = published.first_known(
-        published.queries_of(words), lambda query: perception(image, query, stamp=0.0)
-    )
-    shown = None  # the view that the evidence is of
+    names = published.queries_of(words)
+    query, evidence = published.first_known(names, lambda query: perception(image, query, stamp=0.0))
     for number in range(looks + 1):
         stamp = 1e-3 * number  # the camera stands still
         tracker.add_pose(stamp, np.eye(3))
         if views:
-            shown = [*_angles(views[-1][0]), views[-1][1]]
-            grid = grid_of(*shown)
+            seen = {"view": [*_angles(views[-1][0]), views[-1][1]]}
+            grid = grid_of(*seen["view"])
             evidence = look_at_view(perception, view(image, grid), grid, query, stamp=stamp)
         tracker.observe(read(evidence))
         estimate = tracker.estimate(stamp)
         best = estimate.direction if estimate.direction is not None else np.array([1.0, 0.0, 0.0])
-        yield Step(_angles(best), shown)
+        yield {"answer": _angles(best), **seen}
         width = math.degrees(4 * float(estimate.credible_angle))  # of a view: what is believed, with room about it
         for place in [mode.direction for mode in estimate.modes] or [best]:
             # Half of each field of view in whose middle half the place was.
@@ -207,7 +198,7 @@ def converse(chat: Any, image: np.ndarray, question: str, looks: int) -> Iterato
     messages = [Message("system", SYSTEM), Message("user", f"{IMAGE}\n{question}", (whole,))]
     for turn in range(looks + 1):
         text = chat(messages).text
-        yield Step(parse_answer(text, strict=True), text=text)
+        yield {"answer": parse_answer(text, strict=True), "raw": text}
         call = parse_call(text)
         if ("<answer>" in text and "</answer>" in text) or call is None or turn == looks:
             return
@@ -222,9 +213,7 @@ def converse(chat: Any, image: np.ndarray, question: str, looks: int) -> Iterato
 class Config(PublishedConfig, kw_only=True):
     """The settings of a run of EAGLE-360."""
 
-    projections: Annotated[int, Meta(ge=0, le=PROJECTIONS, description="looks closer, at most; six are official")] = (
-        PROJECTIONS
-    )
+    projections: Annotated[int, Meta(ge=0, le=6, description="looks closer, at most; six are official")] = PROJECTIONS
 
 
 class Eagle360(PublishedTask):
@@ -255,13 +244,12 @@ class Eagle360(PublishedTask):
 
     def player(self, config: Config, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
         def play(payload: Payload) -> Record:
+            metadata, question = payload["metadata"], payload["question"]
             if config.agent == "oracle":
-                true = payload["metadata"]
-                return record_of(payload, [Step((true["azimuth_degrees"], true["elevation_degrees"]))])
+                return record_of(payload, [{"answer": (metadata["azimuth_degrees"], metadata["elevation_degrees"])}])
             image, looks = read_panorama(payload["picture"]), config.projections if config.agent != "global" else 0
-            if chat is not None:
-                return record_of(payload, list(converse(chat, image, payload["question"], looks)))
-            return record_of(payload, list(explore(perception, image, payload["question"], looks, read)))
+            talks, looking = (chat, image, question, looks), (perception, image, question, looks, read)
+            return record_of(payload, list(converse(*talks) if chat is not None else explore(*looking)))
 
         return play
 
@@ -270,12 +258,14 @@ class Eagle360(PublishedTask):
             text = "<answer>azimuth {azimuth} elevation {elevation}</answer>".format(**prediction)
         else:
             text = published.words_of(prediction, ("text",), "azimuth and elevation, or text")
-        return record_of(sample.payload, [Step(parse_answer(text, strict=True), text=text)])
+        return record_of(sample.payload, [{"answer": parse_answer(text, strict=True), "raw": text}])
 
 
 def record_of(payload: Payload, steps: Sequence[Step]) -> dict[str, Any]:
     """The record of an episode: as published, the last answer that can be read counts."""
-    azimuth, elevation = next((step.answer for step in reversed(steps) if step.answer[0] is not None), (None, None))
+    azimuth, elevation = next(
+        (step["answer"] for step in reversed(steps) if step["answer"][0] is not None), (None, None)
+    )
     found = score(payload["metadata"], azimuth, elevation)
     answer = {"azimuth": azimuth, "elevation": elevation} if None not in (azimuth, elevation) else None
     return {
@@ -288,10 +278,7 @@ def record_of(payload: Payload, steps: Sequence[Step]) -> dict[str, Any]:
         "error": round(found["distance"], 3),
         "answer": answer,
         "views": len(steps) - 1,
-        "steps": [
-            {"answer": s.answer, **({"view": s.view} if s.view else {}), **({"raw": s.text} if s.text else {})}
-            for s in steps
-        ],
+        "steps": steps,
     }
 
 

@@ -403,8 +403,9 @@ class VlmAgent:
         notes = {"raw": reply.text, "format": kept, "valid": action is not None, "pixels": list(picture.shape[:2])}
         if reply.prompt_tokens is not None:
             notes["tokens"] = [reply.prompt_tokens, reply.completion_tokens]
-        submits = action is not None and action.kind == "submit"
-        return action, Answer(action.yaw, action.pitch) if submits else _answer((view.yaw, view.pitch)), notes
+        if action is not None and action.kind == "submit":
+            return action, Answer(action.yaw, action.pitch), notes
+        return action, _answer((view.yaw, view.pitch)), notes
 
 
 class SweepAgent:

@@ -28,7 +28,6 @@ from eagor.lab.tasks.hstar.agents import AGENTS, LOOKING, RESPONDS, Agent, HStar
 from eagor.lab.tasks.published import PublishedTask, Recalibrate, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample
 from eagor.perception.truth import Noise
-from eagor.queries import singular
 from eagor.sphere import angular_distance
 
 ANNOTATION = "annotation.json"
@@ -126,7 +125,7 @@ def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) ->
         return "ocr_fine"
     if any(published.head_of(str(other["task"])) == head for other in others):
         return "multi_instance"
-    return "plain" if {head, singular(head)} & COMMON else "rare"
+    return "plain" if head in COMMON else "rare"
 
 
 # In order of precedence: the first that applies is the cause.

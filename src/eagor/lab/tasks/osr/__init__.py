@@ -30,7 +30,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
@@ -390,14 +389,12 @@ def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
             name = place.parent.name or place.stem
             scenes.append(_scene(turns, image_id, name, path.parent / place.parent, suffix, path))
     if not scenes:
-        there = sorted(kind for kind in SUFFIXES if any(data.rglob(f"*_{kind}.json")))
-        hint = f"it has files of the kind {', '.join(there)}: choose one with --set suffix=KIND"
-        raise FormatError(f"{data} has no <scene>_{suffix}.json and no qa.csv; {hint if there else 'is it OSR-Bench?'}")
-    scenes.sort(key=lambda scene: scene.id)
-    for scene, other in pairwise(scenes):
-        if scene.id == other.id:
-            raise FormatError(f"{data} has several scenes {scene.id!r}; give the folder of one copy of the data")
-    return tuple(scenes)
+        kinds = ", ".join(kind for kind in SUFFIXES if any(data.rglob(f"*_{kind}.json")))
+        hint = f"it has files of the kind {kinds}: choose one with --set suffix=KIND" if kinds else "is it OSR-Bench?"
+        raise FormatError(f"{data} has no <scene>_{suffix}.json and no qa.csv; {hint}")
+    if len({scene.id for scene in scenes}) < len(scenes):
+        raise FormatError(f"{data} has several scenes of one name; give the folder of one copy of the data")
+    return tuple(sorted(scenes, key=lambda scene: scene.id))
 
 
 @lru_cache(maxsize=2)

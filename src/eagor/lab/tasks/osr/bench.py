@@ -75,7 +75,6 @@ class Reply(NamedTuple):
 
 
 Agent = Callable[[Scene, Question], Reply]  # raises if there is no reply: that is not a wrong answer
-Detector = Callable[[Scene], geometry.SceneLayout]  # looks at a scene for the things that its questions name
 
 
 class Vlm:
@@ -83,24 +82,19 @@ class Vlm:
 
     def __init__(self, chat: Chat, form: str = "vanilla") -> None:
         self._chat, self._form = chat, form
-        self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map, which is asked for once
+        self._ask = lru_cache(maxsize=1)(self._asked)  # the map of a scene is asked for once
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
         mapped, text = scene.map_question, f"{question.text} {_AFTER[self._form]}"
-        if mapped is None:
-            return Reply(self._chat([_with_picture(f"{_BEFORE} {text}", scene)]).text)
-        if self._drawn is None or self._drawn[0] != scene.id:
-            request = _with_picture(mapped.text, scene)
-            self._drawn = scene.id, [request], self._chat([request]).text
-        _, requests, drawn = self._drawn
-        if question.skill == osr.MAP:
-            return Reply(drawn)
-        messages = [*requests, Message("assistant", drawn), Message("user", text)]
-        return Reply(self._chat(messages).text, {"map": drawn})
+        request, reply = self._ask(scene, f"{_BEFORE} {text}" if mapped is None else mapped.text)
+        if mapped is None or question.skill == osr.MAP:
+            return Reply(reply)
+        messages = [request, Message("assistant", reply), Message("user", text)]
+        return Reply(self._chat(messages).text, {"map": reply})
 
-
-def _with_picture(text: str, scene: Scene) -> Message:
-    return Message("user", f"{text}\n{IMAGE}", (read_panorama(scene.image),))
+    def _asked(self, scene: Scene, text: str) -> tuple[Message, str]:
+        request = Message("user", f"{text}\n{IMAGE}", (read_panorama(scene.image),))
+        return request, self._chat([request]).text
 
 
 class Eagor:
@@ -109,7 +103,7 @@ class Eagor:
     `negative`: whether questions may ask about absent things; only then does it answer with errors.
     """
 
-    def __init__(self, look: Detector, negative: bool = False) -> None:
+    def __init__(self, look: Callable[[Scene], geometry.SceneLayout], negative: bool = False) -> None:
         self.around, self._negative = lru_cache(maxsize=1)(look), negative  # looked at once, for all questions
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
