@@ -2,7 +2,7 @@
 
 The layout is ``<anything>/<scene>/annotation.json`` beside the scene's panorama, as in the unpacked archives: the first
 ``*.png`` by name, otherwise the first ``*.jpg``. As in the published environment, ``.PNG`` and ``.jpeg`` are other
-endings, whose scenes are skipped (`read_scenes` names them). An entry with ``pitch`` is an object to find (HOS), one
+endings, whose scenes are skipped (`read_data` names them). An entry with ``pitch`` is an object to find (HOS), one
 without is a path to take (HPS). There is one episode per entry and start.
 """
 
