@@ -69,13 +69,13 @@ class EpisodePerception:
         Empty if the perception tells no source, or reads instance ids. Raises `AnswerError` if more than half of the
         answers could not be read: that is no result.
         """
-        unread, looks = len(self.unread), self.looks
-        if 2 * unread > looks:
-            raise AnswerError(f"{unread} of {looks} answers could not be read; the last: {self.unread[-1]}")
+        unread = len(self.unread)
+        if 2 * unread > self.looks:
+            raise AnswerError(f"{unread} of {self.looks} answers could not be read; the last: {self.unread[-1]}")
         if self._privileged or not (self.source or self.unread):
             return {}
         mean = round(float(np.mean(self.milliseconds)), 1) if self.milliseconds else None
-        return {"looks": looks, "unread": unread, "milliseconds": mean, "source": self.source}
+        return {"looks": self.looks, "unread": unread, "milliseconds": mean, "source": self.source}
 
 
 def is_privileged(perception: Any) -> bool:

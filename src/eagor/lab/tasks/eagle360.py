@@ -146,8 +146,7 @@ def explore(perception: Any, image: np.ndarray, question: str, looks: int, read:
     """Global first, then local: at the belief's best place that was not looked at so closely yet."""
     tracker, views, seen = DirectionTracker(), list[tuple[np.ndarray, float]](), {}
     words = re.sub(r"\b(in|within|from) (this|the) (panorama|panoramic|image|picture|scene)\b.*", "", question)
-    names = published.queries_of(words)
-    query, evidence = published.first_known(names, lambda query: perception(image, query, stamp=0.0))
+    query, evidence = published.first_known(words, lambda query: perception(image, query, stamp=0.0))
     for number in range(looks + 1):
         stamp = 1e-3 * number  # the camera stands still
         tracker.add_pose(stamp, np.eye(3))

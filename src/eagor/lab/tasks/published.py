@@ -124,15 +124,11 @@ class PublishedTask:
         looks, talks = agent in self.looking, agent == TALKING
         if looks and not config.perception:
             truth = f", or truth ({self.truth})" if self.truth else ""
-            raise EagorError(
-                f"the agent {agent} needs a perception: name one with --perception, such as a model (folder or hub "
-                f"name) or endpoint:MODEL@ADDRESS{truth}"
-            )
+            wanted = f"a model (folder or hub name) or endpoint:MODEL@ADDRESS{truth}"
+            raise EagorError(f"the agent {agent} needs a perception: name one with --perception, such as {wanted}")
         if talks and not config.model:
-            raise EagorError(
-                f"the agent {agent} asks a model; name it with --model, such as MODEL@http://localhost:8000/v1, "
-                "or package.module:function"
-            )
+            wanted = "MODEL@http://localhost:8000/v1, or package.module:function"
+            raise EagorError(f"the agent {agent} asks a model; name it with --model, such as {wanted}")
         needs = {"perception": looks, "model": talks, "calibrated": looks}
         kept = {name: getattr(config, name) if need else None for name, need in needs.items()}
         found = msgspec.structs.replace(config, agent=agent, versions={"eagor": __version__}, **kept)
@@ -211,17 +207,15 @@ def head_of(task: str) -> str:
     return singular(words[-1]) if words else thing_of(task).lower()
 
 
-def queries_of(task: str) -> list[str]:
-    """What a perception is asked for: the task's words; shorter ones for a perception that knows only single nouns."""
-    return [thing_of(task), phrase_of(task), head_of(task)]
+def first_known(task: str, look: Callable[[str], Evidence]) -> tuple[str, Evidence]:
+    """What a perception is asked for, and its `look` for it: the task's words, or shorter ones that it knows.
 
-
-def first_known(queries: Sequence[str], look: Callable[[str], Evidence]) -> tuple[str, Evidence]:
-    """The first of `queries` that a perception knows, and its `look` for it. Raises `QueryError` if it knows none."""
-    *others, last = dict.fromkeys(queries)
-    for query in others:
+    Raises `QueryError` if it knows none.
+    """
+    words = [thing_of(task), phrase_of(task)]
+    for query in dict.fromkeys(words):
         try:
             return query, look(query)
         except QueryError:
             continue
-    return last, look(last)
+    return head_of(task), look(head_of(task))

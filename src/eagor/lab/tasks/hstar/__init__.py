@@ -78,28 +78,16 @@ class Box(msgspec.Struct):
     pitch: tuple[Degrees, Degrees] | None = None
 
 
-class Window(NamedTuple):
-    """Where a submission succeeds, degrees: yaw from `yaw[0]` to the right up to `yaw[1]`, both in [0, 360)."""
-
-    yaw: tuple[float, float]
-    pitch: tuple[float, float]
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        """(yaw, pitch) of its middle."""
-        width = (self.yaw[1] - self.yaw[0]) % 360.0
-        return (self.yaw[0] + width / 2) % 360.0, (self.pitch[0] + self.pitch[1]) / 2
-
-
 def normalised(yaw: float) -> float:
     """`yaw` (degrees) in [0, 360)."""
     return (yaw + 360) % 360
 
 
-def window_of(item: Mapping[str, Any]) -> Window:
-    """The window of one entry of annotation.json, without ``pitch`` one of HPS; a narrow one is widened.
+def window_of(item: Mapping[str, Any]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Where submissions for an entry of annotation.json succeed: yaw from .. to the right up to .., and pitch, degrees.
 
-    Raises `FormatError` if the angles are not pairs of finite numbers.
+    Yaws are in [0, 360). A narrow window is widened. Without ``pitch`` the entry is one of HPS. Raises `FormatError` if
+    the angles are not pairs of finite numbers.
     """
     try:
         box = msgspec.convert(item, Box)
@@ -117,7 +105,13 @@ def window_of(item: Mapping[str, Any]) -> Window:
     if high - low < 2 * PITCH_TOLERANCE:
         middle = (low + high) / 2
         low, high = max(-90.0, middle - PITCH_TOLERANCE), min(90.0, middle + PITCH_TOLERANCE)
-    return Window((normalised(left), normalised(right)), (low, high))
+    return (normalised(left), normalised(right)), (low, high)
+
+
+def middle_of(item: Mapping[str, Any]) -> tuple[float, float]:
+    """(yaw, pitch) of the middle of an item's window."""
+    (left, right), pitch = window_of(item)
+    return (left + (right - left) % 360.0 / 2) % 360.0, sum(pitch) / 2
 
 
 def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: str = "official") -> bool:

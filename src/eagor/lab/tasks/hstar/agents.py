@@ -36,7 +36,7 @@ from eagor.harmonics.peaks import decoding_grid
 from eagor.lab.agents.steering import next_heading
 from eagor.lab.tasks import hstar
 from eagor.lab.tasks.hstar import HFOV_DEG, PITCH_TOLERANCE, YAW_TOLERANCE, View
-from eagor.lab.tasks.published import PublishedConfig, Recalibrate, first_known, queries_of
+from eagor.lab.tasks.published import PublishedConfig, Recalibrate, first_known
 from eagor.perception import Perception
 from eagor.perception.partial import coverage, look_at_view
 from eagor.perception.truth import Noise, Report, displaced, drawn
@@ -91,9 +91,6 @@ class HStarConfig(PublishedConfig, kw_only=True):
     window: Annotated[int, Meta(ge=1, le=50, description="turns of conversation that the model is shown")] = 5
 
 
-# --- what an agent sees -----------------------------------------------------------------------------------------------
-
-
 class ViewEvidence(NamedTuple):
     """The evidence of one view, and the pose ``(3, 3)`` of its frame."""
 
@@ -146,15 +143,13 @@ def open_detector(
         luck = [seed, zlib.crc32(episode.id.encode())]  # independent of all other cases
         detect = SimulatedDetector(yaw, pitch, perception, luck)
         return lambda view: (look := detect(view))._replace(evidence=read(look.evidence))
-    queries = queries_of(episode.item["task"])
 
     def look(view: View) -> ViewEvidence:
         panorama = hstar.open_panorama(episode.panorama)
         image = hstar.without_cross(hstar.render_view(panorama, view.yaw, view.pitch, resolution))
         upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
         grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(HFOV_DEG), upright)
-        query, evidence = first_known(queries, lambda query: look_at_view(perception, image, grid, query))
-        del queries[: queries.index(query)]  # what it does not know it is not asked for in the next view
+        _, evidence = first_known(episode.item["task"], lambda query: look_at_view(perception, image, grid, query))
         return ViewEvidence(read(evidence), world_R_body(-math.radians(view.yaw)))
 
     return look
@@ -221,9 +216,6 @@ class SimulatedDetector:
         return Report(kind, None, placed, covariance, score)
 
 
-# --- agents -----------------------------------------------------------------------------------------------------------
-
-
 class Answer(NamedTuple):
     """A submission in whole degrees, and its probability of success according to the belief, NaN if it has none."""
 
@@ -244,8 +236,8 @@ def make_agent(
     if chat is not None:
         return VlmAgent(episode, chat, config.window, config.resolution)
     if detector is None:
-        answer = _answer(hstar.window_of(episode.item).centre, 1.0)
-        return lambda view, last: (_submit(answer), answer, {})
+        answer = _answer(hstar.middle_of(episode.item), 1.0)
+        return lambda view, last: (hstar.Action("submit", *answer[:2]), answer, {})
     if config.agent == "eagor":
         return EagorAgent(episode.kind, detector, config.sure, config.elsewhere)
     return SweepAgent(config.agent, episode.start, detector)
@@ -253,10 +245,6 @@ def make_agent(
 
 def _answer(at: Any, probability: float = math.nan) -> Answer:
     return Answer(round(float(at[0])) % 360, round(float(at[1])), probability)
-
-
-def _submit(answer: Answer) -> hstar.Action:
-    return hstar.Action("submit", answer.yaw, answer.pitch)
 
 
 def _rotate(now: View, yaw: float, pitch: float) -> hstar.Action:
@@ -283,7 +271,7 @@ class EagorAgent:
         look = self._detector(view)
         self.update(look, view)
         answer = self.answer()
-        sure, action = answer.probability >= self._sure, _submit(answer)
+        sure, action = answer.probability >= self._sure, hstar.Action("submit", *answer[:2])
         if not (last or sure):
             to = next_heading(HEADINGS, self.tells(), np.radians([-view.yaw, view.pitch]))
             yaw, pitch = np.degrees(to).round(6).tolist()
@@ -426,7 +414,7 @@ class SweepAgent:
         direction, done = self._read(look)
         answer = _answer(hstar_from_direction(direction))
         to = None if last or done else next(self._left, None)
-        action = _submit(answer) if to is None else _rotate(view, self._start + to[0], to[1])
+        action = hstar.Action("submit", *answer[:2]) if to is None else _rotate(view, self._start + to[0], to[1])
         return action, answer, look.notes()
 
     def _read(self, look: ViewEvidence) -> tuple[np.ndarray, bool]:

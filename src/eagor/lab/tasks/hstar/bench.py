@@ -85,8 +85,7 @@ def read_episodes(data: Path, kind: hstar.Kind) -> list[hstar.Episode]:
 
 
 def _episodes(scene: str, panorama: str, entries: list[Entry]) -> Iterator[hstar.Episode]:
-    boxes = [{"yaw": list(e.yaw)} | ({} if e.pitch is None else {"pitch": list(e.pitch)}) for e in entries]
-    items = [{"task": entry.task, **box} for entry, box in zip(entries, boxes, strict=True)]
+    items = [{"task": e.task, "yaw": [*e.yaw]} | ({"pitch": [*e.pitch]} if e.pitch else {}) for e in entries]
     for index, entry in enumerate(entries):
         kind: hstar.Kind = "hos" if entry.pitch is not None else "hps"
         starts = STARTS if entry.starts is None else entry.starts
@@ -262,7 +261,7 @@ def record_of(
     scores, cause, answer = dict.fromkeys(hstar.SCORINGS, 0.0), reason, None
     errors: dict[str, float | None] = {"yaw_error": None, "pitch_error": None, "error": None}
     if last is not None and last.kind == "submit":
-        reason, at, middle = "submitted", (last.yaw, last.pitch), hstar.window_of(item).centre
+        reason, at, middle = "submitted", (last.yaw, last.pitch), hstar.middle_of(item)
         answer = {"yaw": last.yaw, "pitch": last.pitch}
         scores = {way: float(hstar.submit_succeeds(item, *at, way)) for way in hstar.SCORINGS}
         cause = None if scores[scoring] else cause_of(item, steps, at, episode.others, scoring)

@@ -60,8 +60,6 @@ FAR = 15.0  # cells: the mean distance of a map without any match
 _SIDES = {"Left": "Right", "Right": "Left"}
 _HYPHENS = {f"{a} {b}": f"{a}-{b}" for a in ("front", "back") for b in ("left", "right")}
 
-# --- answers that follow from a layout --------------------------------------------------------------------------------
-
 
 def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
     """The published answer to "standing by P and facing the closest O, where is the closest Q?".
@@ -134,9 +132,6 @@ def ranked(start: Cell, where: Iterable[Cell]) -> list[Cell]:
 def swapped(answer: str) -> str:
     """`answer` with left and right exchanged; any other answer as it is."""
     return " ".join(_SIDES.get(word, word) for word in answer.split(" ")) if answer in DIRECTIONS else answer
-
-
-# --- scores -----------------------------------------------------------------------------------------------------------
 
 
 def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
@@ -279,8 +274,6 @@ def _figures(right: int, named: int, true: int, away: float, empty: float) -> di
     f1 = 2 * right / (named + true) if right else 0.0
     return {**shares, "f1": f1, "avg_distance": away, "tp": right, "fp": named - right, "fn": true - right}
 
-
-# --- the published files ----------------------------------------------------------------------------------------------
 
 Suffix = Literal["qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap"]
 SUFFIXES: tuple[Suffix, ...] = get_args(Suffix)

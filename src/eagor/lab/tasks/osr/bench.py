@@ -155,10 +155,7 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
     skill, think = question.skill, config.prompt == "think"
     wanted = ("official", "corrected") if config.labels == "both" else (config.labels,)
     truths = {labels: question.truth(labels) for labels in wanted}
-    maps = [osr.score_map(truth, reply.text) for truth in truths.values()] if skill == osr.MAP else []
-    values = [each["overall"]["f1"] for each in maps] or [
-        osr.score(skill, each, reply.text, think) for each in truths.values()
-    ]
+    values = [osr.score(skill, truth, reply.text, think) for truth in truths.values()]
     scores, truth, cause = dict(zip(wanted, values, strict=True)), truths[wanted[0]], None
     if values[0] < 1:
         guessed = "range guessed" if reply.notes.get("guessed") else "wrong"
@@ -176,9 +173,10 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
         "answer": reply.text,
         "cause": cause,
     }
-    if maps:
-        record["map_range"] = {"least": values[0], "most": maps[0].pop("most")}
-        record["map"] = maps[0] | {"truth": truth}
+    if skill == osr.MAP:
+        found = osr.score_map(truth, reply.text)
+        record["map_range"] = {"least": values[0], "most": found.pop("most")}
+        record["map"] = found | {"truth": truth}
     else:
         record["truth"] = truth
     return record | ({"steps": [reply.notes]} if reply.notes else {})
@@ -238,13 +236,8 @@ class OsrBench(PublishedTask):
             truth = question.truth(labels)
             return Reply(osr.map_text(osr.layout_of(truth)) if question.skill == osr.MAP else str(truth))
 
-        look = partial(seen_layout, perception, read)
-        agents = {
-            "oracle": oracle,
-            TALKING: Vlm(chat, config.prompt),
-            "eagor": Eagor(look, "negative" in config.suffix),
-        }
-        agent: Agent = agents[config.agent]
+        agents: dict[str, Agent] = {"oracle": oracle, TALKING: Vlm(chat, config.prompt)}
+        agent = agents.get(config.agent) or Eagor(partial(seen_layout, perception, read), "negative" in config.suffix)
 
         def play(payload: Payload) -> Record:
             scene, question = questions_of(config.data, config.suffix)[payload["question"]]
