@@ -61,7 +61,6 @@ class PublishedRecord(msgspec.Struct, kw_only=True):
     views: Annotated[int, Meta(ge=0)] = 0
     stated: Share | None = None
     sure: bool | float | None = None
-    scoring: str = ""
     scores: dict[str, float | None] = {}
     error: float | None = None
     seconds: float | None = None
@@ -85,7 +84,6 @@ class PublishedTask:
     looking: ClassVar[Sequence[str]] = ()
     truth: ClassVar[str] = ""
     causes: ClassVar[Mapping[str, str]] = {}
-    strata: ClassVar[Mapping[str, str]] = {}
     ranked_by: ClassVar[Sequence[str]] = ("overall",)
     name: Any
     metrics: Any

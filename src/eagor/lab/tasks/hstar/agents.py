@@ -3,10 +3,6 @@
 An agent gets the current view, may look, and returns an action. At every turn it also returns the answer that it would
 submit if the episode ended there, so that success by turn needs no further runs. Those that look are given a
 `Detector`: any perception, or ``truth``, a simulated detector of known quality based on the annotations.
-
-Ours keeps a belief about the target's direction in the world frame. Directions that were looked at without a
-response lose belief, others keep theirs. What a view tells is the mutual information between the outcome of the look
-and the target's direction. The submission is the window with the most belief.
 """
 
 from __future__ import annotations
@@ -255,9 +251,11 @@ def _rotate(now: View, yaw: float, pitch: float) -> hstar.Action:
 class EagorAgent:
     """Our agent: looks where that tells most, and submits the window with the most belief if it is `sure`.
 
-    Per cell of `CELLS`: `prior`, up to a factor (a share `elsewhere` is even over the sphere; the rest has a normal
-    density in the elevation; for paths all is even); `shown`, the visible fraction so far; `stale`, the fraction of the
-    next look that repeats earlier ones. A look counts for less towards the border of its view, as its evidence does.
+    It keeps a belief about the target's direction in the world frame. Directions that were looked at without a response
+    lose belief, others keep theirs. What a view tells is the mutual information between the outcome of the look and the
+    direction. Per cell of `CELLS`: `prior`, up to a factor (a share `elsewhere` is even over the sphere; the rest has a
+    normal density in the elevation; for paths all is even); `shown`, the visible fraction so far; `stale`, the fraction
+    of the next look that repeats earlier ones. A look counts for less towards the border of its view.
     """
 
     def __init__(self, kind: hstar.Kind, detector: Detector, sure: float = SURE, elsewhere: float = ELSEWHERE) -> None:
