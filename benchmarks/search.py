@@ -37,9 +37,9 @@ from scipy.stats import binomtest
 from eagor.grids import ErpGrid
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera
-from eagor.lab.tasks.hstar import Episode, View, level_of
+from eagor.lab.tasks.hstar import Episode
 from eagor.lab.tasks.hstar.agents import HStarConfig, make_agent, open_detector
-from eagor.lab.tasks.hstar.bench import ANNOTATION, STARTS, read_episodes, run_episode
+from eagor.lab.tasks.hstar.bench import ANNOTATION, read_episodes, run_episode
 from eagor.perception.truth import Noise
 from eagor.sphere import world_R_body
 from eagor.statistics import bootstrap_interval, calibration_error, reliability
@@ -99,9 +99,7 @@ def items_in_sight(
     chosen = [index for index in names if seen[index] >= SMALLEST]
     for index in sorted(rng.permutation(chosen)[:MOST].tolist()):
         left, right, low, high = box_of(ids == index)
-        item = {"task": f"Find the {names[index]}", "yaw": [left, right], "pitch": [low, high]}
-        levels = [level_of(View(float(start), 0.0), (left, right), (low, high)) for start in STARTS]
-        yield item | {"initial yaw": list(STARTS), "level": levels}
+        yield {"task": f"Find the {names[index]}", "yaw": [left, right], "pitch": [low, high]}
 
 
 def box_of(mask: np.ndarray) -> tuple[float, float, float, float]:

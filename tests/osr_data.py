@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from PIL import Image
 
@@ -20,15 +20,16 @@ from eagor.lab.tasks.osr import (
     NOT_UNIQUE,
     Grid,
     Layout,
+    Scene,
     cells,
     direction_label,
     ranked,
 )
-from eagor.lab.tasks.osr.bench import FILE, Body, Room
-from eagor.lab.tasks.osr.geometry import Spot, layout_from
+from eagor.lab.tasks.osr.geometry import Detection, SceneLayout, Spot, layout_from, place
 
 LEAST = 5  # categories: with fewer the benchmark does not ask about distances and directions
 NAME = "ReplicaPano-made-here"
+TRUTH = "physical_truth.json"  # of each thing the name, where its middle is (x right, y forward), and how high
 PLACES: dict[str, list[Spot]] = {
     "tv": [(3.5, 0.3)],
     "sofa": [(-3.0, 0.5)],
@@ -66,8 +67,8 @@ def write_scene(
     `absent`: what the files with negative questions ask for, too. At most `most` questions of a kind are asked; the
     last turn of each file has an empty answer.
     """
-    bodies = [Body(name, (-y, x), 0.35) for name, where in places.items() for x, y in where]
-    (folder / FILE).write_bytes(msgspec.json.encode(Room(bodies)))
+    bodies = [{"name": name, "xy": [-y, x], "z_centre": 0.35} for name, where in places.items() for x, y in where]
+    (folder / TRUTH).write_text(json.dumps({"objects": bodies}))
     counts = {name: len(where) for name, where in places.items()}
     (folder / "cognitive_map.json").write_text(json.dumps({"cognitive_map": grid_of(layout), "class_count": counts}))
     for kind, more in (("qa", []), ("qa_with_negative", absent)):
@@ -75,6 +76,17 @@ def write_scene(
         turns.append({**turns[-1], "turn_id": 99, "answer": ""})
         entry = {"image_id": f"data/{folder.name}/rgb.png", "pre_prompt": "", "conversation": turns}
         (folder / f"{folder.name}_{kind}.json").write_text(json.dumps(entry))
+
+
+def true_layout(scene: Scene) -> SceneLayout:
+    """The true places in a scene, as if a camera at 1.5 metres saw the things and the floor points below them."""
+    found = []
+    for body in json.loads((scene.folder / TRUTH).read_text())["objects"]:
+        azimuth, away = math.atan2(-body["xy"][0], body["xy"][1]), math.hypot(*body["xy"])
+        middle, foot = (math.atan2(z - 1.5, away) for z in (body["z_centre"], 0.0))
+        if body["name"] in scene.categories:
+            found.append(Detection(body["name"], azimuth, middle, bottom=foot))
+    return SceneLayout(place(found))
 
 
 def distance_label(layout: Layout, category: str, choices: Sequence[str]) -> str:

@@ -418,7 +418,7 @@ BROKEN = {
         other(samples=lambda self, config: [replace(SAMPLES[0], payload=b"a1")]),
         "gives a1 a payload that JSON cannot hold",
     ),
-    "a record with NaN": (faulty({"views": math.nan}), "which JSON cannot hold"),
+    "a record with NaN": (faulty({"views": math.nan}), "that JSON cannot hold"),
     "another case": (faulty({"case": "z9"}), "records the case z9 of the sample a1; wanted"),
     "a score of 100": (faulty({"score": 100}), r"wanted a number in \[0, 1\], 1 being success"),
     "no score": (faulty({"score": None}), r"wanted a number in \[0, 1\], 1 being success"),

@@ -62,9 +62,7 @@ def test_scores_by_other_rules_and_of_predictions(folder, runs, tmp_path):
     place, _, ours = runs
     strict = answer("score", place / "ours", "--set", "scoring=strict")
     assert strict["overall"] == ours["strict"]
-    lines = [
-        {"case": r["case"], "submit": [r["answer"]["yaw"], r["answer"]["pitch"]]} for r in log.read(place / "oracle")
-    ]
+    lines = [{"case": r["case"], **r["answer"]} for r in log.read(place / "oracle")]
     file = tmp_path / "pred.jsonl"
     file.write_text("\n".join(map(json.dumps, lines[:10])))
     found = answer("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept", code=3)
@@ -72,13 +70,13 @@ def test_scores_by_other_rules_and_of_predictions(folder, runs, tmp_path):
     assert len(log.read(tmp_path / "kept")) == 10
     again = answer("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept", code=3)
     assert again == found
-    file.write_text(json.dumps(lines[0] | {"submit": [0, 90]}))
+    file.write_text(json.dumps(lines[0] | {"yaw": 0, "pitch": 90}))
     said = refused("score", file, "--task", "hstar-hos", "--data", folder, "--out", tmp_path / "kept")
     assert f"another result for {lines[0]['case']}" in said
     file.write_text('{"doc_id": 0, "text": "<answer>submit(1,2)</answer>"}\n{"doc_id": 1, "text": "?"}\n')
     found = answer("score", file, "--task", "hstar-hos", "--data", folder, code=3)
     assert (found["episodes"], found["causes"].get("format")) == (2, 1)
-    file.write_text('{"case": "nowhere/0/0", "submit": [1, 2]}\n')
+    file.write_text('{"case": "nowhere/0/0", "yaw": 1}\n')
     assert "line 1" in refused("score", file, "--task", "hstar-hos", "--data", folder)
 
 

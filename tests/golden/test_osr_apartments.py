@@ -13,9 +13,8 @@ import pytest
 
 from eagor.lab.envs.places import APARTMENT, load_place
 from eagor.lab.envs.rules import Camera
-from eagor.lab.tasks.osr import DIRECTION
-from eagor.lab.tasks.osr.bench import Eagor, Reply, record_of, true_layout
-from eagor.lab.tasks.osr.data import Question, Scene, load
+from eagor.lab.tasks.osr import DIRECTION, Question, Scene, load
+from eagor.lab.tasks.osr.bench import Eagor, Reply, record_of
 from eagor.lab.tasks.osr.geometry import SceneLayout, Spot
 from eagor.lab.tasks.task import configure
 from eagor.lab.tasks.task import load as load_task
@@ -58,7 +57,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def scores(data: Path, agent: Callable[[Scene, Question], Reply], tag: str) -> list[float]:
     """The scores of the questions for directions with this tag, left and right as in the room."""
-    config = configure(load_task("osr"), {"data": str(data), "agent": "constant", "labels": "corrected"})
+    config = configure(load_task("osr"), {"data": str(data), "agent": "oracle", "labels": "corrected"})
     asked = [(scene, q) for scene in load(data) for q in scene.questions if q.skill == DIRECTION]
     records = [record_of(scene, question, agent(scene, question), config) for scene, question in asked]
     return [record["score"] for record in records if tag in ("", *record["tags"])]
@@ -66,12 +65,12 @@ def scores(data: Path, agent: Callable[[Scene, Question], Reply], tag: str) -> l
 
 def on_a_circle(scene: Scene) -> SceneLayout:
     """All that bearings tell: every thing at the same range."""
-    placed = true_layout(scene).placed
+    placed = osr_data.true_layout(scene).placed
     return SceneLayout([replace(each, xy=tuple(np.divide(each.xy, math.hypot(*each.xy)))) for each in placed])
 
 
 def test_true_places_answer_almost_all_that_is_clear_and_bearings_do_not(data: Path) -> None:
-    clear = scores(data, Eagor(true_layout), "clear")
+    clear = scores(data, Eagor(osr_data.true_layout), "clear")
     assert len(clear) >= 40
     assert np.mean(clear) >= 0.9
     assert np.mean(scores(data, Eagor(on_a_circle), "")) < 0.8

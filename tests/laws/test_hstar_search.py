@@ -10,33 +10,52 @@ from hypothesis import strategies as st
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.lab.agents.steering import next_heading
-from eagor.lab.tasks.hstar import View, inside, search, submit_succeeds
-from eagor.lab.tasks.hstar.agents import LENS, EagorAgent, SimulatedDetector, ViewEvidence
-from eagor.lab.tasks.hstar.search import ALARM, CELLS, HIT, PITCHES, YAWS, Search, _shown_by, prior_of, stated
+from eagor.lab.tasks.hstar import View, agents, submit_succeeds
+from eagor.lab.tasks.hstar.agents import (
+    ALARM,
+    CELLS,
+    HIT,
+    LENS,
+    PITCHES,
+    YAWS,
+    EagorAgent,
+    SimulatedDetector,
+    ViewEvidence,
+    _shown_by,
+    stated,
+)
 from eagor.perception.truth import Noise
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
 
 
-def empty(floor=0.02):
-    return Evidence.from_response(np.full(LENS.shape, floor), LENS, Calibration(0.2, 0.05, 3.0))
+def empty(view):
+    """A detector that reports nothing."""
+    evidence = Evidence.from_response(np.full(LENS.shape, 0.02), LENS, Calibration(0.2, 0.05, 3.0))
+    return ViewEvidence(evidence, view.world_R_view)
+
+
+def after(detector, *views, kind="hos"):
+    """Our agent after looks at these views."""
+    agent = EagorAgent(kind, detector)
+    for view in views:
+        agent.update(detector(view), view)
+    return agent
 
 
 @given(st.lists(poses, min_size=1, max_size=5))
 @settings(max_examples=10)
 def test_what_was_not_looked_at_keeps_its_odds_and_what_was_loses(views):
-    state = Search.begin("hos")
-    for yaw, pitch in views:
-        view = View(float(yaw), float(pitch))
-        state = state.update(empty(), view.world_R_view, view)
-    ratio = state.probability / state.prior
+    state = after(empty, *(View(float(yaw), float(pitch)) for yaw, pitch in views))
+    ratio = state.probability() / state.prior
     unseen = state.shown == 0
     assert unseen.any()
     np.testing.assert_allclose(ratio[unseen], ratio[unseen].max(), rtol=1e-9)
     # Well inside every view there is less left than outside.
     for yaw, pitch in views:
-        middle = inside(View(float(yaw), float(pitch)), CELLS.directions.reshape(-1, 3)).reshape(CELLS.shape)
-        well = middle & (CELLS.directions @ View(float(yaw), float(pitch)).world_R_view[:, 0] > math.cos(0.3))
+        view = View(float(yaw), float(pitch))
+        middle = view.shows(CELLS.directions.reshape(-1, 3)).reshape(CELLS.shape)
+        well = middle & (CELLS.directions @ view.world_R_view[:, 0] > math.cos(0.3))
         assert (ratio[well] < ratio[unseen].max()).all()
 
 
@@ -48,7 +67,7 @@ def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, t
     p = rng.dirichlet(np.full(CELLS.height * CELLS.width, 0.05)).reshape(CELLS.shape)
     new = rng.uniform(0.2, 1.0, CELLS.shape)
     hit, alarm = HIT, ALARM
-    found = search._information(p, new, pitch)[turn]
+    found = agents._information(p, new, pitch)[turn]
     shown = np.roll(_shown_by(View(0.0, float(pitch)))[1], int(YAWS[turn]) // 5, axis=1).reshape(-1)
     seen = np.flatnonzero(shown)
     share = hit * shown * new.reshape(-1)
@@ -68,15 +87,15 @@ def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, t
 
 @pytest.mark.parametrize("elsewhere", [0.05, 0.3, 1.0])
 def test_the_prior_is_even_by_the_share_elsewhere(elsewhere, monkeypatch):
-    monkeypatch.setattr(search, "TILT", 5.0)
-    monkeypatch.setattr(search, "HEIGHT", 80.0)
+    monkeypatch.setattr(agents, "TILT", 5.0)
+    monkeypatch.setattr(agents, "HEIGHT", 80.0)
     even = CELLS.weights / CELLS.weights.sum()
-    prior = prior_of("hos", elsewhere)
+    prior = EagorAgent("hos", empty, elsewhere=elsewhere).prior
     assert prior.sum() == pytest.approx(1)
     assert float((prior / even).min()) == pytest.approx(elsewhere), "far from the mean only the even part is left"
     top = np.degrees(CELLS.latitudes) > 60
     assert prior[top].sum() == pytest.approx(1 - elsewhere * (1 - even[top].sum()), abs=1e-3)
-    np.testing.assert_allclose(prior_of("hps"), CELLS.weights)
+    np.testing.assert_allclose(EagorAgent("hps", empty).prior, CELLS.weights)
 
 
 @pytest.mark.parametrize("pitch", [-60, -30, 0, 30, 50])
@@ -89,19 +108,16 @@ def test_one_clear_look_outweighs_what_was_not_looked_at(pitch, size):
         (item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0
     )
     view = View(210.0, float(pitch))
-    answer = Search.begin("hos").update(detector(view).evidence, view.world_R_view, view).answer()
+    answer = after(detector, view).answer()
     assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
 
 
 def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(monkeypatch):
-    monkeypatch.setattr(search, "REPEATS", 0.5)
+    monkeypatch.setattr(agents, "REPEATS", 0.5)
     here, away = View(0.0, 0.0), View(180.0, 0.0)
 
     def fall(*views):
-        state = Search.begin("hos")
-        for view in views:
-            state = state.update(empty(), view.world_R_view, view)
-        return -float(state.belief.log_ratio(CELLS)[18, 36])  # straight ahead
+        return -float(after(empty, *views).belief.log_ratio(CELLS)[18, 36])  # straight ahead
 
     once = fall(here)
     assert fall(here, here) == pytest.approx(1.5 * once, rel=0.05)
@@ -114,8 +130,8 @@ def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief
     said = [stated(share) for share in shares]
     assert all(0 < p < 1 for p in said)
     assert (np.diff(said) >= 0).all()
-    monkeypatch.setattr(search, "SHIFT", 0.0)
-    monkeypatch.setattr(search, "SLOPE", 1.0)
+    monkeypatch.setattr(agents, "SHIFT", 0.0)
+    monkeypatch.setattr(agents, "SLOPE", 1.0)
     assert [stated(share) for share in shares[1:-1]] == pytest.approx(shares[1:-1])
 
 
@@ -147,17 +163,14 @@ def test_a_false_alarm_that_lasts_stays_where_it_is_in_the_world():
 
 def test_paths_are_answered_by_yaw_alone():
     detector = SimulatedDetector((100.0, 106.0), None, Noise.ideal(), 0)
-    state, view = Search.begin("hps"), View(90.0, 0.0)
-    for _ in range(3):
-        state = state.update(detector(view).evidence, view.world_R_view, view)
-    answer = state.answer()
+    answer = after(detector, *[View(90.0, 0.0)] * 3, kind="hps").answer()
     assert answer.pitch == 0
     assert abs(answer.yaw - 103) <= 5
 
 
 def test_a_prior_at_its_ends_still_tells_where_to_look():
     for elsewhere in (1e-12, 1.0):
-        state = Search.begin("hos", elsewhere)
+        state = EagorAgent("hos", empty, elsewhere=elsewhere)
         assert np.isfinite(state.tells()).all()
         assert 0 <= state.answer().probability <= 1
 
@@ -183,13 +196,13 @@ def test_elevation_costs_as_azimuth_does():
 
 def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
     """Its rotations are whole degrees: what it meant to look at counts as looked at where it starts between them."""
-    agent = EagorAgent(Search.begin("hos"), lambda view: ViewEvidence(empty(), view.world_R_view))
+    agent = EagorAgent("hos", empty)
     view, seen = View(17.4, 3.0), set()
     for _ in range(6):
-        view = view.after(agent(view, False).action)
+        view = view.after(agent(view, False)[0])
         seen.add((round(view.yaw), round(view.pitch)))
     assert len(seen) >= 5
-    assert agent(view, True).action.kind == "submit"
+    assert agent(view, True)[0].kind == "submit"
 
 
 @given(st.integers(0, 2**16), st.sampled_from([0.0, 45.0, 17.4, 359.5]), st.sampled_from(["hos", "hps"]))
@@ -197,15 +210,15 @@ def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
 def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_nearest(seed, start, kind):
     """In H*Bench's degrees, yaw to the right: a degree less to turn is worth 1e-5 nats."""
     detector = SimulatedDetector((200.0, 208.0), (-20.0, -12.0), Noise.parse("ideal,miss=0.4,false_alarm=0.3"), seed)
-    agent = EagorAgent(Search.begin(kind), detector, sure=1.0)
+    agent = EagorAgent(kind, detector, sure=1.0)
     view = View(start, 0.0)
     for _ in range(6):
-        now, view = view, view.after(agent(view, False).action)
+        now, view = view, view.after(agent(view, False)[0])
 
         def off(view):
             return np.abs((YAWS - view.yaw + 180) % 360 - 180) + np.abs(np.array(PITCHES)[:, None] - view.pitch)
 
         taken = off(view)
         assert taken.min() <= 0.5 + 1e-9, "rotations are whole degrees"
-        worth = agent.search.tells() - 1e-5 * off(now).reshape(-1)
+        worth = agent.tells() - 1e-5 * off(now).reshape(-1)
         assert worth[taken.argmin()] >= worth.max() - 1e-9

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 from osr_data import distance_label
 
-from eagor.lab.tasks.osr import COUNTING, DIRECTION, DISTANCE, MAP, direction_label, layout_of, score
-from eagor.lab.tasks.osr.data import SUFFIXES, load
+from eagor.lab.tasks.osr import COUNTING, DIRECTION, DISTANCE, MAP, SUFFIXES, direction_label, layout_of, load, score
 
 SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 pytestmark = pytest.mark.skipif(not SAMPLES.exists(), reason="the shared benchmark samples are not here")

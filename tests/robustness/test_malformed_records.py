@@ -3,7 +3,6 @@
 import json
 
 import hstar_data
-import osr_data
 import pytest
 import synthetic_runs
 from commands import answer, refused
@@ -27,15 +26,13 @@ SIMULATED = [
 WALKED = [(f"methods/vmf/trace/{gone}", GONE) for gone in ("pose", "true_azimuth_deg", "true_range_m", "visible")]
 PUBLISHED = [
     ("case", GONE), ("case", []), ("cluster", {}), ("score", "x"), ("score", 7), ("tags", None), ("tags", [3]),
-    ("by_turn", [2]), ("views", None), ("stated", 1e308), ("steps", {}), ("steps/0", None), ("steps/0/would", 3),
+    ("by_turn", [2]), ("views", None), ("stated", 1e308),
     ("scores", []), ("error", "far"), ("level", []),
 ]  # fmt: skip
-ANSWERED = [(gone, GONE) for gone in ("skill", "tags", "scores", "question", "answer")]
 CASES = [
     *(("waypoint", *case) for case in SIMULATED),
     *(("navigation", *case) for case in WALKED),
     *(("hstar-hos", *case) for case in PUBLISHED),
-    *(("osr", *case) for case in ANSWERED),
 ]
 
 
@@ -53,7 +50,6 @@ def runs(tmp_path_factory):
         synthetic_runs.write_run(home / make.__name__, make(apartments=2, each=1, methods=("vmf", "eagor")))
     for task, data, words in (
         ("hstar-hos", hstar_data.write(home / "hstar data"), ("--perception", "truth", "--limit", "2")),
-        ("osr", osr_data.write(home / "osr data"), ("--agent", "oracle")),
     ):
         answer("bench", "run", task, "--data", data, *words, "--out", home / task)
     return home

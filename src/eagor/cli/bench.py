@@ -196,10 +196,8 @@ def _load(name: str, broken: str) -> Any:
 
 def _described(name: str, broken: str) -> dict[str, Any]:
     """What ``eagor bench list --json`` says of a task."""
-    import msgspec
-
     from eagor.lab import worlds
-    from eagor.lab.tasks.task import choices_of, description_of
+    from eagor.lab.tasks.task import options_of
 
     try:
         task = _load(name, broken)
@@ -211,13 +209,9 @@ def _described(name: str, broken: str) -> dict[str, Any]:
         "what": task.what,
         **(data or {"kind": "simulated", "worlds": sorted(worlds.known())}),
         "options": {
-            field.name: {
-                "default": None if field.default is msgspec.NODEFAULT else field.default,
-                "what": description_of(field.type),
-                "choices": list(choices_of(field.type)),
-            }
-            for field in msgspec.structs.fields(task.Config)
-            if description_of(field.type) and field.name not in GIVEN
+            name: {"default": default, "what": what, "choices": choices}
+            for name, (default, what, choices) in options_of(task).items()
+            if what and name not in GIVEN
         },
     }
 

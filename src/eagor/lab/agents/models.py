@@ -21,7 +21,6 @@ from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.perception import Perception, load, look
-from eagor.perception.calibrated import from_json
 from eagor.perception.vlm import Chat
 from eagor.plugins import bring
 from eagor.queries import Named
@@ -42,9 +41,7 @@ class EpisodePerception:
         if self._privileged:
             self._sees = perception.episode(things, int(spec.rng(purpose).integers(1 << 31)))
         self.source: dict[str, Any] = {}
-        self.milliseconds: list[float] = []
-        self.looks = 0
-        self.unread: list[AnswerError] = []
+        self.milliseconds, self.unread, self.looks = list[float](), list[AnswerError](), 0
 
     def look(
         self, observation: Mapping[str, Any], info: Mapping[str, Any], stamp: float, query: str = ""
@@ -72,13 +69,18 @@ class EpisodePerception:
         Empty if the perception tells no source, or reads instance ids. Raises `AnswerError` if more than half of the
         answers could not be read: that is no result.
         """
-        unread, looks = len(self.unread), self.looks
-        if 2 * unread > looks:
-            raise AnswerError(f"{unread} of {looks} answers could not be read; the last: {self.unread[-1]}")
+        unread = len(self.unread)
+        if 2 * unread > self.looks:
+            raise AnswerError(f"{unread} of {self.looks} answers could not be read; the last: {self.unread[-1]}")
         if self._privileged or not (self.source or self.unread):
             return {}
         mean = round(float(np.mean(self.milliseconds)), 1) if self.milliseconds else None
-        return {"looks": looks, "unread": unread, "milliseconds": mean, "source": self.source}
+        return {"looks": self.looks, "unread": unread, "milliseconds": mean, "source": self.source}
+
+
+def is_privileged(perception: Any) -> bool:
+    """Whether the perception reads instance ids."""
+    return hasattr(perception, "episode")
 
 
 @lru_cache(maxsize=1)
@@ -87,13 +89,21 @@ def shared(perception: str) -> Perception:
 
     `release` frees it. Raises as `eagor.perception.load`, and errors of its server.
     """
-    return _checked(load(perception))
+    made = load(perception)
+    getattr(made, "check", bool)()  # that it works, where it can tell
+    return made
 
 
-def _checked(made: Any) -> Any:
-    """`made`, once it has made sure by itself that it works, where it can."""
-    if (check := getattr(made, "check", None)) is not None:
-        check()
+@lru_cache(maxsize=1)
+def shared_chat(spec: str) -> Chat:
+    """The model that `spec` names, made once per process for all callers; `release` frees it.
+
+    Raises as `load_chat`, errors of its server, and `EagorError` for anything that is not a `Chat`.
+    """
+    made = load_chat(spec)
+    if not (callable(made) and inspect.signature(made).parameters):
+        raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted a callable that takes messages")
+    getattr(made, "check", bool)()
     return made
 
 
@@ -105,16 +115,6 @@ def release() -> None:
     torch = sys.modules.get("torch")
     if torch is not None and torch.cuda.is_available():
         torch.cuda.empty_cache()
-
-
-def recalibrator(calibrated: Mapping[str, Any] | None) -> Callable[[Evidence], Evidence]:
-    """Gives looks the calibration of a run (its setting "calibrated"); without one they keep their own."""
-    return from_json(calibrated, "the settings").reread if calibrated else lambda evidence: evidence
-
-
-def is_privileged(perception: Any) -> bool:
-    """Whether the perception reads instance ids."""
-    return hasattr(perception, "episode")
 
 
 def load_chat(spec: str) -> Chat:
@@ -144,15 +144,3 @@ def load_chat(spec: str) -> Chat:
     from eagor.perception.endpoint import chat_from_text
 
     return chat_from_text(spec)
-
-
-@lru_cache(maxsize=1)
-def shared_chat(spec: str) -> Chat:
-    """The model that `spec` names, made once per process for all callers; `release` frees it.
-
-    Raises as `load_chat`, errors of its server, and `EagorError` for anything that is not a `Chat`.
-    """
-    made = load_chat(spec)
-    if not (callable(made) and inspect.signature(made).parameters):
-        raise EagorError(f"the model {spec!r} is a {type(made).__name__}; wanted a callable that takes messages")
-    return _checked(made)

@@ -12,7 +12,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,21 +19,9 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
-from eagor.lab.agents.models import is_privileged
-from eagor.lab.tasks.published import (
-    TALKING,
-    PublishedConfig,
-    PublishedTask,
-    Recalibrate,
-    first_known,
-    level_metrics,
-    queries_of,
-    read_json,
-    score_metric,
-    words_of,
-)
+from eagor.lab.tasks import published
+from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, Recalibrate, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample
 from eagor.media.panorama import read_panorama, resized, view
 from eagor.perception.partial import look_at_view
@@ -52,13 +39,13 @@ FACES = ("front", "right", "back", "left", "top", "bottom")
 TOOL = "rotate_and_project_panorama"
 
 Angles = tuple[float | None, float | None]
+Step = dict[str, Any]  # a look: its "view" (azimuth, elevation, field of view; or the whole), "answer", "raw" reply
 
 AGENTS = {
     "eagor": "one belief: the whole panorama first, then projections where it is, narrower each time",
     "global": "one look at the whole panorama",
     TALKING: "the model alone, with the published tool",
     "oracle": "knows the answer",
-    "constant": "answers straight ahead",
 }
 CAUSES = {"no_answer": "no azimuth and elevation could be read", "elsewhere": "not within half of the box's diagonal"}
 
@@ -102,25 +89,17 @@ def question_of(item: Mapping[str, Any]) -> str | None:
 
 def score(metadata: Mapping[str, Any], azimuth: float | None, elevation: float | None) -> dict[str, Any]:
     """The great-circle "distance" of an answer, whether it is "in_bfov", and the "face" of the cube that it is on."""
-    true_azimuth, true_elevation = metadata["azimuth_degrees"], metadata["elevation_degrees"]
-    face = ("front", "right", "back", "left")[math.floor((true_azimuth + 45) % 360 / 90)]
-    if abs(true_elevation) >= 45:
-        face = "top" if true_elevation > 0 else "bottom"
+    true = metadata["azimuth_degrees"], metadata["elevation_degrees"]
+    face = ("front", "right", "back", "left")[math.floor((true[0] + 45) % 360 / 90)]
+    if abs(true[1]) >= 45:
+        face = "top" if true[1] > 0 else "bottom"
     if azimuth is None or elevation is None:
         return {"distance": NO_ANSWER, "in_bfov": False, "face": face}
-    true, answer = _direction(true_azimuth, true_elevation), _direction(azimuth, elevation)
-    off = math.degrees(float(angular_distance(true, answer)))
-    return {"distance": off, "in_bfov": off <= diagonal_of(metadata) / 2, "face": face}
-
-
-def diagonal_of(metadata: Mapping[str, Any]) -> float:
-    """Of the box, degrees."""
+    ends = [direction(-math.radians(a), math.radians(e)) for a, e in (true, (azimuth, elevation))]
+    off = math.degrees(float(angular_distance(*ends)))
     sides = metadata.get("bbox_width_degrees", 0.0), metadata.get("bbox_height_degrees", 0.0)
-    return metadata.get("bbox_diagonal_degrees") or (math.hypot(*sides) if any(sides) else UNKNOWN_BOX)
-
-
-def _direction(azimuth: float, elevation: float) -> np.ndarray:
-    return direction(-math.radians(azimuth), math.radians(elevation))
+    diagonal = metadata.get("bbox_diagonal_degrees") or (math.hypot(*sides) if any(sides) else UNKNOWN_BOX)
+    return {"distance": off, "in_bfov": off <= diagonal / 2, "face": face}
 
 
 class Metadata(msgspec.Struct, omit_defaults=True):
@@ -144,7 +123,7 @@ class Item(msgspec.Struct, omit_defaults=True):
 
 def read_samples(data: str) -> list[Sample]:
     """The questions in ``test.json`` below `data`; pictures are there or in ``images``. Raises `FormatError`."""
-    items = read_json(Path(data) / "test.json", list[Item], "is not EAGLE-360's list of questions")
+    items = published.read_json(Path(data) / "test.json", list[Item], "is not EAGLE-360's list of questions")
     found = []
     for number, item in enumerate(items):
         parts = item.panoramic_image.strip("/").split("/")  # absolute ones are of another machine
@@ -157,15 +136,6 @@ def read_samples(data: str) -> list[Sample]:
     return found
 
 
-@dataclass(frozen=True)
-class Step:
-    """A look: its `view` (azimuth, elevation, field of view; None: the whole panorama) and the answer after it."""
-
-    answer: Angles
-    view: Sequence[float] | None = None
-    text: str | None = None
-
-
 def grid_of(azimuth: float, elevation: float, fov: float) -> PerspectiveGrid:
     """The published projection, in the frame of a body that faces the panorama's middle."""
     turn = world_R_body(-math.radians(azimuth), -math.radians(elevation))
@@ -174,30 +144,29 @@ def grid_of(azimuth: float, elevation: float, fov: float) -> PerspectiveGrid:
 
 def explore(perception: Any, image: np.ndarray, question: str, looks: int, read: Recalibrate) -> Iterator[Step]:
     """Global first, then local: at the belief's best place that was not looked at so closely yet."""
-    tracker, views = DirectionTracker(), list[tuple[np.ndarray, float]]()
+    tracker, views, seen = DirectionTracker(), list[tuple[np.ndarray, float]](), {}
     words = re.sub(r"\b(in|within|from) (this|the) (panorama|panoramic|image|picture|scene)\b.*", "", question)
-    query, evidence = first_known(queries_of(words), lambda query: perception(image, query, stamp=0.0))
+    query, evidence = published.first_known(words, lambda query: perception(image, query, stamp=0.0))
     for number in range(looks + 1):
         stamp = 1e-3 * number  # the camera stands still
         tracker.add_pose(stamp, np.eye(3))
         if views:
-            grid = grid_of(*_angles(views[-1][0]), views[-1][1])
+            seen = {"view": [*_angles(views[-1][0]), views[-1][1]]}
+            grid = grid_of(*seen["view"])
             evidence = look_at_view(perception, view(image, grid), grid, query, stamp=stamp)
         tracker.observe(read(evidence))
         estimate = tracker.estimate(stamp)
         best = estimate.direction if estimate.direction is not None else np.array([1.0, 0.0, 0.0])
-        yield Step(_angles(best), [*_angles(views[-1][0]), views[-1][1]] if views else None)
+        yield {"answer": _angles(best), **seen}
         width = math.degrees(4 * float(estimate.credible_angle))  # of a view: what is believed, with room about it
-        places = [mode.direction for mode in estimate.modes] or [best]
-        options = [(place, min(WIDEST, max(width, NARROWEST), *_halved(place, views))) for place in places]
-        if (option := next((option for option in options if option[1] >= NARROWEST), None)) is None:
+        for place in [mode.direction for mode in estimate.modes] or [best]:
+            # Half of each field of view in whose middle half the place was.
+            half = [fov / 2 for other, fov in views if math.degrees(float(angular_distance(place, other))) < fov / 4]
+            if (fov := min(WIDEST, max(width, NARROWEST), *half)) >= NARROWEST:
+                views.append((place, fov))
+                break
+        else:
             return
-        views.append(option)
-
-
-def _halved(place: np.ndarray, views: Sequence[tuple[np.ndarray, float]]) -> list[float]:
-    """Half of each field of view in whose middle half the place was."""
-    return [fov / 2 for other, fov in views if math.degrees(float(angular_distance(place, other))) < fov / 4]
 
 
 def _angles(where: np.ndarray) -> tuple[float, float]:
@@ -228,7 +197,7 @@ def converse(chat: Any, image: np.ndarray, question: str, looks: int) -> Iterato
     messages = [Message("system", SYSTEM), Message("user", f"{IMAGE}\n{question}", (whole,))]
     for turn in range(looks + 1):
         text = chat(messages).text
-        yield Step(parse_answer(text, strict=True), text=text)
+        yield {"answer": parse_answer(text, strict=True), "raw": text}
         call = parse_call(text)
         if ("<answer>" in text and "</answer>" in text) or call is None or turn == looks:
             return
@@ -243,9 +212,7 @@ def converse(chat: Any, image: np.ndarray, question: str, looks: int) -> Iterato
 class Config(PublishedConfig, kw_only=True):
     """The settings of a run of EAGLE-360."""
 
-    projections: Annotated[int, Meta(ge=0, le=PROJECTIONS, description="looks closer, at most; six are official")] = (
-        PROJECTIONS
-    )
+    projections: Annotated[int, Meta(ge=0, le=6, description="looks closer, at most; six are official")] = PROJECTIONS
 
 
 class Eagle360(PublishedTask):
@@ -255,10 +222,9 @@ class Eagle360(PublishedTask):
     what = "name the direction of a thing in a panorama, looking closer at most six times"
     agents, causes, looking = AGENTS, CAUSES, ("eagor", "global")
     Config = Config
-    truth = ""
     metrics = (
-        score_metric("overall", "bFOV", "answers within half of the box's diagonal", lambda record: record["score"]),
-        *level_metrics(FACES, "the same of things"),
+        score_metric("overall", "bFOV", "answers within half of the box's diagonal"),
+        *(score_metric(face, face.capitalize(), f"the same of things {face}", of=face) for face in FACES),
         score_metric("within_50", "Within 50°", "answers within 50 degrees", lambda r: float(r["error"] < 50)),
         score_metric("answered", "Answered", "with an answer", lambda r: float(r["answer"] is not None)),
         Metric("distance", "Distance", "from the truth; none counts as 180", lambda r: r["error"], "°", "low", 1.0),
@@ -275,23 +241,14 @@ class Eagle360(PublishedTask):
     def samples(self, config: Config) -> list[Sample]:
         return read_samples(config.data)
 
-    def open_perception(self, config: Config) -> Any:
-        made = super().open_perception(config)
-        if is_privileged(made):
-            raise EagorError(f"{config.perception} reads what a simulator knows; {self.name} has photographs only")
-        return made
-
     def player(self, config: Config, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
         def play(payload: Payload) -> Record:
-            true, question = payload["metadata"], payload["question"]
+            metadata, question = payload["metadata"], payload["question"]
             if config.agent == "oracle":
-                return record_of(payload, [Step((true["azimuth_degrees"], true["elevation_degrees"]))])
-            if config.agent == "constant":
-                return record_of(payload, [Step((0.0, 0.0))])
+                return record_of(payload, [{"answer": (metadata["azimuth_degrees"], metadata["elevation_degrees"])}])
             image, looks = read_panorama(payload["picture"]), config.projections if config.agent != "global" else 0
-            if chat is not None:
-                return record_of(payload, list(converse(chat, image, question, looks)))
-            return record_of(payload, list(explore(perception, image, question, looks, read)))
+            talks, looking = (chat, image, question, looks), (perception, image, question, looks, read)
+            return record_of(payload, list(converse(*talks) if chat is not None else explore(*looking)))
 
         return play
 
@@ -299,30 +256,28 @@ class Eagle360(PublishedTask):
         if {"azimuth", "elevation"} <= prediction.keys():
             text = "<answer>azimuth {azimuth} elevation {elevation}</answer>".format(**prediction)
         else:
-            text = words_of(prediction, ("text",), "azimuth and elevation, or text")
-        return record_of(sample.payload, [Step(parse_answer(text, strict=True), text=text)])
+            text = published.words_of(prediction, ("text",), "azimuth and elevation, or text")
+        return record_of(sample.payload, [{"answer": parse_answer(text, strict=True), "raw": text}])
 
 
 def record_of(payload: Payload, steps: Sequence[Step]) -> dict[str, Any]:
     """The record of an episode: as published, the last answer that can be read counts."""
-    azimuth, elevation = next((step.answer for step in reversed(steps) if step.answer[0] is not None), (None, None))
+    azimuth, elevation = next(
+        (step["answer"] for step in reversed(steps) if step["answer"][0] is not None), (None, None)
+    )
     found = score(payload["metadata"], azimuth, elevation)
-    answered = azimuth is not None and elevation is not None
-    cause = None if found["in_bfov"] else "elsewhere" if answered else "no_answer"
+    answer = {"azimuth": azimuth, "elevation": elevation} if None not in (azimuth, elevation) else None
     return {
         "case": payload["case"],
         "cluster": Path(payload["picture"]).stem,
         "level": found["face"],
         "question": payload["question"],
         "score": float(found["in_bfov"]),
-        "cause": cause,
+        "cause": None if found["in_bfov"] else "elsewhere" if answer else "no_answer",
         "error": round(found["distance"], 3),
-        "answer": {"azimuth": azimuth, "elevation": elevation} if answered else None,
+        "answer": answer,
         "views": len(steps) - 1,
-        "steps": [
-            {"answer": s.answer, **({"view": s.view} if s.view else {}), **({"raw": s.text} if s.text else {})}
-            for s in steps
-        ],
+        "steps": steps,
     }
 
 

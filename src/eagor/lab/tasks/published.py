@@ -6,7 +6,6 @@ One agent plays such a run. Predictions that were made elsewhere are scored by t
 from __future__ import annotations
 
 import re
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
@@ -18,13 +17,14 @@ from eagor._checks import parsed, shown
 from eagor._version import __version__
 from eagor.errors import EagorError, FormatError, QueryError
 from eagor.evidence import Evidence
-from eagor.lab.tasks.task import Metric, Payload, Record, Sample
+from eagor.lab.tasks.task import Metric, Payload, Record
 from eagor.queries import singular
 
 TALKING = "vlm"  # the agent that asks a model, in every task
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 Recalibrate = Callable[[Evidence], Evidence]  # what the calibration of a run makes of a look
+Read = Callable[[Record], float | None]  # what a metric reads in a record
 Kind = TypeVar("Kind")
 
 
@@ -36,24 +36,12 @@ class PublishedConfig(msgspec.Struct, kw_only=True):
     agent: Annotated[str, Meta(description="who plays")] = ""
     perception: Annotated[str | None, Meta(description="detector of the agents that look")] = None
     model: Annotated[str | None, Meta(description=f"model of the agent {TALKING}")] = None
-    seed: Annotated[int, Meta(ge=0, description="seed of the perception truth and of random agents")] = 0
+    seed: Annotated[int, Meta(ge=0, description="seed of the perception truth")] = 0
     calibrated: dict[str, Any] | None = None
     versions: dict[str, str] = {}
 
     def __post_init__(self) -> None:
         self.data = str(Path(self.data).resolve())
-
-
-class Would(msgspec.Struct):
-    """The answer that would have been given at a step: the probability of success that it states."""
-
-    p: Share | None = None
-
-
-class AnswerStep(msgspec.Struct):
-    """A step before the answer."""
-
-    would: Would | None = None
 
 
 class PublishedRecord(msgspec.Struct, kw_only=True):
@@ -73,49 +61,58 @@ class PublishedRecord(msgspec.Struct, kw_only=True):
     views: Annotated[int, Meta(ge=0)] = 0
     stated: Share | None = None
     sure: bool | float | None = None
-    scoring: str = ""
     scores: dict[str, float | None] = {}
     error: float | None = None
-    steps: list[AnswerStep] = []
     seconds: float | None = None
 
 
 class PublishedTask:
     """The parts of an `eagor.lab.tasks.task.Task` that do not depend on its data.
 
-    A task adds `name`, `title`, `what`, `metrics`, `samples`, `player` (or `runner`), `info` and `score`, and says
+    A task adds `name`, `title`, `what`, `metrics`, `samples`, and
 
     - `agents`: {name: what it does}, the default first; `looking`: those that need a perception;
-    - `truth`: what the perception truth is in this task, in words; "" if there is none.
+    - `truth`: what the perception truth is in this task, in words; "" if there is none;
+    - `player(config, perception, chat, read)`: what plays a sample with the perception and the model of the config,
+      None where it names none, and the calibration of looks; or `runner`;
+    - `info(data)`: the content of the folder, as JSON: counts and oddities; raises `FormatError` for other data;
+    - `score(sample, prediction, config)`: the record of a prediction made elsewhere, with "text" or own keys; raises
+      `FormatError` without any of them.
     """
 
     agents: ClassVar[Mapping[str, str]]
     looking: ClassVar[Sequence[str]] = ()
-    truth: ClassVar[str] = "the annotations"
+    truth: ClassVar[str] = ""
     causes: ClassVar[Mapping[str, str]] = {}
-    strata: ClassVar[Mapping[str, str]] = {}
     ranked_by: ClassVar[Sequence[str]] = ("overall",)
     name: Any
     metrics: Any
+    player: Any
     Config: ClassVar[type[PublishedConfig]] = PublishedConfig
     Record: ClassVar[type[msgspec.Struct]] = PublishedRecord
 
     def open_perception(self, config: Any) -> Any:
         """The perception that the config names, made once per process. Raises `EagorError` if it cannot be."""
-        from eagor.lab.agents.models import shared  # imports perceptions: not for those who only list tasks
+        from eagor.lab.agents import models  # imports perceptions: not for those who only list tasks
 
-        return shared(config.perception)
+        made = models.shared(config.perception)
+        if models.is_privileged(made):
+            raise EagorError(f"{config.perception} reads what a simulator knows; {self.name} has photographs only")
+        return made
 
-    def player(self, config: Any, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
-        """What plays a sample with the perception and the model of the config, None where it names none."""
-        raise NotImplementedError
-
-    def runner(self, config: Any) -> Callable[[Payload], Record]:
-        from eagor.lab.agents.models import recalibrator, shared_chat
+    def _tools(self, config: Any) -> tuple[Any, Any]:
+        """The perception and the model of the config, None where it names none."""
+        from eagor.lab.agents.models import shared_chat
 
         perception = self.open_perception(config) if config.perception else None
-        chat = shared_chat(config.model) if config.model else None
-        return self.player(config, perception, chat, recalibrator(config.calibrated))
+        return perception, shared_chat(config.model) if config.model else None
+
+    def runner(self, config: Any) -> Callable[[Payload], Record]:
+        from eagor.perception.calibrated import from_json
+
+        own: Recalibrate = lambda evidence: evidence  # noqa: E731
+        read = from_json(config.calibrated, "the settings").reread if config.calibrated else own
+        return self.player(config, *self._tools(config), read)
 
     def resolve(self, config: Any) -> Any:
         """The config with its agent, what that agent needs, and no more. Raises `EagorError`."""
@@ -125,29 +122,15 @@ class PublishedTask:
         looks, talks = agent in self.looking, agent == TALKING
         if looks and not config.perception:
             truth = f", or truth ({self.truth})" if self.truth else ""
-            raise EagorError(
-                f"the agent {agent} needs a perception: name one with --perception, such as a model (folder or hub "
-                f"name) or endpoint:MODEL@ADDRESS{truth}"
-            )
+            wanted = f"a model (folder or hub name) or endpoint:MODEL@ADDRESS{truth}"
+            raise EagorError(f"the agent {agent} needs a perception: name one with --perception, such as {wanted}")
         if talks and not config.model:
-            raise EagorError(
-                f"the agent {agent} asks a model; name it with --model, such as MODEL@http://localhost:8000/v1, "
-                "or package.module:function"
-            )
-        found = msgspec.structs.replace(
-            config,
-            agent=agent,
-            perception=config.perception if looks else None,
-            model=config.model if talks else None,
-            calibrated=config.calibrated if looks else None,
-            versions={"eagor": __version__},
-        )
-        if found.perception:
-            self.open_perception(found)
-        if found.model:
-            from eagor.lab.agents.models import shared_chat
-
-            shared_chat(found.model)
+            wanted = "MODEL@http://localhost:8000/v1, or package.module:function"
+            raise EagorError(f"the agent {agent} asks a model; name it with --model, such as {wanted}")
+        needs = {"perception": looks, "model": talks, "calibrated": looks}
+        kept = {name: getattr(config, name) if need else None for name, need in needs.items()}
+        found = msgspec.structs.replace(config, agent=agent, versions={"eagor": __version__}, **kept)
+        self._tools(found)
         return found
 
     def failure(self, record: Record) -> str | None:
@@ -155,29 +138,21 @@ class PublishedTask:
         cause = record.get("cause")
         return str(cause or "wrong") if cause or record.get("score", 1) < 1 else None
 
-    def info(self, data: Path) -> dict[str, Any]:
-        """The content of the folder `data`, as JSON: counts and oddities. Raises `FormatError` for other data."""
-        raise NotImplementedError
-
-    def score(self, sample: Sample, prediction: Mapping[str, Any], config: Any) -> Record:
-        """The record of a prediction made elsewhere: "text", or own keys. Raises `FormatError` without any of them."""
-        raise NotImplementedError
-
 
 def score_metric(
-    key: str, title: str, what: str, read: Callable[[Record], float | None], over: Callable[[Record], str] | None = None
+    key: str, title: str, what: str, read: Read | None = None, over: Any = None, of: str = "", by: str = ""
 ) -> Metric:
-    """A metric in per cent of what `read` finds in a record."""
-    return Metric(key, title, what, read, digits=2, share=True, over=over)
+    """A metric in per cent of what `read` finds in a record: by default its score.
 
+    `of`: only of records of this level, or with this tag; `by`: the one of its scores with this name; `over`: as there.
+    """
 
-def level_metrics(levels: Sequence[str], what: str) -> list[Metric]:
-    """For each of the levels the score of the records of that level; `what` they are, before the level's name."""
+    def own(record: Record) -> float | None:
+        if of and of not in (record.get("level"), *record.get("tags", ())):
+            return None
+        return record.get("scores", {}).get(by) if by else record["score"]
 
-    def read(level: str) -> Callable[[Record], float | None]:
-        return lambda record: record["score"] if record.get("level") == level else None
-
-    return [score_metric(level, level.capitalize(), f"{what} {level}", read(level)) for level in levels]
+    return Metric(key, title, what, read or own, digits=2, share=True, over=over)
 
 
 def words_of(prediction: Mapping[str, Any], keys: Sequence[str], wanted: str) -> str:
@@ -188,9 +163,11 @@ def words_of(prediction: Mapping[str, Any], keys: Sequence[str], wanted: str) ->
     return text
 
 
-def case_seed(seed: int, case: str) -> list[int]:
-    """The seed of one case; independent of all other cases."""
-    return [seed, zlib.crc32(case.encode())]
+def answer_in(text: str) -> str | None:
+    """What is between the first ``<answer>`` in a model's reply and the next ``</answer>``; None without them."""
+    _, opened, rest = text.partition("<answer>")
+    answer, closed, _ = rest.partition("</answer>")
+    return answer if opened and closed else None
 
 
 def read_json(path: Path, kind: type[Kind], fault: str) -> Kind:
@@ -200,8 +177,6 @@ def read_json(path: Path, kind: type[Kind], fault: str) -> Kind:
     except (OSError, ValueError, msgspec.ValidationError) as error:
         raise FormatError(f"{path} {fault} ({error})") from None
 
-
-# --- the words of a task ----------------------------------------------------------------------------------------------
 
 _VERBS = r"^(?:please\s+)?(?:find|locate|look for|search for|go to|navigate to|get to|move to|reach|walk to|show me)\s+"
 _ARTICLES = r"^(?:the|a|an|some|any|your|my|one of the|way to the|path to the|way to|path to)\s+"
@@ -230,17 +205,15 @@ def head_of(task: str) -> str:
     return singular(words[-1]) if words else thing_of(task).lower()
 
 
-def queries_of(task: str) -> list[str]:
-    """What a perception is asked for: the task's words; shorter ones for a perception that knows only single nouns."""
-    return [thing_of(task), phrase_of(task), head_of(task)]
+def first_known(task: str, look: Callable[[str], Evidence]) -> tuple[str, Evidence]:
+    """What a perception is asked for, and its `look` for it: the task's words, or shorter ones that it knows.
 
-
-def first_known(queries: Sequence[str], look: Callable[[str], Evidence]) -> tuple[str, Evidence]:
-    """The first of `queries` that a perception knows, and its `look` for it. Raises `QueryError` if it knows none."""
-    *others, last = dict.fromkeys(queries)
-    for query in others:
+    Raises `QueryError` if it knows none.
+    """
+    words = [thing_of(task), phrase_of(task)]
+    for query in dict.fromkeys(words):
         try:
             return query, look(query)
         except QueryError:
             continue
-    return last, look(last)
+    return head_of(task), look(head_of(task))

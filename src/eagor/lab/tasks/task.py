@@ -8,17 +8,16 @@ tasks share, `eagor.lab.tasks.published` what tasks with data share.
 
 from __future__ import annotations
 
-import inspect
 import json
-import math
-import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
-from typing import Any, Literal, Protocol, get_args, get_origin, get_type_hints, runtime_checkable
+from inspect import signature
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import msgspec
+from msgspec import inspect
 
 from eagor import plugins
 from eagor._checks import shown
@@ -139,7 +138,7 @@ def load(name: str) -> Any:
     if name not in choices:
         raise EagorError(f"there is no task {name!r}; known are {', '.join(choices)}")
     made: Any = plugins.bring(choices[name], "task")
-    if callable(made) and not inspect.signature(made).parameters:  # a class would pass for a task itself
+    if callable(made) and not signature(made).parameters:  # a class would pass for a task itself
         made = made()
     if not (isinstance(made, Task) and made.name == name):
         what = f"the task {made.name!r}" if isinstance(made, Task) else f"a {type(made).__name__}"
@@ -156,9 +155,6 @@ def work(settings: Mapping[str, Any]) -> Callable[[Payload], Record]:
     return task.runner(config_of(task, settings))
 
 
-# --- the config of a run ----------------------------------------------------------------------------------------------
-
-
 def configure(task: Task, values: Mapping[str, Any], changes: Mapping[str, str] | None = None) -> Any:
     """The config of a run, completed and checked; arguments and errors as of `read_config`."""
     config = read_config(task, values, changes)
@@ -172,31 +168,32 @@ def read_config(task: Task, values: Mapping[str, Any], changes: Mapping[str, str
     """
     values = task.defaults(values) if hasattr(task, "defaults") else values  # type: ignore[attr-defined]
     found = {"task": task.name, **{key: value for key, value in values.items() if value is not None}}
-    kinds = _fields(task.Config)
-    if unknown := [key for key in found if key not in kinds]:
-        raise EagorError(f"{task.name} has no {', '.join(unknown)}; it has {', '.join(kinds)}")
-    home = {key: name for name, kind in kinds.items() for key in _fields(kind)}
+    options = options_of(task)
+    names = {path.rpartition(".")[2]: path for path in options}
     for key, value in (changes or {}).items():
-        if key in home:
-            found[home[key]] = settings_of(found.get(home[key], {})) | {key: value}
-        elif key in kinds:
-            found[key] = value
-        else:
-            can = [name for name, kind in kinds.items() if description_of(kind)] + sorted(home)
+        if key not in names:
+            can = [name for name, path in names.items() if "." in path or options[path][1]]
             raise EagorError(f"{task.name} has no {key!r} to set; it has {', '.join(can)}")
+        home, within, _ = names[key].partition(".")
+        found[home] = settings_of(found.get(home, {})) | {key: value} if within else value
+    if unknown := [key for key in found if key not in options]:
+        fields = ", ".join(path for path in options if "." not in path)
+        raise EagorError(f"{task.name} has no {', '.join(unknown)}; it has {fields}")
     return config_of(task, found)
 
 
 def config_of(task: Task, values: Mapping[str, Any]) -> Any:
     """`values`, perhaps text, as the task's `Config`; unknown ones are left out. Raises `EagorError`."""
     try:
-        config = msgspec.convert(values, task.Config, strict=False)
+        return msgspec.convert(values, task.Config, strict=False)
     except msgspec.ValidationError as error:
-        raise EagorError(_in_words(task, values, str(error))) from None
-    for name, value in msgspec.structs.asdict(config).items():
-        if isinstance(value, float) and not math.isfinite(value):  # msgspec takes the words nan and inf
-            raise EagorError(f"{name} = {value}; wanted a finite number")
-    return config
+        why, _, path = str(error).partition(" - at `$.")
+    path, value = path.rstrip("`").partition("[")[0], values
+    for name in path.split("."):
+        value = value.get(name, value) if isinstance(value, Mapping) else value
+    _, what, choices = options_of(task).get(path, (None, "", ()))
+    wanted = (f"; wanted {', '.join(choices)}" if choices else "") + (f" ({what})" if what else "")
+    raise EagorError(f"{path} = {shown(value)}: {why}{wanted}" if path else f"{task.name}: {why}")
 
 
 def settings_of(config: Any) -> dict[str, Any]:
@@ -204,40 +201,19 @@ def settings_of(config: Any) -> dict[str, Any]:
     return msgspec.json.decode(msgspec.json.encode(config))
 
 
-def _fields(kind: Any) -> dict[str, Any]:
-    """The types of the fields of a struct or a dataclass by name; none of other types."""
-    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        return {field.name: field.type for field in msgspec.structs.fields(kind)}
-    return get_type_hints(kind, include_extras=True) if isinstance(kind, type) and is_dataclass(kind) else {}
+def options_of(task: Task) -> dict[str, tuple[Any, str, tuple[str, ...]]]:
+    """The default of each field of the config, what it is in words, and the choices where it is one of a few words.
 
-
-def _in_words(task: Task, values: Mapping[str, Any], error: str) -> str:
-    """What is wrong with which value, and what that field is."""
-    why, at, path = error.partition(" - at `$.")
-    if not at:
-        return f"{task.name}: {why}"
-    path, kind, value = path.rstrip("`"), task.Config, values
-    for name in re.split(r"[.\[]", path):
-        kind = _fields(kind).get(name, kind)
-        value = value.get(name, value) if isinstance(value, Mapping) else value
-    choices, what = choices_of(kind), description_of(kind)
-    wanted = f"; wanted {', '.join(map(str, choices))}" if choices else ""
-    return f"{path} = {shown(value)}: {why}{wanted}{f' ({what})' if what else ''}"
-
-
-def choices_of(kind: Any) -> tuple[Any, ...]:
-    """What a field of this type can be, where that is a short list."""
-    inner = get_args(kind)[0] if hasattr(kind, "__metadata__") else kind
-    return get_args(inner) if get_origin(inner) is Literal else ()
-
-
-def description_of(kind: Any) -> str:
-    """What a field of this type is, in words."""
-    said = (meta.description for meta in getattr(kind, "__metadata__", ()) if isinstance(meta, msgspec.Meta))
-    return next(filter(None, said), "")
-
-
-# --- reading records --------------------------------------------------------------------------------------------------
+    By name, those within a field as "rules.max_steps".
+    """
+    found = {}
+    for field in getattr(inspect.type_info(task.Config), "fields", ()):
+        within = [(f"{field.name}.{each.name}", each) for each in getattr(field.type, "fields", ())]
+        for path, each in [(field.name, field), *within]:
+            words = (getattr(each.type, "extra_json_schema", None) or {}).get("description", "")
+            choices = getattr(getattr(each.type, "type", each.type), "values", ())
+            found[path] = None if each.default is msgspec.NODEFAULT else each.default, words, choices
+    return found
 
 
 def finished(records: Iterable[Record]) -> list[Record]:
@@ -271,54 +247,41 @@ def check_records(task: Task, records: Sequence[Record]) -> None:
             ) from None
 
 
-# --- the contract, tested ---------------------------------------------------------------------------------------------
-
-
 def check_task(task: Task, **values: Any) -> list[Record]:
     """Raise `AssertionError` unless `task` keeps the contract with the config of `values`; returns all its records."""
     require(isinstance(task, Task), f"is a {type(task).__name__}; wanted an eagor.lab.tasks.task.Task")
     config = configure(task, values)
     plain = settings_of(config)
-    require(_is_json(plain), f"has the config {plain}, which JSON cannot hold")
     require(configure(task, plain) == config, f"resolves {plain} to another config the second time")
     samples = task.samples(config)
     require(samples, "has no samples; wanted at least one. Is that its data?")
     twice = sorted(name for name, count in Counter(sample.id for sample in samples).items() if count > 1)
     require(not twice, f"gives several samples the id {', '.join(twice)}; wanted a unique id for each")
-    require(
-        samples == task.samples(config),
-        "gives other samples the second time; wanted the same in the same order: sort lists of files, draw nothing",
-    )
-    run = task.runner(config)
-    records = [_checked_record(task, sample, run) for sample in samples]
+    same = samples == task.samples(config)
+    require(same, "gives other samples the second time; wanted the same in the same order: sort files, draw nothing")
+    run, records = task.runner(config), []
+    for sample in samples:
+        _plain(sample.payload, f"gives {sample.id} a payload")
+        record = _plain(run(sample.payload), f"records of {sample.id} something")
+        case, score = sample_of(record), record.get("score", 0)
+        own = sample.id == case or sample.id.startswith(f"{case}/")  # an episode may have a sample for each method
+        require(own, f"records the case {case} of the sample {sample.id}; wanted the sample's id")
+        fits = isinstance(score, int | float) and 0 <= score <= 1
+        require(fits, f"records the score {score!r} of {sample.id}; wanted a number in [0, 1], 1 being success")
+        for metric in task.metrics:
+            for result in record.get("methods", {"": record}).values():
+                metric.of(result)
+        records.append(record)
     check_records(task, [{"key": sample_of(r), "attempt": 1, "status": "ok", **r} for r in records])
     return records
 
 
-def _checked_record(task: Task, sample: Sample, run: Callable[[Payload], Record]) -> Record:
-    require(_is_json(sample.payload), f"gives {sample.id} a payload that JSON cannot hold")
-    record = run(sample.payload)
-    require(_is_json(record), f"records {shown(record, 200)} of {sample.id}, which JSON cannot hold")
-    record = json.loads(json.dumps(record))
-    case = sample_of(record)
-    own = sample.id == case or sample.id.startswith(f"{case}/")  # an episode may have a sample for each method
-    require(own, f"records the case {case} of the sample {sample.id}; wanted the sample's id")
-    score = record.get("score", 0)
-    fits = isinstance(score, int | float) and 0 <= score <= 1
-    require(fits, f"records the score {score!r} of {sample.id}; wanted a number in [0, 1], 1 being success")
-    for metric in task.metrics:
-        for value in map(metric.of, record.get("methods", {"": record}).values()):
-            fits = value is None or abs(value) < 1e12
-            require(fits, f"reads {value!r} from the record of {sample.id} as {metric.key}; wanted a number or None")
-    return record
-
-
-def _is_json(value: Any) -> bool:
-    """Whether JSON can hold `value`: finite numbers, texts, lists and dicts."""
+def _plain(value: Any, what: str) -> Any:
+    """`value` as it comes back from JSON: finite numbers, texts, lists and dicts."""
     try:
-        return bool(json.dumps(value, allow_nan=False))
-    except (TypeError, ValueError):
-        return False
+        return json.loads(json.dumps(value, allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise AssertionError(f"the task {what} that JSON cannot hold ({error}): {shown(value, 200)}") from None
 
 
 def require(holds: Any, text: str) -> None:

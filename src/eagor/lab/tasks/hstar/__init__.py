@@ -23,36 +23,33 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 from PIL import ImageOps
 
-from eagor._checks import shown, within
+from eagor._checks import shown
 from eagor._values import lazy
-from eagor.conventions import direction_from_hstar, hstar_from_direction
+from eagor.conventions import direction_from_hstar
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
+from eagor.lab.tasks.published import answer_in
 from eagor.media.panorama import checked_picture, read_image
 from eagor.perception.vlm import IMAGE
-from eagor.sphere import azimuth_elevation, direction, world_R_body
-
-__all__ = [
-    "HFOV_DEG", "PITCH_TOLERANCE", "YAW_TOLERANCE", "Action", "Episode", "Reply", "View", "Window", "box_points",
-    "headings_of", "inside", "level_of", "normalised", "open_panorama", "parse_action", "read_action", "render_view",
-    "submit_succeeds", "succeeded", "system_text", "turn_text", "visible_share", "window_of", "without_cross",
-]  # fmt: skip
+from eagor.sphere import azimuth_elevation, world_R_body
 
 Kind = Literal["hos", "hps"]
 Scoring = Literal["official", "strict"]
 SCORINGS: tuple[Scoring, ...] = get_args(Scoring)
 LEVELS = {"hos": ("easy", "medium", "hard"), "hps": ("easy", "medium", "hard", "extreme")}
+# In an annotation, as the file has it; more is taken for a mistake.
+Degrees = Annotated[int, Meta(ge=-3600, le=3600)] | Annotated[float, Meta(ge=-3600, le=3600)]
 
 MAX_TURNS = 10
 YAW_TOLERANCE = {"hos": 30, "hps": 10}  # degrees to both sides of the middle, for narrower targets
 PITCH_TOLERANCE = 20
-FARTHEST = 3600.0  # degrees in an annotation; more is taken for a mistake
 FARTHEST_ANSWER = 10**6  # degrees in an answer
 
 
@@ -60,7 +57,7 @@ class Episode(msgspec.Struct, frozen=True):
     """One start for one target; `id` is ``scene/entry/start``, which share all but the start in a `cluster`.
 
     `item`: the task, and the annotated box in degrees, as written (without pitch in HPS); `others`: those of the rest
-    of the scene. `start`: yaw of the first view, whose pitch is 0. `level`: 0, 1, ..., None if unknown.
+    of the scene. `start`: yaw of the first view, whose pitch is 0. `level`: one of `LEVELS`, or "unknown".
     """
 
     id: str
@@ -70,46 +67,15 @@ class Episode(msgspec.Struct, frozen=True):
     item: dict[str, Any]
     others: list[dict[str, Any]]
     start: int | float
-    level: int | None
+    level: str
     panorama: str
 
-    @property
-    def level_name(self) -> str:
-        """The level in words; "unknown" if there is none."""
-        names = LEVELS[self.kind]
-        return names[self.level] if self.level is not None and self.level < len(names) else "unknown"
 
+class Box(msgspec.Struct):
+    """Where a target is: its angles in degrees, without pitch in HPS."""
 
-# --- success ----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Window:
-    """Where a submission succeeds, degrees: yaw from `yaw[0]` to the right up to `yaw[1]`, both in [0, 360)."""
-
-    yaw: tuple[float, float]
-    pitch: tuple[float, float]
-
-    @property
-    def wraps(self) -> bool:
-        """Whether it runs across yaw 0."""
-        return self.yaw[0] > self.yaw[1]
-
-    @property
-    def centre(self) -> tuple[float, float]:
-        """(yaw, pitch) of its middle."""
-        width = (self.yaw[1] - self.yaw[0]) % 360.0
-        return (self.yaw[0] + width / 2) % 360.0, (self.pitch[0] + self.pitch[1]) / 2
-
-    def contains(self, yaw: float, pitch: float, scoring: Scoring = "official") -> bool:
-        """Whether submitting (yaw, pitch) succeeds.
-
-        ``official`` ignores the pitch if the window wraps, as the published environment does; ``strict`` never does.
-        """
-        yaw, high_enough = normalised(yaw), self.pitch[0] <= pitch <= self.pitch[1]
-        if self.wraps:
-            return (yaw >= self.yaw[0] or yaw <= self.yaw[1]) and (scoring == "official" or high_enough)
-        return self.yaw[0] <= yaw <= self.yaw[1] and high_enough
+    yaw: tuple[Degrees, Degrees]
+    pitch: tuple[Degrees, Degrees] | None = None
 
 
 def normalised(yaw: float) -> float:
@@ -117,44 +83,52 @@ def normalised(yaw: float) -> float:
     return (yaw + 360) % 360
 
 
-def window_of(item: Mapping[str, Any]) -> Window:
-    """The window of one entry of annotation.json, without ``pitch`` one of HPS; a narrow one is widened.
+def window_of(item: Mapping[str, Any]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Where submissions for an entry of annotation.json succeed: yaw from .. to the right up to .., and pitch, degrees.
 
-    Raises `FormatError` if the angles are not pairs of finite numbers.
+    Yaws are in [0, 360). A narrow window is widened. Without ``pitch`` the entry is one of HPS. Raises `FormatError` if
+    the angles are not pairs of finite numbers.
     """
-    path = item.get("pitch") is None
-    left, right = _pair(item, "yaw")
+    try:
+        box = msgspec.convert(item, Box)
+    except msgspec.ValidationError as error:
+        raise FormatError(
+            f"an item is {shown(item)}; wanted yaw and pitch as two angles in degrees ({error})"
+        ) from None
+    left, right = box.yaw
     right += 360 if left > right else 0
-    tolerance = YAW_TOLERANCE["hps" if path else "hos"]
+    tolerance = YAW_TOLERANCE["hps" if box.pitch is None else "hos"]
     if right - left < 2 * tolerance:
         middle = (left + right) / 2
         left, right = middle - tolerance, middle + tolerance
-    low, high = (-90.0, 90.0) if path else _pair(item, "pitch")
+    low, high = box.pitch or (-90.0, 90.0)
     if high - low < 2 * PITCH_TOLERANCE:
         middle = (low + high) / 2
         low, high = max(-90.0, middle - PITCH_TOLERANCE), min(90.0, middle + PITCH_TOLERANCE)
-    return Window((normalised(left), normalised(right)), (low, high))
+    return (normalised(left), normalised(right)), (low, high)
 
 
-def _pair(item: Mapping[str, Any], key: str) -> tuple[float, float]:
-    value = item.get(key)
-    if not (isinstance(value, list | tuple) and len(value) == 2 and all(within(x, -FARTHEST, FARTHEST) for x in value)):
-        raise FormatError(f"an item has {key} = {shown(value)}; wanted two angles of at most {FARTHEST:g} degrees")
-    return float(value[0]), float(value[1])
+def middle_of(item: Mapping[str, Any]) -> tuple[float, float]:
+    """(yaw, pitch) of the middle of an item's window."""
+    (left, right), pitch = window_of(item)
+    return (left + (right - left) % 360.0 / 2) % 360.0, sum(pitch) / 2
 
 
 def submit_succeeds(item: Mapping[str, Any], yaw: float, pitch: float, scoring: str = "official") -> bool:
     """Whether submitting (yaw, pitch), degrees, finds the target of one entry of annotation.json.
 
-    `item` has ``yaw`` [left, right] and, in HOS, ``pitch`` [low, high]. `scoring`: see `Window.contains`. Raises
-    `EagorError` for another scoring, `FormatError` for an item without usable angles.
+    `item` has ``yaw`` [left, right] and, in HOS, ``pitch`` [low, high]. ``official`` ignores the pitch if the window
+    runs across yaw 0, as the published environment does; ``strict`` never does. Raises `EagorError` for another
+    scoring, `FormatError` for an item without usable angles.
     """
     if scoring not in SCORINGS:
         raise EagorError(f"scoring = {scoring!r}; wanted {' or '.join(SCORINGS)}")
-    return window_of(item).contains(yaw, pitch, scoring)
+    (left, right), (low, high) = window_of(item)
+    yaw, high_enough = normalised(yaw), low <= pitch <= high
+    if left > right:
+        return (yaw >= left or yaw <= right) and (scoring == "official" or high_enough)
+    return left <= yaw <= right and high_enough
 
-
-# --- what models are told, and what their replies mean ----------------------------------------------------------------
 
 TEXTS = json.loads(Path(__file__).with_name("texts.json").read_text(encoding="utf-8"))
 _FORM = "\n".join(["You can take 1 action(s) at a time.", *TEXTS["form"]])  # ends every turn
@@ -163,16 +137,11 @@ _FORM = "\n".join(["You can take 1 action(s) at a time.", *TEXTS["form"]])  # en
 def system_text(kind: str) -> str:
     """The system message for ``hos`` or ``hps``."""
     lines = [TEXTS["goal"][kind], *TEXTS["actions"], "", "Example:"]
-    feedback: list[str] = []
-    for index, (thought, action, pose) in enumerate(TEXTS["example"], start=1):
-        lines += [f"Round {index}:", *feedback, f"image_{index}", _reply(thought, action)]
-        feedback = [f"Env_feedback: {succeeded(pose)}."]
-    lines += ["Round 4:", "Env_feedback: Success", _FORM, f"e.g. {_reply(*TEXTS['example'][0][:2])}"]
-    return "\n".join(lines)
-
-
-def _reply(thought: str, action: str) -> str:
-    return f"<think>{thought}</think><answer>{action}</answer>"
+    replies = [f"<think>{thought}</think><answer>{action}</answer>" for thought, action, _ in TEXTS["example"]]
+    for index, reply in enumerate(replies):
+        feedback = [f"Env_feedback: {succeeded(TEXTS['example'][index - 1][2])}."] if index else []
+        lines += [f"Round {index + 1}:", *feedback, f"image_{index + 1}", reply]
+    return "\n".join([*lines, "Round 4:", "Env_feedback: Success", _FORM, f"e.g. {replies[0]}"])
 
 
 def succeeded(pose: str) -> str:
@@ -194,11 +163,10 @@ def turn_text(task: str, view: View, reply: Reply | None) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Action:
+class Action(NamedTuple):
     """An action: ``rotate`` by, or ``submit``, (yaw, pitch) in whole degrees."""
 
-    kind: Literal["rotate", "submit"]
+    kind: str
     yaw: int
     pitch: int
 
@@ -216,8 +184,17 @@ class Reply:
 
     @property
     def action(self) -> Action | None:
-        """The single action; None if there is not exactly one or it cannot be carried out."""
-        return read_action(self.actions[0]) if len(self.actions) == 1 else None
+        """The action, such as ``rotate(-45,0)``; None if there is none or the environment could not carry it out."""
+        text = "".join(self.actions)
+        kind = "rotate" if text.startswith("rotate") else "submit"
+        parts = text.replace(kind, "").strip("()").split(",")
+        try:
+            yaw, pitch = int(parts[0].strip()), int(parts[1].strip())
+        except (ValueError, IndexError):
+            return None
+        if max(abs(yaw), abs(pitch)) > FARTHEST_ANSWER:  # means the same, and a float can hold it
+            yaw, pitch = yaw % 360, max(-FARTHEST_ANSWER, min(FARTHEST_ANSWER, pitch))
+        return Action(kind, yaw, pitch) if text.startswith(kind) else None
 
 
 def parse_action(text: str) -> Reply:
@@ -229,51 +206,23 @@ def parse_action(text: str) -> Reply:
     # The published patterns without their backtracking, which takes minutes for some replies: where the first place of
     # a tag does not fit, no later one does.
     text = text.replace("<image>", "")
-    thought, answer, whole = "", _between(text), text.strip()
+    answer, whole = answer_in(text), text.strip()
     join = re.search(r"</think>\s*<answer>", whole)
     ends = whole.startswith("<think>") and whole.endswith("</answer>")
     kept = ends and join is not None and join.end() <= len(whole) - len("</answer>")
-    before, thinks, after = text.partition("</think>")
-    if text.startswith("<think>") and thinks and _between(after) is not None:
-        thought, answer = before, _between(after)
-    actions = [part.strip() for part in _without_tags(answer or "").split("|") if part.strip()]
-    return Reply(_without_tags(thought), actions[:1], kept)
-
-
-def _between(text: str) -> str | None:
-    """What is between the first ``<answer>`` and the next ``</answer>``; None without them."""
-    _, opened, rest = text.partition("<answer>")
-    answer, closed, _ = rest.partition("</answer>")
-    return answer if opened and closed else None
-
-
-def _without_tags(text: str) -> str:
+    thought, thinks, after = text.partition("</think>")
+    if text.startswith("<think>") and thinks and answer_in(after) is not None:
+        answer = answer_in(after)
+    else:
+        thought = ""
     for tag in ("<think>", "</think>", "<answer>", "</answer>"):
-        text = text.replace(tag, "").strip()
-    return text
+        thought, answer = thought.replace(tag, "").strip(), (answer or "").replace(tag, "").strip()
+    return Reply(thought, [part.strip() for part in answer.split("|") if part.strip()][:1], kept)
 
-
-def read_action(text: str) -> Action | None:
-    """The action in `text`, such as ``rotate(-45,0)``; None if the environment could not carry it out."""
-    kind = next((kind for kind in ("rotate", "submit") if text.startswith(kind)), None)
-    if kind is None:
-        return None
-    parts = text.replace(kind, "").strip("()").split(",")
-    try:
-        yaw, pitch = int(parts[0].strip()), int(parts[1].strip())
-    except (ValueError, IndexError):
-        return None
-    if max(abs(yaw), abs(pitch)) > FARTHEST_ANSWER:  # means the same, and a float can hold it
-        yaw, pitch = yaw % 360, max(-FARTHEST_ANSWER, min(FARTHEST_ANSWER, pitch))
-    return Action(kind, yaw, pitch)  # type: ignore[arg-type]
-
-
-# --- the camera -------------------------------------------------------------------------------------------------------
 
 HFOV_DEG = 100.0
 RESOLUTION = 1080  # rows; columns are rows // 9 * 16
-CROSS = (0, 255, 0)
-ARM = 10  # pixels of the cross to each side of the centre
+ARM = 10  # pixels of the green cross to each side of the centre
 
 
 @dataclass(frozen=True)
@@ -288,26 +237,23 @@ class View:
         """The pose ``(3, 3)`` in our world frame: x at yaw 0, y to the left, z up."""
         return world_R_body(-math.radians(self.yaw), -math.radians(self.pitch))
 
-    @classmethod
-    def facing(cls, heading: np.ndarray) -> View:
-        """The view at a `heading` ``(2,)``: azimuth and elevation, radians, world frame."""
-        yaw, pitch = hstar_from_direction(direction(heading[0], heading[1]))
-        return cls(round(float(yaw), 6) % 360, round(float(pitch), 6))
-
-    def grid(self, rows: int = RESOLUTION, columns: int | None = None) -> PerspectiveGrid:
+    def grid(self, rows: int = RESOLUTION) -> PerspectiveGrid:
         """The view's cells in the world frame."""
-        return PerspectiveGrid(rows, columns or rows // 9 * 16, math.radians(HFOV_DEG), self.world_R_view)
+        return PerspectiveGrid(rows, rows // 9 * 16, math.radians(HFOV_DEG), self.world_R_view)
+
+    def shows(self, directions: np.ndarray) -> np.ndarray:
+        """Which directions ``(n, 3)`` of the world it shows, bool ``(n,)``."""
+        return self.grid().project(directions)[2]
+
+    def share(self, item: Mapping[str, Any]) -> float:
+        """The visible fraction of an item's box (without pitch, of a window of 10 degrees at the horizon)."""
+        return float(self.shows(box_points(item["yaw"], item.get("pitch"))).mean())
 
     def after(self, action: Action | None) -> View:
         """The view after `action`; only ``rotate`` changes it: yaw wraps, pitch ends straight up and straight down."""
         if action is None or action.kind != "rotate":
             return self
         return View(float(normalised(self.yaw + action.yaw)), float(max(-90, min(90, self.pitch + action.pitch))))
-
-
-def headings_of(yaws: Any, pitches: Any) -> np.ndarray:
-    """Azimuth and elevation ``(..., 2)``, radians, world frame, of views' yaws and pitches ``(...)``, degrees."""
-    return np.stack(azimuth_elevation(direction_from_hstar(yaws, pitches)), axis=-1)
 
 
 @lru_cache(maxsize=2)
@@ -343,7 +289,7 @@ def render_view(
     out = (np.stack(bands, axis=-1) + np.float32(0.5)).astype(np.uint8)
     if cross:
         row, column, upright, level = _cross(out)
-        out[upright, column] = out[row, level] = CROSS
+        out[upright, column] = out[row, level] = (0, 255, 0)
     return out
 
 
@@ -376,28 +322,10 @@ def _cross(picture: np.ndarray) -> tuple[int, int, slice, slice]:
     return row, column, slice(max(0, row - ARM), row + ARM + 1), slice(max(0, column - ARM), column + ARM + 1)
 
 
-def visible_share(view: View, yaw: tuple[float, float], pitch: tuple[float, float] | None) -> float:
-    """The visible fraction of a box (degrees; without pitch, of a window of 10 degrees at the horizon)."""
-    return float(inside(view, box_points(yaw, pitch)).mean())
-
-
-def level_of(view: View, yaw: tuple[float, float], pitch: tuple[float, float]) -> int:
-    """0 if at least half of the box is in the view, 1 if some of it is, 2 if none."""
-    share = visible_share(view, yaw, pitch)
-    return 0 if share >= 0.5 else 1 if share > 0 else 2
-
-
-def inside(view: View, directions: np.ndarray) -> np.ndarray:
-    """Which directions ``(n, 3)`` of the world the view shows, bool ``(n,)``."""
-    return view.grid().project(directions)[2]
-
-
 def box_points(yaw: tuple[float, float], pitch: tuple[float, float] | None) -> np.ndarray:
     """Directions ``(576, 3)`` that sample a box evenly by solid angle."""
-    low, high = pitch if pitch is not None else (-10.0, 10.0)
+    low, high = np.sin(np.radians(pitch if pitch is not None else (-10.0, 10.0)))
     parts = (np.arange(24) + 0.5) / 24
-    sines = np.sin(np.radians(low)) + parts * (np.sin(np.radians(high)) - np.sin(np.radians(low)))
-    yaws, pitches = np.meshgrid(
-        yaw[0] + parts * ((yaw[1] - yaw[0]) % 360.0), np.degrees(np.arcsin(np.clip(sines, -1, 1)))
-    )
+    pitches = np.degrees(np.arcsin(np.clip(low + parts * (high - low), -1, 1)))
+    yaws, pitches = np.meshgrid(yaw[0] + parts * ((yaw[1] - yaw[0]) % 360.0), pitches)
     return direction_from_hstar(yaws, pitches).reshape(-1, 3)

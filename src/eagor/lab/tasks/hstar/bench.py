@@ -2,7 +2,7 @@
 
 The layout is ``<anything>/<scene>/annotation.json`` beside the scene's panorama, as in the unpacked archives: the first
 ``*.png`` by name, otherwise the first ``*.jpg``. As in the published environment, ``.PNG`` and ``.jpeg`` are other
-endings, whose scenes are skipped (`read_scenes` names them). An entry with ``pitch`` is an object to find (HOS), one
+endings, whose scenes are skipped (`read_data` names them). An entry with ``pitch`` is an object to find (HOS), one
 without is a path to take (HPS). There is one episode per entry and start.
 """
 
@@ -13,7 +13,6 @@ import random
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -26,74 +25,50 @@ from eagor.conventions import direction_from_hstar
 from eagor.errors import FormatError
 from eagor.lab.tasks import hstar, published
 from eagor.lab.tasks.hstar.agents import AGENTS, LOOKING, RESPONDS, Agent, HStarConfig, make_agent, open_detector
-from eagor.lab.tasks.published import PublishedTask, Recalibrate
+from eagor.lab.tasks.published import PublishedTask, Recalibrate, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample
 from eagor.perception.truth import Noise
-from eagor.queries import singular
 from eagor.sphere import angular_distance
-
-# --- the published files ----------------------------------------------------------------------------------------------
 
 ANNOTATION = "annotation.json"
 STARTS = (0, 90, 180, 270)  # degrees of yaw, for entries without any
 SHUFFLE = 42  # the published environment shuffles its episodes with this seed
-
-Real = Annotated[float, Meta(ge=-hstar.FARTHEST, le=hstar.FARTHEST)]  # degrees
-Degrees = (
-    Annotated[int, Meta(ge=-int(hstar.FARTHEST), le=int(hstar.FARTHEST))] | Real
-)  # records show them as the file has them
+FAULT = (
+    'is no list of targets, each with a task such as "Find the red chair", yaw and pitch as two angles of at most 3600 '
+    "degrees, initial yaw as a list of such, level as 0, 1, 2, ..."
+)
 Level = Annotated[int, Meta(ge=0)]
 
 
-class Entry(msgspec.Struct):
-    """One target in annotation.json: its box in degrees, the yaws to begin at, and the level of each or of all."""
+class Entry(hstar.Box, kw_only=True):
+    """One target in annotation.json: its task, its box, the yaws to begin at, and the level of each or of all."""
 
     task: str
-    yaw: tuple[Degrees, Degrees]
-    pitch: tuple[Degrees, Degrees] | None = None
-    starts: list[Real] | None = field(name="initial yaw", default=None)
+    starts: list[Annotated[float, Meta(ge=-3600, le=3600)]] | None = field(name="initial yaw", default=None)
     level: list[Level | None] | Level | None = None
 
-    @property
-    def item(self) -> dict[str, Any]:
-        """Its task, yaw and, for an object, pitch."""
-        pitch = {} if self.pitch is None else {"pitch": list(self.pitch)}
-        return {"task": self.task, "yaw": list(self.yaw), **pitch}
 
-
-Scene = tuple[Path, list[Entry]]  # its picture and its targets
-
-
-def read_scenes(data: Path) -> tuple[dict[str, Scene], list[str]]:
-    """All scenes in `data`, by name, and the folders with annotations that have no such picture, left out as published.
+def read_data(data: Path) -> tuple[list[hstar.Episode], list[str]]:
+    """All episodes in `data`, by scene, and the folders with annotations but no such picture, skipped as published.
 
     A scene is named by its folder alone if that is unique. Raises `FormatError` if there is none, or one is malformed.
     """
-    if not data.exists():
-        raise FormatError(f"there is no {data}; wanted the folder of the unpacked archive of H*Bench")
-    pictures: dict[Path, Path] = {}
-    skipped = []
-    for folder in sorted(path.parent for path in data.rglob(ANNOTATION)):
-        found = sorted(folder.glob("*.png")) or sorted(folder.glob("*.jpg"))
-        if found:
-            pictures[folder] = found[0]
-        else:
-            skipped.append(str(folder))
-    if not pictures:
-        why = f"; {skipped[0]} has {ANNOTATION}, but no such picture" if skipped else ""
-        packed = [data] if data.is_file() else sorted(data.glob("*.zip"))
-        why += f"; {packed[0]} has to be unpacked first" if packed else ""
-        raise FormatError(f"{data} holds no scene of H*Bench, {ANNOTATION} beside a .png or .jpg (lower case){why}")
-    count = Counter(folder.name for folder in pictures)
-    scenes: dict[str, Scene] = {}
-    for folder, picture in pictures.items():
-        name = folder.name if count[folder.name] == 1 else folder.relative_to(data).as_posix()
-        fault = (
-            'is no list of targets, each with a task such as "Find the red chair", yaw and pitch as two angles of at '
-            f"most {hstar.FARTHEST:g} degrees, initial yaw as a list of such, level as 0, 1, 2, ..."
+    folders = sorted(path.parent for path in data.rglob(ANNOTATION))
+    pictures = {folder: sorted(folder.glob("*.png")) or sorted(folder.glob("*.jpg")) for folder in folders}
+    skipped = [str(folder) for folder in folders if not pictures[folder]]
+    if len(skipped) == len(folders):
+        raise FormatError(
+            f"{data} holds no scene of H*Bench, {ANNOTATION} beside a .png or .jpg (lower case). Give the folder of "
+            f"the unpacked archive{f'; {skipped[0]} has {ANNOTATION}, but no such picture' if skipped else ''}"
         )
-        scenes[name] = picture, published.read_json(folder / ANNOTATION, list[Entry], fault)
-    return dict(sorted(scenes.items())), skipped
+    folders = [folder for folder in folders if pictures[folder]]
+    count = Counter(folder.name for folder in folders)
+    named = {f.name if count[f.name] == 1 else f.relative_to(data).as_posix(): f for f in folders}
+    episodes = []
+    for scene, folder in sorted(named.items()):
+        entries = published.read_json(folder / ANNOTATION, list[Entry], FAULT)
+        episodes += _episodes(scene, str(pictures[folder][0]), entries)
+    return episodes, skipped
 
 
 def read_episodes(data: Path, kind: hstar.Kind) -> list[hstar.Episode]:
@@ -101,33 +76,31 @@ def read_episodes(data: Path, kind: hstar.Kind) -> list[hstar.Episode]:
 
     Raises `FormatError` if there is none of this kind, or the data is not H*Bench's.
     """
-    scenes, _ = read_scenes(data)
-    episodes = [each for name, scene in scenes.items() for each in _episodes(name, *scene) if each.kind == kind]
+    episodes = [episode for episode in read_data(data)[0] if episode.kind == kind]
     if not episodes:
         wanted = "with pitch (objects)" if kind == "hos" else "without pitch (paths)"
-        raise FormatError(f"{data} has {len(scenes)} scenes, but no annotation {wanted}: it is not {kind.upper()} data")
+        raise FormatError(f"{data} has no annotation {wanted}: it is not {kind.upper()} data")
     random.Random(SHUFFLE).shuffle(episodes)
     return episodes
 
 
-def _episodes(scene: str, panorama: Path, entries: list[Entry]) -> Iterator[hstar.Episode]:
-    items = [entry.item for entry in entries]
+def _episodes(scene: str, panorama: str, entries: list[Entry]) -> Iterator[hstar.Episode]:
+    items = [{"task": e.task, "yaw": [*e.yaw]} | ({"pitch": [*e.pitch]} if e.pitch else {}) for e in entries]
     for index, entry in enumerate(entries):
         kind: hstar.Kind = "hos" if entry.pitch is not None else "hps"
         starts = STARTS if entry.starts is None else entry.starts
         levels = entry.level if isinstance(entry.level, list) else [entry.level] * len(starts)
-        cluster, others = f"{scene}/{index}", items[:index] + items[index + 1 :]
-        names = Counter[str]()
+        cluster, others, names = f"{scene}/{index}", items[:index] + items[index + 1 :], Counter[str]()
         for start, level in zip(starts, levels, strict=False):  # the shorter of the two lists decides, as published
             name = f"{cluster}/{start:g}"
             names[name] += 1
             name += f"-{names[name]}" if names[name] > 1 else ""
-            if level is None and entry.pitch is not None:
-                level = hstar.level_of(hstar.View(start, 0.0), entry.yaw, entry.pitch)
-            yield hstar.Episode(name, cluster, scene, kind, items[index], others, start, level, str(panorama))
+            if level is None and kind == "hos":  # half of the box is in the first view, some of it, none
+                share = hstar.View(start, 0.0).share(items[index])
+                level = 0 if share >= 0.5 else 1 if share > 0 else 2
+            title = dict(enumerate(hstar.LEVELS[kind])).get(-1 if level is None else level, "unknown")
+            yield hstar.Episode(name, cluster, scene, kind, items[index], others, start, title, panorama)
 
-
-# --- the tags of targets ----------------------------------------------------------------------------------------------
 
 FINE = 4.0  # degrees: a box smaller than this in both directions is fine detail
 COMMON = frozenset(hstar.TEXTS["nouns"])  # things that any detector knows well: of homes, offices, shops and streets
@@ -151,10 +124,8 @@ def tag_of(item: Mapping[str, Any], others: Sequence[Mapping[str, Any]] = ()) ->
         return "ocr_fine"
     if any(published.head_of(str(other["task"])) == head for other in others):
         return "multi_instance"
-    return "plain" if {head, singular(head)} & COMMON else "rare"
+    return "plain" if head in COMMON else "rare"
 
-
-# --- the tasks --------------------------------------------------------------------------------------------------------
 
 # In order of precedence: the first that applies is the cause.
 CAUSES = {
@@ -170,6 +141,13 @@ CAUSES = {
 NEAR = 25.0  # degrees from the answer: a response there counts as taken for the target
 
 
+class Submission(msgspec.Struct):
+    """A direction in a prediction, degrees."""
+
+    yaw: Annotated[float, Meta(ge=-hstar.FARTHEST_ANSWER, le=hstar.FARTHEST_ANSWER)]
+    pitch: Annotated[float, Meta(ge=-hstar.FARTHEST_ANSWER, le=hstar.FARTHEST_ANSWER)] = 0.0
+
+
 class HStar(PublishedTask):
     """One half of H*Bench; see `eagor.lab.tasks.task.Task`."""
 
@@ -180,28 +158,27 @@ class HStar(PublishedTask):
     def __init__(self, kind: hstar.Kind, title: str, what: str) -> None:
         self.kind: hstar.Kind = kind
         self.title, self.what, self.name = title, what, f"hstar-{kind}"
+        levels = hstar.LEVELS[kind]
         self.metrics: tuple[Metric, ...] = (
-            published.score_metric("overall", "Overall", "success of all episodes", lambda record: record["score"]),
-            *published.level_metrics(hstar.LEVELS[kind], "success of episodes of level"),
-            published.score_metric("official", "Official", "success by the published rule", partial(_by, "official")),
-            published.score_metric("strict", "Strict", "success with the pitch always counted", partial(_by, "strict")),
+            score_metric("overall", "Overall", "success of all episodes"),
+            *(
+                score_metric(name, name.capitalize(), f"success of episodes of level {name}", of=name)
+                for name in levels
+            ),
+            score_metric("official", "Official", "success by the published rule", by="official"),
+            score_metric("strict", "Strict", "success with the pitch always counted", by="strict"),
             Metric("views", "Views", "number of views", lambda r: r.get("views"), "", "low", 1.0, 2),
         )
 
     def info(self, data: Path) -> dict[str, Any]:
-        scenes, skipped = read_scenes(Path(data))
-        entries = [entry for _, entries in scenes.values() for entry in entries]
-        episodes = [each for name, scene in scenes.items() for each in _episodes(name, *scene)]
-        levels = {kind: Counter(each.level_name for each in episodes if each.kind == kind) for kind in hstar.LEVELS}
+        episodes, skipped = read_data(Path(data))
+        kinds = {kind: [episode for episode in episodes if episode.kind == kind] for kind in hstar.LEVELS}
         return {
-            "scenes": len(scenes),
-            "targets": len(entries),
-            "episodes": {kind: sum(count.values()) for kind, count in levels.items()},
-            "levels": {kind: dict(count) for kind, count in levels.items() if count},
+            "scenes": len({episode.scene for episode in episodes}),
+            "targets": len({episode.cluster for episode in episodes}),
+            "episodes": {kind: len(found) for kind, found in kinds.items()},
+            "levels": {kind: Counter(each.level for each in found) for kind, found in kinds.items() if found},
             "skipped": skipped,
-            "without_initial_yaw": sum(entry.starts is None for entry in entries),
-            "without_level": sum(entry.level is None for entry in entries),
-            "windows_across_yaw_0": sum(hstar.window_of(entry.item).wraps for entry in entries),
         }
 
     def samples(self, config: HStarConfig) -> list[Sample]:
@@ -214,8 +191,7 @@ class HStar(PublishedTask):
 
     def player(self, config: HStarConfig, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
         def play(payload: Payload) -> Record:
-            episode = msgspec.convert(payload, hstar.Episode)
-            detector = None
+            episode, detector = msgspec.convert(payload, hstar.Episode), None
             if perception is not None:
                 detector = open_detector(perception, episode, config.seed, config.resolution, read)
             return run_episode(episode, make_agent(config, episode, detector, chat), config.scoring, config.turns)
@@ -223,41 +199,21 @@ class HStar(PublishedTask):
         return play
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: HStarConfig) -> Record:
-        answer, reason = _submission(prediction)
-        return record_of(
-            msgspec.convert(sample.payload, hstar.Episode), config.scoring, answer, [{"shown": 1.0}], reason
-        )
-
-
-def _by(way: hstar.Scoring, record: Record) -> float | None:
-    return record.get("scores", {}).get(way)
-
-
-def _submission(prediction: Mapping[str, Any]) -> tuple[dict[str, int] | None, str]:
-    """The submission of a prediction, or None and the reason why there is none."""
-    given = prediction.get("submit")
-    if given is None and "yaw" in prediction:
-        given = prediction["yaw"], prediction.get("pitch", 0)
-    if given is None:
-        wanted = "submit: [yaw, pitch], or yaw and pitch, or text, the model's last reply"
-        action = hstar.parse_action(published.words_of(prediction, ("text",), wanted)).action
-        if action is None or action.kind != "submit":
-            return None, "format" if action is None else "budget"
-        return {"yaw": action.yaw, "pitch": action.pitch}, "submitted"
-    try:
-        yaw, pitch = (round(float(value)) for value in given)
-    except (TypeError, ValueError, OverflowError):
-        raise FormatError(f"a prediction submits {shown(given)}; wanted yaw and pitch in degrees") from None
-    if max(abs(yaw), abs(pitch)) > hstar.FARTHEST_ANSWER:
-        raise FormatError(f"a prediction submits {shown(given)}; wanted degrees, at most {hstar.FARTHEST_ANSWER}")
-    return {"yaw": yaw, "pitch": pitch}, "submitted"
+        if "yaw" in prediction:
+            try:
+                given = msgspec.convert(prediction, Submission)
+            except msgspec.ValidationError as error:
+                raise FormatError(f"{shown(prediction)}: wanted yaw and pitch in degrees ({error})") from None
+            action = hstar.Action("submit", round(given.yaw), round(given.pitch))
+        else:
+            text = published.words_of(prediction, ("text",), "yaw and pitch, or text, the model's last reply")
+            action = hstar.parse_action(text).action
+        episode, steps = msgspec.convert(sample.payload, hstar.Episode), [{"shown": 1.0, "valid": action is not None}]
+        return record_of(episode, config.scoring, action, steps)
 
 
 HOS = HStar("hos", "H*Bench: object search (HOS)", "look around in a photograph for a thing, and name its direction")
 HPS = HStar("hps", "H*Bench: path search (HPS)", "look around in a photograph for the way to go, and name it")
-
-
-# --- an episode and its record ----------------------------------------------------------------------------------------
 
 
 def run_episode(
@@ -268,65 +224,54 @@ def run_episode(
     `scoring` decides "score" and "by_turn" ("scores" has both); `turns`: views at most. Each step has "turn", "view",
     "shown" (visible fraction of the target), "action", "would" (its answer now), and the agent's notes.
     """
-    item, view, answer = episode.item, hstar.View(float(episode.start), 0.0), None
+    item, view, action = episode.item, hstar.View(float(episode.start), 0.0), None
     steps: list[dict[str, Any]] = []
-    while answer is None and len(steps) < turns:
-        turn = agent(view, len(steps) + 1 == turns)
-        yaw, pitch, p = turn.would
+    while len(steps) < turns and (action is None or action.kind != "submit"):
+        action, (yaw, pitch, p), notes = agent(view, len(steps) + 1 == turns)
         succeeds = {each: hstar.submit_succeeds(item, yaw, pitch, each) for each in hstar.SCORINGS}
         steps.append(
             {
                 "turn": len(steps) + 1,
                 "view": {"yaw": view.yaw, "pitch": view.pitch},
-                "shown": round(hstar.visible_share(view, item["yaw"], item.get("pitch")), 3),
-                "action": None if turn.action is None else str(turn.action),
+                "shown": round(view.share(item), 3),
+                "action": None if action is None else str(action),
                 "would": {"yaw": yaw, "pitch": pitch, **succeeds, "p": None if math.isnan(p) else round(p, 4)},
-                **turn.notes,
+                **notes,
             }
         )
-        if turn.action is not None and turn.action.kind == "submit":
-            answer = {"yaw": turn.action.yaw, "pitch": turn.action.pitch}
-        view = view.after(turn.action)
-    unread = any(step.get("valid") is False for step in steps)
-    reason = "submitted" if answer is not None else "format" if unread else "budget"
-    record = record_of(episode, scoring, answer, steps, reason)
-    by_turn = [int(step["would"][scoring]) for step in steps]
+        view = view.after(action)
+    record = record_of(episode, scoring, action, steps)
+    answered, by_turn = record["answer"] is not None, [int(step["would"][scoring]) for step in steps]
     return record | {
         "scoring": scoring,
         "by_turn": by_turn + [int(record["score"])] * (turns - len(steps)),
         "views": len(steps),
-        "stated": steps[-1]["would"]["p"] if answer is not None else None,
-        "sure": bool(steps[-1].get("sure", False)) and answer is not None,
+        "stated": steps[-1]["would"]["p"] if answered else None,
+        "sure": answered and bool(steps[-1].get("sure", False)),
         "steps": steps,
     }
 
 
 def record_of(
-    episode: hstar.Episode,
-    scoring: hstar.Scoring,
-    answer: Mapping[str, Any] | None,
-    steps: Sequence[Mapping[str, Any]],
-    reason: str,
+    episode: hstar.Episode, scoring: hstar.Scoring, last: hstar.Action | None, steps: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """The part of a record about the submission, with the errors in degrees.
-
-    `answer`: None if there was none, for the `reason`, which is then also the cause of the failure.
-    """
+    """The part of a record about the `last` action, with the errors in degrees; None: it could not be read."""
     item, pitch = episode.item, episode.item.get("pitch")
-    scores = dict.fromkeys(hstar.SCORINGS, 0.0)
+    reason = "format" if any(step.get("valid") is False for step in steps) else "budget"
+    scores, cause, answer = dict.fromkeys(hstar.SCORINGS, 0.0), reason, None
     errors: dict[str, float | None] = {"yaw_error": None, "pitch_error": None, "error": None}
-    cause: str | None = reason
-    if answer is not None:
-        at, middle = (answer["yaw"], answer["pitch"]), hstar.window_of(item).centre
+    if last is not None and last.kind == "submit":
+        reason, at, middle = "submitted", (last.yaw, last.pitch), hstar.middle_of(item)
+        answer = {"yaw": last.yaw, "pitch": last.pitch}
         scores = {way: float(hstar.submit_succeeds(item, *at, way)) for way in hstar.SCORINGS}
-        turn = abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0)
-        lift = None if pitch is None else round(abs(at[1] - middle[1]), 2)
-        errors = {"yaw_error": round(turn, 2), "pitch_error": lift, "error": round(_apart(at, middle), 2)}
         cause = None if scores[scoring] else cause_of(item, steps, at, episode.others, scoring)
+        turn, lift = abs((at[0] - middle[0] + 180.0) % 360.0 - 180.0), abs(at[1] - middle[1])
+        errors = {"yaw_error": round(turn, 2), "pitch_error": None if pitch is None else round(lift, 2)}
+        errors["error"] = round(_apart(at, middle), 2)
     return {
         "case": episode.id,
         "cluster": episode.cluster,
-        "level": episode.level_name,
+        "level": episode.level,
         "tags": [tag_of(item, episode.others)],
         "words": item["task"],
         "start": episode.start,
@@ -349,7 +294,7 @@ def cause_of(
 ) -> str:
     """Why an answer `at` (yaw, pitch) failed, one of `CAUSES`; `others`: the rest of its scene; `steps`: recorded."""
     same = [other for other in others if published.head_of(other["task"]) == published.head_of(item["task"])]
-    if any(hstar.window_of(other).contains(*at, "strict") for other in same):
+    if any(hstar.submit_succeeds(other, *at, "strict") for other in same):
         return "wrong_instance"
     if any((step.get("would") or {}).get(scoring) for step in steps):
         return "stopped_wrongly"
@@ -357,7 +302,7 @@ def cause_of(
         return "never_in_view"
     peaks = [step["peak"] for step in steps if "peak" in step]
     loud = [(peak["yaw"], peak["pitch"]) for peak in peaks if peak["score"] >= RESPONDS]
-    if any(hstar.window_of(item).contains(*peak, "strict") for peak in loud):
+    if any(hstar.submit_succeeds(item, *peak, "strict") for peak in loud):
         return "fusion_error"
     return "false_detection" if not peaks or any(_apart(peak, at) <= NEAR for peak in loud) else "missed"
 

@@ -1,4 +1,4 @@
-"""OSR-Bench: questions about one panorama; here its maps, the answers that follow from them, and its scoring.
+"""OSR-Bench: questions about one panorama; here its files, the answers that follow from its maps, and its scoring.
 
 A layout lists the cells of each category on a grid of 10 x 10: ``{name: [[row, column], ...]}``; row 0 is at the top.
 All answers of the benchmark derive from such a layout (Dongfang et al., arXiv 2505.11907, and the code published with
@@ -11,32 +11,41 @@ in the room.
 `score` is the published scorer (`evaluation_re` and the map's score) with one deviation: the published code computes a
 map's precision, recall and F1 when it comes to the last category that both maps have, from the categories so far. Their
 order is that of a Python set, which differs from process to process unless PYTHONHASHSEED is set. Here all categories
-count, which is the least that the published code can give; `MapScore.f1_most` is the most.
+count, which is the least that the published code can give; "most" of `score_map` is the most.
+
+The files are ``<scene>/rgb.png``, ``<scene>/cognitive_map.json`` and ``<scene>/<scene>_<suffix>.json`` with a suffix of
+`SUFFIXES`, at any depth. The hosted edition has the questions in ``qa.csv`` (columns image_id, turn_id, question,
+answer and, optionally, skills_tested). Questions with an empty answer are left out, as the benchmark's authors do.
 """
 
 from __future__ import annotations
 
+import ast
+import csv
 import json
 import math
+import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal, get_args
 
+import msgspec
 import numpy as np
 
 from eagor._checks import parsed, shown
+from eagor._values import lazy
 from eagor.errors import FormatError
-
-__all__ = [
-    "SIZE", "SKILLS", "MapScore", "cells", "direction_label", "extracted", "is_tied", "layout_of", "map_text",
-    "mistake", "named", "products", "ranked", "read_map", "score", "score_map", "steps", "swapped", "tags", "turned",
-]  # fmt: skip
+from eagor.lab.tasks.published import answer_in, read_json
 
 SIZE = 10  # rows and columns of a layout
 Cell = tuple[int, int]
 Layout = Mapping[str, Sequence[Sequence[int]]]
 Grid = list[list[list[str]]]  # rows of cells, each a list of names, as maps are published
+Number = int | float | bool
 
 NO_POSITION = "The positioning object is not found in the picture."
 NOT_UNIQUE = "The positioning object is not unique in the picture."
@@ -51,8 +60,6 @@ FAR = 15.0  # cells: the mean distance of a map without any match
 _SIDES = {"Left": "Right", "Right": "Left"}
 _HYPHENS = {f"{a} {b}": f"{a}-{b}" for a in ("front", "back") for b in ("left", "right")}
 
-# --- answers that follow from a layout --------------------------------------------------------------------------------
-
 
 def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
     """The published answer to "standing by P and facing the closest O, where is the closest Q?".
@@ -63,7 +70,7 @@ def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
     things. If there is no answer, one of `ERRORS`. Raises `FormatError` for an invalid layout.
     """
     found = steps(map, P, O, Q)
-    return found if isinstance(found, str) else named(*products(*found))
+    return found if isinstance(found, str) else named(*found)
 
 
 def steps(layout: Layout, P: str, O: str, Q: str) -> tuple[Cell, Cell] | str:
@@ -80,18 +87,12 @@ def products(v1: Any, v2: Any) -> tuple[Any, Any]:
     return v1[0] * v2[0] + v1[1] * v2[1], v1[0] * v2[1] - v1[1] * v2[0]
 
 
-def named(dot: float, cross: float) -> str:
-    """The words for a dot product and a cross product (positive to the left)."""
+def named(v1: Any, v2: Any) -> str:
+    """The words for the side of the direction v1 on which v2 lies."""
+    dot, cross = products(v1, v2)
     along = "Front" if dot > 0 else "Back" if dot < 0 else ""
     aside = "Left" if cross > 0 else "Right" if cross < 0 else ""
     return f"{along} {aside}".strip()
-
-
-def is_tied(layout: Layout, P: str, name: str) -> bool:
-    """Whether several cells of `name` are equally near to P, so that the smallest angle decides."""
-    start = cells(layout, P)
-    near = [_square(way) for way in ranked(start[0], cells(layout, name))[:2]] if len(start) == 1 else []
-    return len(near) == 2 and near[0] == near[1]
 
 
 def tags(layout: Layout | None, names: Sequence[str], label: str) -> list[str]:
@@ -104,20 +105,19 @@ def tags(layout: Layout | None, names: Sequence[str], label: str) -> list[str]:
         return ["absent"]
     if layout is None or len(names) != 3 or isinstance(found := steps(layout, *names), str):
         return []
+    start, *others = (cells(layout, name) for name in names)
+    near = [[r * r + c * c for r, c in ranked(start[0], where)[:2]] for where in others]
     kinds = ["clear" if min(map(abs, products(*found))) > 1 else "near a border"]
-    kinds += ["tied"] if any(is_tied(layout, names[0], name) for name in names[1:]) else []
-    kinds += ["several"] if any(len(layout[name]) > 1 for name in names[1:]) else []
-    return kinds
+    kinds += ["tied"] if any(len(two) == 2 and two[0] == two[1] for two in near) else []
+    return kinds + (["several"] if any(len(layout[name]) > 1 for name in names[1:]) else [])
 
 
 def cells(layout: Layout, name: str) -> list[Cell]:
     """The cells of `name`, row by row, each once. Raises `FormatError` for what is no cell."""
-    found: set[Cell] = set()
-    for cell in layout.get(name, ()):
-        if len(cell) != 2 or not all(isinstance(k, int) and not isinstance(k, bool) for k in cell):
-            raise FormatError(f"the layout has {name!r} at {cell!r}; wanted [row, column], whole numbers")
-        found.add((int(cell[0]), int(cell[1])))
-    return sorted(found)
+    try:
+        return sorted(set(msgspec.convert(layout.get(name, ()), list[Cell])))
+    except msgspec.ValidationError as error:
+        raise FormatError(f"the layout has {name!r} at {layout[name]!r}; wanted [row, column] ({error})") from None
 
 
 def ranked(start: Cell, where: Iterable[Cell]) -> list[Cell]:
@@ -126,19 +126,12 @@ def ranked(start: Cell, where: Iterable[Cell]) -> list[Cell]:
     Angles go from the direction of growing columns to that of growing rows, from 0 up to a full turn.
     """
     ways = [(row - start[0], column - start[1]) for row, column in where]
-    return sorted(ways, key=lambda way: (_square(way), math.atan2(*way) % (2 * math.pi)))
-
-
-def _square(way: Cell) -> int:
-    return way[0] ** 2 + way[1] ** 2
+    return sorted(ways, key=lambda way: (way[0] ** 2 + way[1] ** 2, math.atan2(*way) % (2 * math.pi)))
 
 
 def swapped(answer: str) -> str:
     """`answer` with left and right exchanged; any other answer as it is."""
     return " ".join(_SIDES.get(word, word) for word in answer.split(" ")) if answer in DIRECTIONS else answer
-
-
-# --- scores -----------------------------------------------------------------------------------------------------------
 
 
 def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
@@ -153,22 +146,27 @@ def score(skill: str, truth: Any, answer: str, think: bool = False) -> float:
     an invalid truth.
     """
     if skill == MAP:
-        return score_map(truth, answer).f1
+        return score_map(truth, answer)["overall"]["f1"]
     reply, true = extracted(answer, think).strip().lower(), str(truth).strip().lower()
-    if skill == COUNTING:
-        return _counted(reply, true)
     if skill == DISTANCE:
         return float(reply == true)
     if skill == DIRECTION:
         return float(_HYPHENS.get(reply, reply) == _HYPHENS.get(true, true))
-    raise FormatError(f"there is no skill {skill!r}; known are {', '.join(SKILLS)}")
+    if skill != COUNTING:
+        raise FormatError(f"there is no skill {skill!r}; known are {', '.join(SKILLS)}")
+    number = re.search(r"\d+", reply)
+    if not re.fullmatch(r"[+-]?\d{1,9}", true):
+        raise FormatError(f"the true count is {shown(true)}; wanted a whole number")
+    if number is None or len(number.group()) > 4000:  # more digits than Python reads: practically infinite
+        return 0.0
+    count, wanted = int(number.group()), int(true)
+    return 1.0 if count == wanted else max(0.0, 1 - abs(count - wanted) / max(count, wanted))
 
 
 def extracted(answer: str, think: bool) -> str:
     """The part of an answer that counts: with `think`, the text between the tags, or all of it without tags."""
-    _, opened, rest = answer.partition("<answer>")
-    reply, closed, _ = rest.partition("</answer>")
-    return reply if think and opened and closed else answer
+    reply = answer_in(answer) if think else None
+    return answer if reply is None else reply
 
 
 def mistake(truth: str, answer: str, think: bool) -> str | None:
@@ -181,47 +179,21 @@ def mistake(truth: str, answer: str, think: bool) -> str | None:
     return "left and right exchanged" if mirrored else None
 
 
-def _counted(reply: str, true: str) -> float:
-    number = re.search(r"\d+", reply)
-    if not re.fullmatch(r"[+-]?\d{1,9}", true):
-        raise FormatError(f"the true count is {shown(true)}; wanted a whole number")
-    if number is None or len(number.group()) > 4000:  # more digits than Python reads: practically infinite
-        return 0.0
-    count, wanted = int(number.group()), int(true)
-    return 1.0 if count == wanted else max(0.0, 1 - abs(count - wanted) / max(count, wanted))
-
-
-@dataclass(frozen=True)
-class MapScore:
-    """Agreement of a map with the truth: things at most `NEAR` cells from one of their category are found.
-
-    `f1_most`: the highest F1 that the published code can give, `f1` the lowest. `rotation`: degrees clockwise by which
-    the map was turned. `overall`, `per_class` (by name): the figures that the published runner writes into its tables.
-    """
-
-    rotation: int
-    f1_most: float
-    overall: dict[str, Any]
-    per_class: dict[str, dict[str, Any]]
-
-    @property
-    def f1(self) -> float:
-        """Of all categories."""
-        return self.overall["f1"]
-
-
-def score_map(truth: Grid, reply: str) -> MapScore:
+def score_map(truth: Grid, reply: str) -> dict[str, Any]:
     """The score of the last JSON object of a reply, ``{"name": [[x, y], ...]}`` with x the column and y the row.
 
     It is turned by the multiple of 90 degrees with the highest F1 (of equal ones the smallest), not mirrored. Things of
-    a category are paired with the smallest sum of distances. Without a usable map a reply scores 0.
+    a category are paired with the smallest sum of distances, and found if at most `NEAR` cells apart. Without a usable
+    map a reply scores 0.
+
+    "rotation": degrees clockwise; "overall" and "per_class" (by name): the figures that the published runner writes
+    into its tables; "most": the highest F1 that the published code can give, that of "overall" is the lowest.
     """
-    there, prediction = layout_of(truth), read_map(reply) or {}
-    turns = []
+    there, prediction, turns = layout_of(truth), read_map(reply) or {}, []
     for rotation in (0, 90, 180, 270):
-        turns.append(_compared(there, prediction, rotation))
+        turns.append({"rotation": rotation, **_compared(there, prediction)})
         prediction = turned(prediction)
-    return max(turns, key=lambda each: each.f1)  # the first of equal ones
+    return max(turns, key=lambda each: each["overall"]["f1"])  # the first of equal ones
 
 
 def layout_of(grid: Grid) -> dict[str, list[list[int]]]:
@@ -249,37 +221,30 @@ def read_map(reply: str) -> dict[str, list[list[int]]] | None:
 
     As published, cells outside of the grid are dropped, and a map with fractions is none.
     """
-    end = reply.rfind("}")
-    depth, start = 0, -1
+    end, depth = reply.rfind("}"), 0
     for start in range(end, -1, -1):
         depth += {"}": 1, "{": -1}.get(reply[start], 0)
-        if depth == 0:
+        if not depth:
             break
-    if end < 0 or depth:
+    else:
         return None
-    found: dict[str, list[list[int]]] = {}
     try:
-        for name, where in parsed(reply[start : end + 1]).items():
-            if not isinstance(where, list):
-                return None
-            for x, y in where:
-                inside = [0 <= k < SIZE for k in (x, y)]  # of anything but numbers an error
-                if all(inside) and not (isinstance(x, int) and isinstance(y, int)):
-                    return None
-                if all(inside):
-                    found.setdefault(name, []).append([int(y), int(x)])
-    except (ValueError, TypeError):
+        named = msgspec.convert(parsed(reply[start : end + 1]), dict[str, list[tuple[Number, Number]]])
+    except (ValueError, msgspec.ValidationError):
         return None
-    return {name: sorted(where) for name, where in found.items()}
+    found = {name: [cell for cell in where if all(0 <= k < SIZE for k in cell)] for name, where in named.items()}
+    if any(isinstance(k, float) for where in found.values() for cell in where for k in cell):
+        return None
+    return {name: sorted([int(y), int(x)] for x, y in where) for name, where in found.items() if where}
 
 
-def _compared(there: dict[str, list[list[int]]], prediction: dict[str, list[list[int]]], rotation: int) -> MapScore:
+def _compared(there: dict[str, list[list[int]]], prediction: dict[str, list[list[int]]]) -> dict[str, Any]:
     from scipy.optimize import linear_sum_assignment
 
     common, absent = {*there} & {*prediction}, sorted({*prediction} - {*there})
     if not common:  # as published, nothing is counted
         nothing = {"chair_s": 0, "chair_i": 0.0, "chair_instance": 0.0, "hallucinated_classes": []}
-        return MapScore(rotation, 0.0, _figures(0, 0, 0, FAR, 0.0) | nothing, {})
+        return {"most": 0.0, "overall": _figures(0, 0, 0, FAR, 0.0) | nothing, "per_class": {}}
     categories: dict[str, dict[str, Any]] = {}
     pairs, total = 0, 0.0
     for name in sorted({*there} | {*prediction}):
@@ -299,22 +264,178 @@ def _compared(there: dict[str, list[list[int]]], prediction: dict[str, list[list
         "chair_instance": sum(len(prediction[name]) for name in absent) / named,
         "hallucinated_classes": absent,
     }
-    most = _f1(right, sum(len(prediction[name]) for name in common), sum(len(there[name]) for name in common))
-    return MapScore(rotation, most, overall, categories)
+    both = sum(len(each[name]) for each in (prediction, there) for name in common)
+    return {"most": 2 * right / both, "overall": overall, "per_class": categories}
 
 
 def _figures(right: int, named: int, true: int, away: float, empty: float) -> dict[str, Any]:
     """The published figures of `right` things of those `named`, with `true` things there; `empty`: shares of none."""
-    return {
-        "precision": right / named if named else empty,
-        "recall": right / true if true else empty,
-        "f1": _f1(right, named, true),
-        "avg_distance": away,
-        "tp": right,
-        "fp": named - right,
-        "fn": true - right,
-    }
+    shares = {"precision": right / named if named else empty, "recall": right / true if true else empty}
+    f1 = 2 * right / (named + true) if right else 0.0
+    return {**shares, "f1": f1, "avg_distance": away, "tp": right, "fp": named - right, "fn": true - right}
 
 
-def _f1(right: int, named: int, true: int) -> float:
-    return 2 * right / (named + true) if right else 0.0
+Suffix = Literal["qa_without_cogmap", "qa", "qa_with_negative", "qa_with_negative_without_cogmap"]
+SUFFIXES: tuple[Suffix, ...] = get_args(Suffix)
+WITHOUT = "_without_cogmap"
+FAULT = "cannot be read as JSON of OSR-Bench"
+# The text of each kind of question, with names of things in groups, the last of several separated by commas.
+_WORDS = {
+    DIRECTION: r"standing by the (.+?) and facing the closest (.+?), is the closest (.+?) to my front",
+    DISTANCE: r"which of these objects \(([^)]*)\) is the closest to the (.+?) in this PANO",
+    MAP: r"in this scene: \{([^}]*)\}",
+    COUNTING: r"How many (.+?)\(s\) are in this room",
+}
+
+
+class Turn(msgspec.Struct):
+    """A question as published; the answer of a map is its grid, as text in a table."""
+
+    question: str
+    answer: str | int | Grid | None
+    turn_id: int | None = None  # None: its place among the turns
+    skills_tested: str | None = None
+
+
+class _Conversation(msgspec.Struct):
+    conversation: list[Turn]
+    image_id: str = ""
+
+
+class _Map(msgspec.Struct):
+    cognitive_map: Grid
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question about a picture, with the published answer: text, or a map's grid; `id` as "scene/qa/18"."""
+
+    id: str
+    skill: str
+    text: str
+    answer: Any
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names in it; empty if the text is not the benchmark's.
+
+        The category counted; the category and then the choices; P, O and Q; or all categories of the map.
+        """
+        found = re.search(_WORDS[self.skill], self.text)
+        if not found or self.skill in (COUNTING, DIRECTION):
+            return found.groups() if found else ()
+        return (*found.groups()[1:], *(name for part in found[1].split(",") if (name := part.strip())))
+
+    def truth(self, labels: str) -> Any:
+        """The answer according to the labels "official" or "corrected": left and right as they are in the room."""
+        if labels == "official":
+            return self.answer
+        if self.skill == MAP:
+            return [row[::-1] for row in self.answer]
+        return swapped(self.answer) if self.skill == DIRECTION else self.answer
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One picture, which may be missing, and its questions; `skipped` questions had no answer."""
+
+    id: str
+    folder: Path
+    image: Path
+    questions: tuple[Question, ...]
+    skipped: int
+
+    @lazy
+    def categories(self) -> tuple[str, ...]:
+        """All names in the questions, in order of first appearance."""
+        return tuple(dict.fromkeys(name for question in self.questions for name in question.names))
+
+    @lazy
+    def layout(self) -> dict[str, list[list[int]]] | None:
+        """The published layout, None if the folder has none. Raises `FormatError` if it is malformed."""
+        path = self.folder / "cognitive_map.json"
+        if path.is_file():
+            return layout_of(read_json(path, _Map, FAULT).cognitive_map)
+        return None if self.map_question is None else layout_of(self.map_question.answer)
+
+    @property
+    def map_question(self) -> Question | None:
+        """The first question that asks for the map; None if this kind of file has none."""
+        return next((question for question in self.questions if question.skill == MAP), None)
+
+
+def load(data: Path, suffix: str = SUFFIXES[0]) -> tuple[Scene, ...]:
+    """All scenes with questions of this kind of file (of `SUFFIXES`) in `data`, by name.
+
+    If there are only files with the map's question, files without it are derived from them (the questions are the
+    same). Raises `FormatError` if there are none, or one cannot be read.
+    """
+    plain, scenes = suffix.removesuffix(WITHOUT), list[Scene]()
+    files = list(data.rglob(f"*_{suffix}.json"))
+    have = {path.parent for path in files}
+    for path in [*files, *(path for path in data.rglob(f"*_{plain}.json") if path.parent not in have)]:
+        found = read_json(path, _Conversation, FAULT)
+        scenes.append(_scene(found.conversation, found.image_id, path.parent.name, path.parent, suffix, path))
+    for path in data.rglob("qa.csv") if plain == "qa" and not scenes else ():
+        for image_id, turns in _table(path).items():  # a scene for each picture
+            place = PurePosixPath(image_id)
+            name = place.parent.name or place.stem
+            scenes.append(_scene(turns, image_id, name, path.parent / place.parent, suffix, path))
+    if not scenes:
+        kinds = ", ".join(kind for kind in SUFFIXES if any(data.rglob(f"*_{kind}.json")))
+        hint = f"it has files of the kind {kinds}: choose one with --set suffix=KIND" if kinds else "is it OSR-Bench?"
+        raise FormatError(f"{data} has no <scene>_{suffix}.json and no qa.csv; {hint}")
+    if len({scene.id for scene in scenes}) < len(scenes):
+        raise FormatError(f"{data} has several scenes of one name; give the folder of one copy of the data")
+    return tuple(sorted(scenes, key=lambda scene: scene.id))
+
+
+@lru_cache(maxsize=2)
+def questions_of(data: str, suffix: str) -> dict[str, tuple[Scene, Question]]:
+    """The questions that `load` finds, and their scenes, by id; cached, since workers ask for each picture."""
+    return {question.id: (scene, question) for scene in load(Path(data), suffix) for question in scene.questions}
+
+
+def _scene(turns: Sequence[Turn], image_id: str, name: str, folder: Path, suffix: str, path: Path) -> Scene:
+    """The scene in `folder` with those questions in the file `path` that have an answer."""
+    found: list[Question] = []
+    skipped, taken = 0, Counter[int]()
+    for place, turn in enumerate(turns):
+        skill = turn.skills_tested or next((s for s, words in _WORDS.items() if re.search(words, turn.question)), None)
+        if skill not in SKILLS:
+            raise FormatError(
+                f"{path}, {shown(turn.question)}: the skill is {shown(skill)}; known are {', '.join(SKILLS)}"
+            )
+        if skill == MAP and suffix.endswith(WITHOUT):
+            continue
+        if turn.answer is None or turn.answer == "":
+            skipped += 1
+            continue
+        number = place if turn.turn_id is None else turn.turn_id
+        taken[number] += 1
+        again = f"-{taken[number]}" if taken[number] > 1 else ""
+        answer = _grid(turn.answer, path) if skill == MAP else str(turn.answer)
+        found.append(Question(f"{name}/{suffix}/{number}{again}", skill, turn.question, answer))
+    pictures = [folder / "rgb.png", *(above / image_id for above in (folder, *folder.parents[:3]))]
+    image = next((picture for picture in pictures if os.path.isfile(picture)), pictures[0])  # False for invalid names
+    return Scene(name, folder, image, tuple(found), skipped)
+
+
+def _grid(answer: str | int | Grid, path: Path) -> Grid:
+    """A map's grid; in tables it is text."""
+    try:
+        return msgspec.convert(ast.literal_eval(answer) if isinstance(answer, str) else answer, Grid)
+    except (ValueError, SyntaxError, MemoryError, RecursionError, msgspec.ValidationError) as error:
+        raise FormatError(f"{path}: the map is {shown(answer)}; wanted rows of lists of names ({error})") from None
+
+
+def _table(path: Path) -> dict[str, list[Turn]]:
+    """The turns in a table, by picture."""
+    turns: dict[str, list[Turn]] = {}
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            for row in csv.DictReader(file, restkey=""):
+                turns.setdefault(row["image_id"], []).append(msgspec.convert(row, Turn, strict=False))
+    except (OSError, UnicodeError, csv.Error, KeyError, msgspec.ValidationError) as error:
+        raise FormatError(f"{path} cannot be read as CSV with image_id, question and answer ({error})") from None
+    return turns

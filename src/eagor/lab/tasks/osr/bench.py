@@ -12,38 +12,26 @@ import math
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
-import msgspec
 from msgspec import Meta
 
-from eagor.errors import EagorError, FormatError, QueryError
-from eagor.lab.tasks import osr
-from eagor.lab.tasks.osr import geometry
-from eagor.lab.tasks.osr.data import SUFFIXES, Question, Scene, Suffix, load, questions_of
-from eagor.lab.tasks.published import (
-    TALKING,
-    PublishedConfig,
-    PublishedRecord,
-    PublishedTask,
-    Recalibrate,
-    read_json,
-    score_metric,
-    words_of,
-)
+from eagor.errors import FormatError, QueryError
+from eagor.lab.tasks import osr, published
+from eagor.lab.tasks.osr import Question, Scene, geometry, questions_of
+from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, Recalibrate, score_metric
 from eagor.lab.tasks.task import Payload, Record, Sample
 from eagor.media.panorama import read_panorama
 from eagor.perception import Perception
 from eagor.perception.vlm import IMAGE, Chat, Message
 
-TRUTH, FILE = "truth", "physical_truth.json"
 TITLES = {osr.COUNTING: "Counting", osr.DISTANCE: "Distance", osr.DIRECTION: "Direction", osr.MAP: "Map"}
 AGENTS = {
     "eagor": "bearings from a belief, ranges from floor contacts",
     TALKING: "asks the model, with the map or without it (--set suffix=...)",
-    "constant": "gives the same answer to every question of a kind",
     "oracle": "knows the label (the official one, if both are asked for)",
 }
 
@@ -72,44 +60,21 @@ class OsrConfig(PublishedConfig, kw_only=True):
         Literal["official", "corrected", "both"],
         Meta(description="left and right as published (mirrored), as they are in the room, or both side by side"),
     ] = "official"
-    suffix: Annotated[Suffix, Meta(description="which of the published files")] = "qa_without_cogmap"
-    skill: Annotated[
-        Literal["all", "object_counting", "relative_distance", "relative_direction", "cognitive_map"],
-        Meta(description="questions of one kind only"),
-    ] = "all"
+    suffix: Annotated[osr.Suffix, Meta(description="which of the published files")] = "qa_without_cogmap"
     prompt: Annotated[
         Literal["vanilla", "think"],
         Meta(description="what the model is asked for: an answer, or its reasoning first"),
     ] = "vanilla"
-    camera_height: Annotated[float, Meta(gt=0, description="metres above the floor; it scales the room")] = (
-        geometry.HEIGHT
-    )
 
 
-# --- agents -----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Reply:
+class Reply(NamedTuple):
     """An answer for scoring, and notes for the record."""
 
     text: str
-    notes: dict[str, Any] = field(default_factory=dict)
+    notes: Mapping[str, Any] = {}
 
 
 Agent = Callable[[Scene, Question], Reply]  # raises if there is no reply: that is not a wrong answer
-Detector = Callable[[Scene], geometry.SceneLayout]  # looks at a scene for the things that its questions name
-
-
-def constant(scene: Scene, question: Question, negative: bool) -> str:
-    """A fixed answer, without looking; with absent categories (`negative`), that something is absent."""
-    if question.skill == osr.MAP:
-        return osr.map_text({name: [[5, 5]] for name in question.names or scene.categories})
-    if question.skill == osr.DIRECTION:
-        return osr.NO_OBJECT if negative else "Front Left"
-    if question.skill == osr.DISTANCE:
-        return question.names[1] if len(question.names) > 1 else osr.NO_CANDIDATE
-    return "1"
 
 
 class Vlm:
@@ -117,24 +82,19 @@ class Vlm:
 
     def __init__(self, chat: Chat, form: str = "vanilla") -> None:
         self._chat, self._form = chat, form
-        self._drawn: tuple[str, list[Message], str] | None = None  # the last scene's map, which is asked for once
+        self._ask = lru_cache(maxsize=1)(self._asked)  # the map of a scene is asked for once
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
         mapped, text = scene.map_question, f"{question.text} {_AFTER[self._form]}"
-        if mapped is None:
-            return Reply(self._chat([_with_picture(f"{_BEFORE} {text}", scene)]).text)
-        if self._drawn is None or self._drawn[0] != scene.id:
-            request = _with_picture(mapped.text, scene)
-            self._drawn = scene.id, [request], self._chat([request]).text
-        _, requests, drawn = self._drawn
-        if question.skill == osr.MAP:
-            return Reply(drawn)
-        messages = [*requests, Message("assistant", drawn), Message("user", text)]
-        return Reply(self._chat(messages).text, {"map": drawn})
+        request, reply = self._ask(scene, f"{_BEFORE} {text}" if mapped is None else mapped.text)
+        if mapped is None or question.skill == osr.MAP:
+            return Reply(reply)
+        messages = [request, Message("assistant", reply), Message("user", text)]
+        return Reply(self._chat(messages).text, {"map": reply})
 
-
-def _with_picture(text: str, scene: Scene) -> Message:
-    return Message("user", f"{text}\n{IMAGE}", (read_panorama(scene.picture),))
+    def _asked(self, scene: Scene, text: str) -> tuple[Message, str]:
+        request = Message("user", f"{text}\n{IMAGE}", (read_panorama(scene.image),))
+        return request, self._chat([request]).text
 
 
 class Eagor:
@@ -143,9 +103,8 @@ class Eagor:
     `negative`: whether questions may ask about absent things; only then does it answer with errors.
     """
 
-    def __init__(self, look: Detector, negative: bool = False) -> None:
-        self._look, self._negative = look, negative
-        self._seen: tuple[str, geometry.SceneLayout] | None = None
+    def __init__(self, look: Callable[[Scene], geometry.SceneLayout], negative: bool = False) -> None:
+        self.around, self._negative = lru_cache(maxsize=1)(look), negative  # looked at once, for all questions
 
     def __call__(self, scene: Scene, question: Question) -> Reply:
         around, skill, names = self.around(scene), question.skill, question.names
@@ -172,12 +131,6 @@ class Eagor:
             return Reply(found or _guess(question), notes)
         return Reply(min(there, key=lambda name: math.dist(start, geometry.nearest(start, places[name]))), notes)
 
-    def around(self, scene: Scene) -> geometry.SceneLayout:
-        """The scene as seen: looked at once, for all names in its questions."""
-        if self._seen is None or self._seen[0] != scene.id:
-            self._seen = scene.id, self._look(scene)
-        return self._seen[1]
-
 
 def _guess(question: Question) -> str:
     """An answer about things that were not seen: ahead, on either side; the first choice; none."""
@@ -186,67 +139,15 @@ def _guess(question: Question) -> str:
     return question.names[1] if question.skill == osr.DISTANCE and len(question.names) > 1 else "0"
 
 
-def seen_layout(perception: Perception, height: float, read: Recalibrate, scene: Scene) -> geometry.SceneLayout:
-    """What a perception sees of a scene; `height` of the camera above the floor, metres; `read`: recalibrates looks."""
-    panorama, things, unknown = read_panorama(scene.picture), list[geometry.Detection](), []
+def seen_layout(perception: Perception, read: Recalibrate, scene: Scene) -> geometry.SceneLayout:
+    """What a perception sees of a scene; `read`: recalibrates looks."""
+    panorama, things, unknown = read_panorama(scene.image), list[geometry.Detection](), []
     for name in scene.categories:
         try:
             things += geometry.detections_in(read(perception(panorama, name.replace("_", " "), stamp=0.0)), name)
         except QueryError:
             unknown.append(name)
-    return geometry.SceneLayout(geometry.place(things, height), unknown)
-
-
-# The true places, which are not part of the benchmark: scenes that are made for tests have them, others may have, too.
-_Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]  # farther ones are taken for a mistake
-
-
-class Body(msgspec.Struct):
-    """A thing: where its middle is, metres, x to the right and y forward of the camera, and above the floor."""
-
-    name: str
-    xy: tuple[_Metres, _Metres]
-    z_centre: _Metres
-
-
-class Room(msgspec.Struct):
-    """The content of physical_truth.json: the things around a camera, and its height above the floor (metres).
-
-    Forward is the middle of the panorama. Other fields may be there, too.
-    """
-
-    objects: list[Body]
-    camera: Annotated[float, Meta(gt=0, le=1e6)] = geometry.HEIGHT
-
-
-def read_room(folder: Path) -> Room:
-    """The room of a scene's folder. Raises `FormatError` if there is none."""
-    return read_json(folder / FILE, Room, f"is not a room (see {__name__}.Room), which the perception {TRUTH} reads")
-
-
-def true_layout(scene: Scene) -> geometry.SceneLayout:
-    """The true places in a scene, as if the camera saw the things and the floor points below them."""
-    room, found = read_room(scene.folder), []
-    for body in room.objects:
-        azimuth, away = math.atan2(-body.xy[0], body.xy[1]), math.hypot(*body.xy)
-        middle, foot = (math.atan2(z - room.camera, away) for z in (body.z_centre, 0.0))
-        if body.name in scene.categories:
-            found.append(geometry.Detection(body.name, azimuth, middle, foot=foot))
-    return geometry.SceneLayout(geometry.place(found, room.camera))
-
-
-# --- the record of an answer ------------------------------------------------------------------------------------------
-
-
-class OsrRecord(PublishedRecord, kw_only=True):
-    """What the metrics of OSR-Bench read."""
-
-    skill: str
-    question: str
-    answer: str
-    tags: list[str]  # pyright: ignore[reportGeneralTypeIssues] (here it has no default)
-    scores: dict[str, float | None]  # pyright: ignore[reportGeneralTypeIssues]
-    map_range: dict[str, float | None] = msgspec.field(default_factory=dict)
+    return geometry.SceneLayout(geometry.place(things), unknown)
 
 
 def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig) -> dict[str, Any]:
@@ -254,59 +155,35 @@ def record_of(scene: Scene, question: Question, reply: Reply, config: OsrConfig)
     skill, think = question.skill, config.prompt == "think"
     wanted = ("official", "corrected") if config.labels == "both" else (config.labels,)
     truths = {labels: question.truth(labels) for labels in wanted}
-    maps = {labels: osr.score_map(truth, reply.text) for labels, truth in truths.items()} if skill == osr.MAP else {}
-    scores = {
-        labels: maps[labels].f1 if maps else osr.score(skill, truth, reply.text, think)
-        for labels, truth in truths.items()
-    }
-    truth, main = truths[wanted[0]], scores[wanted[0]]
+    values = [osr.score(skill, truth, reply.text, think) for truth in truths.values()]
+    scores, truth, cause = dict(zip(wanted, values, strict=True)), truths[wanted[0]], None
+    if values[0] < 1:
+        guessed = "range guessed" if reply.notes.get("guessed") else "wrong"
+        formal = osr.mistake(truth, reply.text, think) if skill == osr.DIRECTION else None
+        cause = "missed" if reply.notes.get("problem") else formal or guessed
     record: dict[str, Any] = {
         "case": question.id,
         "cluster": scene.id,
-        "score": main,
+        "score": values[0],
         "scores": scores,
         "skill": skill,
         "level": TITLES[skill],
         "question": question.text,
         "tags": osr.tags(scene.layout, question.names, question.answer) if skill == osr.DIRECTION else [],
         "answer": reply.text,
-        "cause": cause(skill, truth, reply, think) if main < 1 else None,
+        "cause": cause,
     }
-    if maps:
-        found = maps[wanted[0]]
-        record["map"] = {
-            "overall": found.overall, "per_class": found.per_class, "truth": truth, "rotation": found.rotation
-        }  # fmt: skip
-        record["map_range"] = {"least": found.f1, "most": found.f1_most}
+    if skill == osr.MAP:
+        found = osr.score_map(truth, reply.text)
+        record["map_range"] = {"least": values[0], "most": found.pop("most")}
+        record["map"] = found | {"truth": truth}
     else:
         record["truth"] = truth
     return record | ({"steps": [reply.notes]} if reply.notes else {})
 
 
-def cause(skill: str, truth: Any, reply: Reply, think: bool) -> str:
-    """The cause of a wrong answer."""
-    if reply.notes.get("problem"):
-        return "missed"
-    found = osr.mistake(truth, reply.text, think) if skill == osr.DIRECTION else None
-    return found or ("range guessed" if reply.notes.get("guessed") else "wrong")
-
-
-# --- the task ---------------------------------------------------------------------------------------------------------
-
-
-def _of(skill: str, labels: str | None = None) -> Callable[[Record], float | None]:
-    """The score of the questions of one kind: by the labels of the run, or by these."""
-
-    def read(record: Record) -> float | None:
-        if record["skill"] != skill:
-            return None
-        return record["score"] if labels is None else record["scores"].get(labels)
-
-    return read
-
-
-def _tagged(tag: str) -> Callable[[Record], float | None]:
-    return lambda record: record["score"] if tag in record["tags"] else None
+def _most(record: Record) -> float | None:
+    return record.get("map_range", {}).get("most")
 
 
 class OsrBench(PublishedTask):
@@ -314,99 +191,62 @@ class OsrBench(PublishedTask):
 
     name, title = "osr", "OSR-Bench"
     what = "questions about what stands where around a camera"
-    Config, Record = OsrConfig, OsrRecord
+    Config = OsrConfig
     agents, looking = AGENTS, ("eagor",)
-    truth: ClassVar = f"the true places, for data that has a {FILE} in each scene"
     metrics = (
+        score_metric("overall", "Overall", "mean over the kinds of questions", over=lambda r: r["level"]),
+        score_metric("direction", "Direction", "relative direction, by the labels of the run", of="Direction"),
+        score_metric("direction_official", "official", "by the published labels", of="Direction", by="official"),
         score_metric(
-            "overall", "Overall", "mean over the kinds of questions", lambda r: r["score"], lambda r: r["skill"]
+            "direction_corrected", "corrected", "with left and right put right", of="Direction", by="corrected"
         ),
-        score_metric("direction", "Direction", "relative direction, by the labels of the run", _of(osr.DIRECTION)),
-        score_metric("direction_official", "official", "by the published labels", _of(osr.DIRECTION, "official")),
-        score_metric(
-            "direction_corrected", "corrected", "with left and right put right", _of(osr.DIRECTION, "corrected")
-        ),
-        score_metric("direction_clear", "clear", "both products above one squared cell", _tagged("clear")),
-        score_metric("direction_border", "border", "a product of at most one squared cell", _tagged("near a border")),
-        score_metric("distance", "Distance", "which is the closest", _of(osr.DISTANCE)),
-        score_metric("counting", "Counting", "how many, with the partial credit of the benchmark", _of(osr.COUNTING)),
-        score_metric("map", "Map F1", "the map: the least that the published code gives", _of(osr.MAP)),
-        score_metric(
-            "map_most",
-            "at most",
-            "the most it gives: it depends on PYTHONHASHSEED",
-            lambda r: r.get("map_range", {}).get("most"),
-        ),
+        score_metric("direction_clear", "clear", "both products above one squared cell", of="clear"),
+        score_metric("direction_border", "border", "a product of at most one squared cell", of="near a border"),
+        score_metric("distance", "Distance", "which is the closest", of="Distance"),
+        score_metric("counting", "Counting", "how many, with the partial credit of the benchmark", of="Counting"),
+        score_metric("map", "Map F1", "the map: the least that the published code gives", of="Map"),
+        score_metric("map_most", "at most", "the most it gives: it depends on PYTHONHASHSEED", _most),
     )
 
     def info(self, data: Path) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        seen: dict[str, Scene] = {}
-        for suffix in SUFFIXES:
-            try:
-                scenes = load(Path(data), suffix)
-            except FormatError:
-                continue
-            seen |= {scene.id: scene for scene in scenes}
-            questions = [question for scene in scenes for question in scene.questions]
-            labels = Counter(question.answer for question in questions if question.skill == osr.DIRECTION)
-            found[suffix] = {
-                "scenes": len(scenes),
-                "questions": dict(Counter(question.skill for question in questions)),
-                "empty_labels_skipped": sum(scene.skipped for scene in scenes),
-                "direction_labels": dict(labels.most_common()),
-                "not_understood": sum(not question.names for question in questions),
-            }
-        if not found:
-            load(Path(data))  # raises with the reason
-        without = sum(scene.image is None for scene in seen.values())
-        return {"files": found, "pictures": len(seen) - without, "pictures_missing": without}
+        files = {}
+        for suffix in osr.SUFFIXES:
+            with suppress(FormatError):
+                scenes = osr.load(Path(data), suffix)
+                questions = [question for scene in scenes for question in scene.questions]
+                files[suffix] = {
+                    "scenes": len(scenes),
+                    "pictures_missing": sum(not scene.image.is_file() for scene in scenes),
+                    "questions": Counter(question.skill for question in questions),
+                    "empty_labels_skipped": sum(scene.skipped for scene in scenes),
+                    "direction_labels": Counter(each.answer for each in questions if each.skill == osr.DIRECTION),
+                }
+        if not files:
+            osr.load(Path(data))  # raises with the reason
+        return {"files": files}
 
     def samples(self, config: OsrConfig) -> list[Sample]:
-        return [
-            Sample(question.id, scene.id, {"question": question.id})
-            for scene, question in questions_of(config.data, config.suffix).values()
-            if config.skill in ("all", question.skill)
-        ]
-
-    def open_perception(self, config: OsrConfig) -> Any:
-        name, *options = str(config.perception).split(":", 1)
-        if name != TRUTH:
-            return super().open_perception(config)
-        if options:
-            raise EagorError(f"perception {config.perception!r}; osr has {TRUTH}, which takes no options")
-        for folder in {scene.folder for scene, _ in questions_of(config.data, config.suffix).values()}:
-            read_room(folder)  # all of them, before the run
-        return TRUTH
+        found = questions_of(config.data, config.suffix)
+        return [Sample(id, scene.id, {"question": id}) for id, (scene, _) in found.items()]
 
     def player(self, config: OsrConfig, perception: Any, chat: Any, read: Recalibrate) -> Callable[[Payload], Record]:
-        negative, labels = "with_negative" in config.suffix, "corrected" if config.labels == "corrected" else "official"
+        labels = "corrected" if config.labels == "corrected" else "official"
 
         def oracle(scene: Scene, question: Question) -> Reply:
             truth = question.truth(labels)
             return Reply(osr.map_text(osr.layout_of(truth)) if question.skill == osr.MAP else str(truth))
 
-        agents: dict[str, Agent] = {
-            "oracle": oracle,
-            "constant": lambda scene, question: Reply(constant(scene, question, negative)),
-            TALKING: Vlm(chat, config.prompt),
-            "eagor": Eagor(
-                true_layout
-                if perception == TRUTH
-                else lambda scene: seen_layout(perception, config.camera_height, read, scene),
-                negative,
-            ),
-        }
-        questions, agent = questions_of(config.data, config.suffix), agents[config.agent]
+        agents: dict[str, Agent] = {"oracle": oracle, TALKING: Vlm(chat, config.prompt)}
+        agent = agents.get(config.agent) or Eagor(partial(seen_layout, perception, read), "negative" in config.suffix)
 
         def play(payload: Payload) -> Record:
-            scene, question = questions[payload["question"]]
+            scene, question = questions_of(config.data, config.suffix)[payload["question"]]
             return record_of(scene, question, agent(scene, question), config)
 
         return play
 
     def score(self, sample: Sample, prediction: Mapping[str, Any], config: OsrConfig) -> Record:
-        answer = words_of(prediction, ("text", "answer", "model_answer"), '"text": words')
+        answer = published.words_of(prediction, ("text", "answer", "model_answer"), '"text": words')
         return record_of(*questions_of(config.data, config.suffix)[sample.id], Reply(answer), config)
 
 

@@ -10,9 +10,9 @@ Frame: the camera's body, x forward, y left, z up; metres on the floor, the came
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from eagor._values import lazy
 from eagor.belief import Belief
 from eagor.evidence import Evidence
 from eagor.evidence.shapes import MIN_SPREAD
-from eagor.lab.tasks.osr import SIZE, named, products
+from eagor.lab.tasks.osr import SIZE, named
 from eagor.sphere import azimuth_elevation
 
 HEIGHT = 1.5  # metres of the camera above the floor, by default
@@ -42,9 +42,7 @@ SKIRT = 0.35  # share of a peak's height down to which the response around it be
 NEAR = math.radians(50)
 PARAMETERS = 6  # of a bump
 
-Source = Literal["contact", "height", "beyond", "guess"]
 Spot = tuple[float, float]  # on the floor
-Box = tuple[np.ndarray, np.ndarray, np.ndarray]  # a rectangle's axes, as rows, and its least and greatest along them
 
 
 @dataclass(frozen=True)
@@ -52,9 +50,9 @@ class Detection:
     """One thing as seen: its category, and the azimuth and elevation of its middle.
 
     - `bottom`: the elevation of its lowest edge; `half_width`: half of its angular width.
-    - `foot`: the elevation at which its middle meets the floor, if known better than `bottom`.
     - `contact`: whether its lowest edge touches the floor.
     - `weight`: its strength of belief, relative to others.
+    - `xy`: once it is placed, where it is in metres, and `range_from`: what its range was taken from.
     """
 
     name: str
@@ -62,96 +60,77 @@ class Detection:
     elevation: float
     bottom: float | None = None
     half_width: float = 0.0
-    foot: float | None = None
     contact: bool = True
     weight: float = 1.0
-
-
-@dataclass(frozen=True)
-class Placed:
-    """A thing on the floor: `xy` in metres, and what its range was taken from."""
-
-    thing: Detection
-    xy: Spot
-    source: Source
+    xy: Spot = (0.0, 0.0)
+    range_from: str = "guess"  # or contact, height, beyond
 
 
 @dataclass(frozen=True, eq=False)
 class SceneLayout:
-    """What is around, the likeliest first, and the names that the perception did not understand."""
+    """What is around, placed, the likeliest first, and the names that the perception did not understand."""
 
-    placed: Sequence[Placed]
+    placed: Sequence[Detection]
     unknown_queries: Sequence[str] = ()
 
     @lazy
     def places(self) -> dict[str, list[Spot]]:
         """Where the things are, by name."""
-        found: dict[str, list[Spot]] = {}
-        for each in self.placed:
-            found.setdefault(each.thing.name, []).append(each.xy)
-        return found
+        names = dict.fromkeys(each.name for each in self.placed)
+        return {name: [each.xy for each in self.placed if each.name == name] for name in names}
 
     def notes(self, names: Sequence[str]) -> dict[str, Any]:
         """Where the things with these names were seen and placed, for the record."""
-        shown = [each for name in dict.fromkeys(names) for each in self.placed if each.thing.name == name]
-        notes: dict[str, Any] = {
-            "things": [
-                {
-                    "name": each.thing.name,
-                    "azimuth_deg": round(math.degrees(each.thing.azimuth), 1),
-                    "elevation_deg": round(math.degrees(each.thing.elevation), 1),
-                    "xy": [round(value, 2) for value in each.xy],
-                    "range_from": each.source,
-                }
-                for each in shown
-            ]
-        }
-        if any(each.source != "contact" for each in shown):
-            notes["guessed"] = True
-        if unknown := [name for name in names if name in self.unknown_queries]:
-            notes["strange"] = unknown
-        return notes
+        shown = [each for name in dict.fromkeys(names) for each in self.placed if each.name == name]
+        things = [
+            {
+                "name": each.name,
+                "azimuth_deg": round(math.degrees(each.azimuth), 1),
+                "elevation_deg": round(math.degrees(each.elevation), 1),
+                "xy": [round(value, 2) for value in each.xy],
+                "range_from": each.range_from,
+            }
+            for each in shown
+        ]
+        guessed = {"guessed": True} if any(each.range_from != "contact" for each in shown) else {}
+        unknown = [name for name in names if name in self.unknown_queries]
+        return {"things": things, **guessed, **({"strange": unknown} if unknown else {})}
 
 
-# --- places -----------------------------------------------------------------------------------------------------------
-
-
-def place(things: Sequence[Detection], height: float) -> list[Placed]:
+def place(things: Sequence[Detection], height: float = HEIGHT) -> list[Detection]:
     """Every thing on the floor, the likeliest first; `height` of the camera in metres.
 
     Ranges come from the contact with the floor. The middle of a standing thing without a visible contact is assumed at
     the height `MIDDLE`. Hanging things are put on a rectangle around the standing ones ("beyond"), or, if there is
     none, at the median range of the others ("guess").
     """
-    measured = [_measured(thing, height) for thing in things]
-    known = [(thing.azimuth, found[0]) for thing, found in zip(things, measured, strict=True) if found]
-    box = enclosing([_on_floor(*each) for each in known])
-    middle = float(np.median([away for _, away in known])) if known else GUESS
-    placed = []
-    for thing, found in zip(things, measured, strict=True):
-        away, source = found or ((middle, "guess") if box is None else (range_to(box, thing.azimuth), "beyond"))
-        placed.append(Placed(thing, _on_floor(thing.azimuth, away), source))
-    return sorted(placed, key=lambda each: -each.thing.weight)
+    known = {index: away for index, each in enumerate(things) if (away := _range(each, height)) is not None}
+    walls = walls_around([_on_floor(things[index].azimuth, away) for index, away in known.items()])
+    middle, placed = float(np.median([*known.values()])) if known else GUESS, []
+    for index, each in enumerate(things):
+        away, source = known.get(index, middle), "guess"
+        if index in known:
+            source = "height" if each.bottom is None else "contact"
+        elif walls:
+            away, source = walls(each.azimuth), "beyond"
+        placed.append(replace(each, xy=_on_floor(each.azimuth, away), range_from=source))
+    return sorted(placed, key=lambda each: -each.weight)
 
 
 def _on_floor(azimuth: float, away: float) -> Spot:
     return away * math.cos(azimuth), away * math.sin(azimuth)
 
 
-def _measured(thing: Detection, height: float) -> tuple[float, Source] | None:
-    """The range from the floor, and what it was taken from."""
-    if not thing.contact:
+def _range(thing: Detection, height: float) -> float | None:
+    """The range of a thing by the floor; None if it does not touch it, or too far away."""
+    if thing.bottom is None or not thing.contact:
+        return floor_range(thing.elevation, height - MIDDLE) if thing.contact else None
+    if (away := floor_range(thing.bottom, height)) is None:
         return None
-    if thing.foot is None and thing.bottom is None:
-        away = floor_range(thing.elevation, height - MIDDLE)
-        return None if away is None else (away, "height")
-    away = floor_range(thing.bottom if thing.foot is None else thing.foot, height)  # type: ignore[arg-type]
-    if away is not None and thing.foot is None:
-        # The lowest edge is the near one: half of the depth is added. It is assumed to be a share of the half width
-        # (of a round outline with the share 1, d becomes d / (1 - sin w)), and small: furniture is wider than deep.
-        share = DEPTH * math.sin(min(thing.half_width, WIDEST))
-        away = min(away + min(away * share / (1 - share), DEEPEST), FARTHEST)
-    return None if away is None else (away, "contact")
+    # The lowest edge is the near one: half of the depth is added. It is assumed to be a share of the half width (of a
+    # round outline with the share 1, d becomes d / (1 - sin w)), and small: furniture is wider than deep.
+    share = DEPTH * math.sin(min(thing.half_width, WIDEST))
+    return min(away + min(away * share / (1 - share), DEEPEST), FARTHEST)
 
 
 def floor_range(elevation: float, height: float) -> float | None:
@@ -162,8 +141,8 @@ def floor_range(elevation: float, height: float) -> float | None:
     return found if found <= FARTHEST else None
 
 
-def enclosing(points: Sequence[Spot]) -> Box | None:
-    """Walls estimated from the places of things: the smallest rectangle, widened.
+def walls_around(points: Sequence[Spot]) -> Callable[[float], float] | None:
+    """Metres from the camera to the walls at an azimuth: those of the smallest rectangle around the places of things.
 
     Things stand along walls, with their middles `MARGIN` away. None if they do not surround the camera.
     """
@@ -180,18 +159,13 @@ def enclosing(points: Sequence[Spot]) -> Box | None:
     turned = [(axes, hull @ axes.T) for axes in np.stack([ahead, ahead[:, ::-1] * [-1, 1]], axis=1)]
     axes, along = min(turned, key=lambda each: float(np.prod(np.ptp(each[1], axis=0))))
     low, high = along.min(axis=0) - MARGIN, along.max(axis=0) + MARGIN
-    return (axes, low, high) if (low < 0).all() and (high > 0).all() else None
 
+    def away(azimuth: float) -> float:
+        ahead = axes @ [math.cos(azimuth), math.sin(azimuth)]
+        with np.errstate(divide="ignore"):  # along an edge: infinitely far
+            return float((np.where(ahead > 0, high, low) / ahead).min(initial=math.inf, where=ahead != 0))
 
-def range_to(box: Box, azimuth: float) -> float:
-    """Metres from the camera, which is in the box, to its edge at `azimuth`."""
-    axes, low, high = box
-    ahead = axes @ [math.cos(azimuth), math.sin(azimuth)]
-    with np.errstate(divide="ignore"):  # along an edge: infinitely far
-        return float((np.where(ahead > 0, high, low) / ahead).min(initial=math.inf, where=ahead != 0))
-
-
-# --- answers from places ----------------------------------------------------------------------------------------------
+    return away if (low < 0).all() and (high > 0).all() else None
 
 
 def nearest(start: Spot, others: Sequence[Spot]) -> Spot:
@@ -201,8 +175,7 @@ def nearest(start: Spot, others: Sequence[Spot]) -> Spot:
 
 def direction_between(P: Spot, O: Sequence[Spot], Q: Sequence[Spot]) -> str:
     """The direction of the nearest Q from P facing the nearest O: "Front Left", and so on."""
-    facing, asked = (np.subtract(nearest(P, things), P).tolist() for things in (O, Q))
-    return named(*products(facing, asked))
+    return named(*(np.subtract(nearest(P, things), P).tolist() for things in (O, Q)))
 
 
 def layout_from(places: Mapping[str, Sequence[Spot]]) -> dict[str, list[list[int]]]:
@@ -219,23 +192,18 @@ def layout_from(places: Mapping[str, Sequence[Spot]]) -> dict[str, list[list[int
     return {name: [next(cells) for _ in where] for name, where in places.items()}
 
 
-# --- things in evidence -----------------------------------------------------------------------------------------------
-
-
 def detections_in(evidence: Evidence, name: str) -> list[Detection]:
     """The things in the evidence about `name`: peaks of its belief at which they are likelier than not."""
-    belief = Belief.uniform(DEGREE).update(evidence)
+    belief, found = Belief.uniform(DEGREE).update(evidence), []
     directions, weights = belief.modes(MOST, PROMINENCE)
     above = to_numpy(belief.log_ratio(directions)) > 0
-    found = []
-    for where, weight in zip(directions[above], weights[above], strict=True):
+    for where, weight in zip(directions[above], weights[above].tolist(), strict=True):
         azimuth, elevation = map(float, azimuth_elevation(where))
-        plain = Detection(name, azimuth, elevation, weight=float(weight), contact=name not in HANGING)
+        bottom, turn = None, 0.0
         if across := extent(evidence, where):
-            wide, tall = across
-            turn = min(wide / max(math.cos(elevation), 0.2), math.pi / 2)
-            plain = replace(plain, bottom=max(elevation - tall, -math.pi / 2), half_width=turn)
-        found.append(plain)
+            bottom = max(elevation - across[1], -math.pi / 2)
+            turn = min(across[0] / max(math.cos(elevation), 0.2), math.pi / 2)
+        found.append(Detection(name, azimuth, elevation, bottom, turn, name not in HANGING, weight))
     return found
 
 
