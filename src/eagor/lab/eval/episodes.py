@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import zip_longest
 
 import numpy as np
 
@@ -32,12 +33,12 @@ def numbers(values: Sequence[float | bool | None] | None, count: int = 0) -> np.
 
 def by_step(results: Sequence[Result]) -> list[float | None]:
     """Mean error at each step, where at least half of the episodes have one; it ends where fewer go on."""
-    found = [numbers(result.answer["trace"]["error_deg"]) for result in results]
-    longest = max(map(len, found), default=0)
-    values = np.array([np.pad(row, (0, longest - len(row)), constant_values=np.nan) for row in found])
-    enough = np.isfinite(values).sum(axis=0) >= max(1, len(found) / 2)
-    last = int(np.flatnonzero(enough).max(initial=-1)) + 1
-    return [float(np.nanmean(values[:, step])) if enough[step] else None for step in range(last)]
+    columns = zip_longest(*(result.answer["trace"]["error_deg"] for result in results))
+    there = ([error for error in column if error is not None] for column in columns)
+    curve = [float(np.mean(errors)) if len(errors) >= max(1, len(results) / 2) else None for errors in there]
+    while curve and curve[-1] is None:
+        curve.pop()
+    return curve
 
 
 def parts(results: Sequence[Result]) -> tuple[dict[str, tuple[float, list[float] | None]], dict[str, float]]:

@@ -50,7 +50,7 @@ class _Head(msgspec.Struct):
 class Log:
     """Appends records to ``records.jsonl`` in `folder`, which it makes.
 
-    Raises `EagorError` where another process is writing there; `StorageError` where nothing can be written.
+    Raises `EagorError` where another process is writing there, or a folder cannot be; `StorageError`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -58,7 +58,13 @@ class Log:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._file = open_regular(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
-            self._lock()
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                why = f"another process is writing into {folder}; wait for it, or choose another folder"
+                raise EagorError(why) from None
+            except OSError:
+                pass  # a file system without locks
             # What comes next must begin on a line of its own.
             size = os.lseek(self._file, 0, os.SEEK_END)
             torn = os.pread(self._file, LONGEST, max(0, size - LONGEST)).rpartition(b"\n")[2]
@@ -69,22 +75,14 @@ class Log:
         except (OSError, EagorError) as error:
             if self._file >= 0:
                 os.close(self._file)
+            if isinstance(error, FileExistsError | NotADirectoryError):
+                raise EagorError(f"{folder} cannot be made a folder ({error.strerror}); choose another") from error
             if isinstance(error, EagorError):
                 raise
             raise StorageError(
                 f"cannot write in {folder}: {error.strerror or error}; everything recorded there is safe. Make room "
                 "there and let it be written to, then start the same run again; or choose another folder"
             ) from error
-
-    def _lock(self) -> None:
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise EagorError(
-                f"another process is writing into {self.folder}; wait for it, or choose another folder"
-            ) from None
-        except OSError:
-            pass  # a file system without locks
 
     def begin(self, config: Mapping[str, Any], samples: Mapping[str, Any] | None = None) -> None:
         """Make the folder that of the run which `config` describes, or make sure that it already is.

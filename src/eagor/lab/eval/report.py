@@ -33,8 +33,6 @@ def write_report(folders: Path | Sequence[Path], out: Path | None = None, episod
     `FormatError` for a folder that is no run's; `StorageError`; `MissingExtraError`.
     """
     named = [Path(folders)] if isinstance(folders, str | Path) else [Path(folder) for folder in folders]
-    if not named:
-        raise EagorError("no run is named; wanted the folder of one or several")
     runs = [results.read(folder) for folder in named]
     if len(names := {run.task.name for run in runs}) > 1:
         raise EagorError(f"the runs are of {', '.join(sorted(names))}; one report is about one task")
@@ -54,7 +52,10 @@ def write_report(folders: Path | Sequence[Path], out: Path | None = None, episod
         lines = [f"{f['key']} (attempt {f['attempt']}): {f['error']}" for f in summary["failures"]]
         errors = Text("These are errors, not wrong answers: they are in no figure above.")
         sections.append(Section("What could not be run", [errors, lines], "failed"))
-    title = f"{task.title}: {_counts(runs, summary)}"
+    counts = " and ".join(dict.fromkeys(_of(len(finished(run.records)), run.planned) for run in runs))
+    title = f"{task.title}: {counts} cases" + f", {len(runs)} runs" * (len(runs) > 1)
+    if runs[0].simulated:
+        title = f"{task.title}: {summary['episodes']} episodes, {len(summary['methods'])} methods"
     lead = [*_lead(runs, summary), Section("What was run", facts)]
     if episode is not None:
         lead.append(Text("Watch the worst episode, step by step", link=episode))
@@ -67,13 +68,6 @@ def write_report(folders: Path | Sequence[Path], out: Path | None = None, episod
         lines = (json.dumps({"case": case, **answer}, ensure_ascii=False) + "\n" for case, answer in answers)
         written(place / "predictions.jsonl", "".join(lines))
     return place / "report.html"
-
-
-def _counts(runs: Sequence[Run], summary: Summary) -> str:
-    if runs[0].simulated:
-        return f"{summary['episodes']} episodes, {len(summary['methods'])} methods"
-    counts = dict.fromkeys(_of(len(finished(run.records)), run.planned) for run in runs)
-    return f"{' and '.join(counts)} cases" + (f", {len(runs)} runs" if len(runs) > 1 else "")
 
 
 def _of(there: int, planned: int | None) -> str:

@@ -56,21 +56,14 @@ class Run:
     @property
     def unit(self) -> str:
         """What a group of its samples is called."""
-        if not self.simulated:
-            return "cluster"
-        return "scene" if self.settings.get("world", APARTMENT) != APARTMENT else "apartment"
-
-    @property
-    def label(self) -> str:
-        """What a run with one agent is called: the agent, and who looked or talked, without addresses and options."""
-        who = re.sub(r"(@https?://|\?).*", "", self.settings.get("perception") or self.settings.get("model") or "")
-        return " · ".join(filter(None, (str(self.settings.get("agent")), who)))
+        place = "apartment" if self.settings.get("world", APARTMENT) == APARTMENT else "scene"
+        return place if self.simulated else "cluster"
 
     def results(self, label: str = "") -> dict[str, list[Result]]:
         """By method, in the order of tables; of a run with one agent, under its `label`."""
         good = finished(self.records)
         if not self.simulated:
-            return {label or self.label: [Result(record, record) for record in good]}
+            return {label or labels_of([self])[0]: [Result(record, record) for record in good]}
         names = ordered(dict.fromkeys(name for record in good for name in record["methods"]))
         return {name: [Result(r, r["methods"][name]) for r in good if name in r["methods"]] for name in names}
 
@@ -110,12 +103,15 @@ def made(settings: Mapping[str, Any], records: Sequence[Record]) -> Run:
 
 
 def labels_of(runs: Sequence[Run]) -> list[str]:
-    """The label of each, with a number where two would be the same."""
-    found = [run.label for run in runs]
-    return [
-        f"{label} ({found[: index + 1].count(label)})" if found.count(label) > 1 else label
-        for index, label in enumerate(found)
-    ]
+    """What runs with one agent are called: the agent, and who looked or talked, without addresses and options.
+
+    With a number where two would be the same.
+    """
+    found: list[str] = []
+    for run in runs:
+        who = re.sub(r"(@https?://|\?).*", "", run.settings.get("perception") or run.settings.get("model") or "")
+        found.append(" · ".join(filter(None, (str(run.settings.get("agent")), who))))
+    return [f"{each} ({found[: k + 1].count(each)})" if found.count(each) > 1 else each for k, each in enumerate(found)]
 
 
 def ordered(names: Iterable[str]) -> list[str]:
@@ -256,23 +252,19 @@ def summarise(runs: Run | Sequence[Run]) -> Summary:
     for run, label in zip(runs, labels_of(runs), strict=True):
         results |= run.results(label)
     records = [record for run in runs for record in run.records]
-    good = finished(records)
+    good, failed = finished(records), [record for record in records if record["status"] != "ok"]
     reference = next((name for name in (OURS, *results) if name in results and name.startswith(OURS)), OURS)
     summary = {
         "task": task.name,
         "episodes": len({sample_of(record) for record in good}),
         "groups": len({str(group_of(record)) for record in good}),
         "unit": runs[0].unit,
-        "failed": len(records) - len(good),
+        "failed": len(failed),
         **_figures(results, task.metrics),
         "reference": reference,
         "differences": _differences(results, task.metrics, reference),
         "strata": {title: _strata(results, task.metrics, key) for key, title in getattr(task, "strata", {}).items()},
-        "failures": [
-            {key: record.get(key, "") for key in ("key", "attempt", "error")}
-            for record in records
-            if record["status"] != "ok"
-        ],
+        "failures": [{key: record.get(key, "") for key in ("key", "attempt", "error")} for record in failed],
     }
     if not runs[0].simulated:
         summary["answers"] = {name: _answers(task, [each.record for each in rows]) for name, rows in results.items()}
@@ -311,12 +303,10 @@ def _differences(
         for name in filter(family, results):
             other = name.partition(":")[0] if is_variant(name) else reference
             if other in results and other != name:
-                found[name] = {
-                    m.key: difference(values_of(results[name], m), values_of(results[other], m))
-                    for m in metrics
-                    if m.better
-                }
-                tested += filter(None, found[name].values())
+                pair = results[name], results[other]
+                figures = {m.key: difference(*(values_of(rows, m) for rows in pair)) for m in metrics if m.better}
+                found[name] = figures
+                tested += filter(None, figures.values())
         for each, p in zip(tested, holm([each["p"] for each in tested]), strict=True):
             each["p_holm"] = p
     return found
@@ -343,7 +333,9 @@ def _strata(results: Mapping[str, Sequence[Result]], metrics: Sequence[Metric], 
 def _answers(task: Task, records: Sequence[Record]) -> dict[str, Any]:
     """Of answers to published data: turns, views, statements, tags and causes."""
 
-    def share(records: Sequence[Record], read: Callable[[Record], float], scale: float | None) -> tuple[Any, Any]:
+    def share(
+        records: Sequence[Record], read: Callable[[Record], float | None], scale: float | None
+    ) -> tuple[Any, Any]:
         """The mean, per cent, and its interval; None without a record."""
         values = values_of([Result(record, record) for record in records], Metric("", "", "", read))
         return (mean(values), interval(values, scale)) if values else (None, None)
@@ -359,9 +351,9 @@ def _answers(task: Task, records: Sequence[Record]) -> dict[str, Any]:
         part = [record for record in records if tag in record.get("tags", ())]
         figures = {"episodes": len(part), "share": 100 * len(part) / len(records)}
         found["tags"][tag] = {**figures, **success(part), "causes": causes(part)}
-    if rows := [record for record in records if record.get("by_turn")]:
+    if longest := max((len(record.get("by_turn", ())) for record in records), default=0):
         turns = [
-            share(rows, lambda row, turn=turn: row["by_turn"][turn], None) for turn in range(len(rows[0]["by_turn"]))
+            share(records, lambda r, k=k: dict(enumerate(r.get("by_turn", ()))).get(k), None) for k in range(longest)
         ]
         low, high = zip(*(ends or (None, None) for _, ends in turns), strict=True)
         found["by_turn"] = {"success": [value for value, _ in turns], "low": list(low), "high": list(high)}

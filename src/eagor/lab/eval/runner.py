@@ -71,8 +71,7 @@ def run(
 
     Raises `EagorError` for two samples of one id, no worker, a folder that holds another run or is being written to, a
     missing extra, or no cluster; `WorkError` if `work` cannot be set up, or workers die before they have begun;
-    `StorageError` if the disk does not take the results. `KeyboardInterrupt` is passed on after the workers have been
-    stopped.
+    `StorageError` if the disk does not take the results; `KeyboardInterrupt` after the workers have been stopped.
     """
     if workers < 1:
         raise EagorError(f"got {workers} workers; wanted at least 1")
@@ -95,7 +94,7 @@ def run(
         if engine == "threads":
             hire = repeat(hire()).__next__  # they share one
         alone = workers == 1 and engine != "ray"
-        results = _lane(queue, hire) if alone else _together(queue, hire, workers)
+        results = _lane(queue, hire, []) if alone else _together(queue, hire, workers)
         stack.enter_context(closing(results))
         ended = Counter[str]()
         for record, final in results:
@@ -266,27 +265,28 @@ def _cluster() -> Iterator[None]:
             ray.shutdown()
 
 
-def _lane(queue: Queue, hire: Callable[[], Any]) -> Generator[tuple[Record, bool], None, None]:
-    """The records of the attempts at the units that one worker and its successors take, and whether each is the last.
+def _lane(queue: Queue, hire: Callable[[], Any], team: list[Any]) -> Generator[tuple[Record, bool], None, None]:
+    """The records of the attempts at the samples that one worker and its successors take, and whether it is the last.
 
-    Raises `WorkError` where `STARTS` workers in a row die before they are ready.
+    Workers join the `team`. Raises `WorkError` where `STARTS` workers in a row die before they are ready.
     """
     worker, group, starts = None, None, 0
     while (taken := queue.take(group)) is not None:
         key, sample, first = taken
         group = sample.group
         for number in count(first):
-            while worker is None and not queue.closed:  # else it died with the run
+            while worker is None and not queue.closed:
                 try:
-                    worker, starts = hire(), 0
+                    team.append(worker := hire())
+                    starts = 0
                 except WorkerDiedError as died:
                     if (starts := starts + 1) == STARTS:
                         raise WorkError(
                             f"{STARTS} workers in a row ended before they were ready ({died}); what they wrote to "
                             "stderr says why. Try workers=1"
                         ) from died
-            if worker is None:
-                return
+            if queue.closed or worker is None:  # the worker may have come too late to be closed with the others
+                return worker.close(0.0) if worker else None
             began = time.perf_counter()
             try:
                 status, body = worker.do(sample.payload)
@@ -305,15 +305,9 @@ def _together(queue: Queue, hire: Callable[[], Any], workers: int) -> Generator[
     answers: SimpleQueue[Any] = SimpleQueue()
     team: list[Any] = []
 
-    def hired() -> Any:
-        team.append(worker := hire())
-        if queue.closed:  # it came too late to be closed with the others
-            worker.close(0.0)
-        return worker
-
     def talk() -> None:
         try:
-            for answer in _lane(queue, hired):
+            for answer in _lane(queue, hire, team):
                 answers.put(answer)
             answers.put(None)
         except BaseException as fault:
