@@ -13,6 +13,7 @@ from PIL import Image
 import eagor
 from eagor.cli import main
 from eagor.lab.eval import runner
+from eagor.lab.tasks.task import Sample
 from eagor.lab.worlds import apartment
 from eagor.lab.worlds.glb import export_glb, import_glb
 from eagor.lab.worlds.render import Renderer
@@ -44,8 +45,8 @@ def smoke(folder: Path) -> None:
         tracker = eagor.DirectionTracker(eagor.TrackerConfig())
         tracker.add_pose(0.0, np.eye(3))
         tracker.observe(look(np.full((56, 112, 3), 128, np.uint8), "red chair", stamp=0.0))
-    units = [runner.Unit(f"u{number}", "0", {"number": number}) for number in range(3)]
-    done = runner.run(units, "smoke:double", {"task": "smoke", "factor": 2}, folder / "run", 1, engine="ray")
+    samples = [Sample(str(number), "0", {"number": number}) for number in range(3)]
+    done = runner.run(samples, "smoke:double", {"task": "smoke", "factor": 2}, folder / "run", 1, engine="ray")
     assert (done.done, done.failed) == (3, 0), done
 
 

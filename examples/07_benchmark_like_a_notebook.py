@@ -13,7 +13,8 @@ from pathlib import Path
 from eagor.lab.eval import tables
 from eagor.lab.eval.report import write_report
 from eagor.lab.eval.results import read, summarise
-from eagor.lab.eval.runner import run_task
+from eagor.lab.eval.runner import run
+from eagor.lab.tasks.task import WORK, configure, load, settings_of
 
 settings = {
     "perception": "truth",
@@ -25,19 +26,21 @@ settings = {
 
 # %% Play it. The second call finds everything done
 folder = Path(tempfile.mkdtemp(prefix="eagor-example-"))
-first = run_task("tracking", folder, settings)
-again = run_task("tracking", folder, settings)
+task = load("tracking")
+config = configure(task, settings)
+first = run(task.samples(config), WORK, settings_of(config), folder)
+again = run(task.samples(config), WORK, settings_of(config), folder)
 print(f"{first.done} episodes played; the second time {again.done}, since {again.skipped} are recorded already")
 
 # %% The table, and one number out of it
-run = read(folder)
-summary = summarise(run)
-print("\n".join(tables.as_text(run, summary)))
+played = read(folder)
+summary = summarise(played)
+print("\n".join(tables.as_text(played, summary)))
 errors = {name: figures["error"] for name, figures in summary["methods"].items()}
 print(f"mean error of eagor: {errors['eagor']:.1f} deg, of the mean pixel: {errors['centroid']:.1f} deg")
 
 # %% One episode from the inside: the record holds every step
-record = run.records[0]
+record = played.records[0]
 trace = record["methods"]["eagor"]["trace"]
 steps = [f"{error:.0f}" for error in trace["error_deg"] if error is not None]
 print(f"episode {record['episode']['id']} ({record['episode']['query']}), error by step: {' '.join(steps)}")

@@ -10,7 +10,7 @@ import synthetic_runs
 
 from eagor.lab.envs.episodes import episode_specs
 from eagor.lab.eval import log
-from eagor.lab.eval.episodes import runner_of, spec_in
+from eagor.lab.eval.episodes import runner_of
 from eagor.lab.eval.results import read
 from eagor.lab.tasks import task
 from eagor.lab.tasks.sim.tracking import TRACKING
@@ -119,11 +119,11 @@ def test_an_episode_is_played_again_with_the_number_that_it_had_in_its_run(tmp_p
     records = synthetic_runs.tracking(apartments=3, methods=("eagor",))
     for record in records:
         record["episode"] |= {"world": "apartment", "index": int(record["episode"]["id"].partition("-")[2])}
-    run = read(synthetic_runs.write_run(tmp_path / "run", records))
+    run = read(synthetic_runs.write_run(tmp_path / "run", records, perception="truth", rules={}, disturbances={}))
     wanted = {spec.id: spec for spec in episode_specs("tracking", 15, 2000)}
     names = [record["episode"]["id"] for record in records]
     assert len(names) == 9
-    assert all(spec_in(run, name) == wanted[name] for name in names)
+    assert all(runner_of(run, name)[1] == wanted[name] for name in names)
 
 
 def test_the_worst_cases_of_a_benchmark_come_first(searched):

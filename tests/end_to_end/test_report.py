@@ -85,11 +85,11 @@ def test_the_page_needs_nothing_else_and_can_be_read_aloud_and_on_a_phone(writte
     assert "Mean error at each step" in chart["alt"]
     assert all(colour in text for colour in set(re.findall(r"var\((--[\w-]+)\)", text)))
     wanted = {
-        "waypoint": {"parts", "ordering", "steps", "variants"},
-        "navigation": {"parts", "ordering", "steps", "strata", "failed"},
+        "waypoint": {"parts", "steps", "variants"},
+        "navigation": {"parts", "steps", "strata", "failed"},
         "tracking": {"parts", "steps", "strata"},
     }
-    assert set(page.ids) == wanted[summary["task"]] | {"figures", "episodes"}
+    assert set(page.ids) == wanted[summary["task"]] | {"figures"}
     if summary["task"] == "waypoint":
         assert all(f"Variants of eagor: {what}" in text for what in ("degree", "decode", "floor"))
 
@@ -120,7 +120,7 @@ def test_the_two_files_hold_the_same_numbers_and_are_the_same_again(written):
         part = marked.partition(f"## {caption}\n")[2].partition("\n## ")[0]
         lines = [line for line in part.splitlines() if line.startswith("| ") and "---" not in line]
         stripped = [[re.sub(r"[*†‡]| \(.*", "", cell.strip()) for cell in line.split(" | ")] for line in lines]
-        stripped = [[re.sub(r"^\| | \|$| (holds|open|reversed)", "", cell) for cell in row] for row in stripped]
+        stripped = [[re.sub(r"^\| | \|$", "", cell) for cell in row] for row in stripped]
         found = [[re.sub(r" \(.*", "", cell) for cell in row] for row in page.cells[caption]]
         assert stripped[1:] == found[1:]
     write_report(folder)
@@ -134,7 +134,6 @@ def test_what_was_run_is_said(written):
     assert "not development seeds" in text
     assert "with results, " in text
     assert str(config["seed"]) in text
-    assert all(f"The {kind}: 200" in text for kind in ("best", "median", "worst"))
     if summary["failed"]:
         assert "2 units could not be run" in text
         assert "no way &lt;to&gt; the target &amp; back" in text
@@ -153,8 +152,7 @@ def test_development_seeds_are_no_results(tmp_path):
 
 def test_a_run_without_ours_or_with_failures_alone_still_has_a_report(tmp_path):
     records = runs.waypoint(apartments=2, each=1, methods=("grid", "vmf"))
-    page = write_report(runs.write_run(tmp_path / "a", records)).read_text()
-    assert "no episode with a result of eagor" in page
+    assert "vmf: " in write_report(runs.write_run(tmp_path / "a", records)).read_text()
     failed = {"key": "waypoint/1", "task": "waypoint", "attempt": 2, "status": "failed", "error": "none"}
     text = write_report(runs.write_run(tmp_path / "b", [failed])).read_text()
     assert "There are no results" in text

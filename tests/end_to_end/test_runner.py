@@ -18,7 +18,8 @@ from processes import alive, sessions_of, wait_for
 from eagor.errors import EagorError, FormatError, StorageError, WorkError
 from eagor.lab.eval import log
 from eagor.lab.eval.log import RECORDS, RUN, Log, description, read
-from eagor.lab.eval.runner import Outcome, Queue, Unit, run
+from eagor.lab.eval.runner import Outcome, Queue, run
+from eagor.lab.tasks.task import Sample
 
 WORK = "units_of_work:squares"
 
@@ -28,7 +29,7 @@ def record(key, attempt=1, status="ok", **more):
 
 
 def units(count, trouble=None, groups=3):
-    return [Unit(f"square/{n}", f"house {n % groups}", (n, (trouble or {}).get(n))) for n in range(count)]
+    return [Sample(str(n), f"house {n % groups}", (n, (trouble or {}).get(n))) for n in range(count)]
 
 
 @pytest.fixture
@@ -138,7 +139,7 @@ def test_of_runs_with_different_settings_that_start_together_one_goes_on(tmp_pat
             assert sum("it differs in seed" in each or "another process" in each for each in said if each) == 3
 
 
-@pytest.mark.parametrize(("text", "says"), [(None, "no run.json"), ("{", "is no JSON"), ("[]", "list")])
+@pytest.mark.parametrize(("text", "says"), [(None, "no run.json"), ("{", "is no JSON"), ("[]", "array")])
 def test_a_folder_without_a_run_or_with_a_broken_one_is_named(tmp_path, text, says):
     if text is not None:
         (tmp_path / RUN).write_text(text)
@@ -186,15 +187,13 @@ def test_every_unit_is_done_once_and_told_of(tmp_path, config, workers):
 
 
 def test_a_worker_keeps_its_group_while_there_are_others_and_nobody_idles():
-    queue = Queue(units(7, groups=2), {}, 1)
-    mine = queue.take()[0].group
-    other = queue.take()[0].group
+    queue = Queue("square", units(7, groups=2), [], False)
+    mine, other = (queue.take()[1].group for _ in range(2))
     assert other != mine
     for _ in range(3):
-        assert queue.take(mine)[0].group == mine
-    assert queue.take(mine)[0].group == other  # mine is done: help
-    assert queue.left == 1
-    assert [queue.take(other)[0].group, queue.take(other)] == [other, None]
+        assert queue.take(mine)[1].group == mine
+    assert queue.take(mine)[1].group == other  # mine is done: help
+    assert [queue.take(other)[1].group, queue.take(other)] == [other, None]
 
 
 @pytest.mark.parametrize("how", [{}, {"workers": 4, "engine": "threads"}], ids=["alone", "threads"])
@@ -213,12 +212,10 @@ def test_a_unit_that_raises_is_tried_again_and_then_left_alone(tmp_path, config,
     assert (found["square/1"], found["square/3"]) == (4, 3), "attempts are counted across runs"
 
 
-def test_units_that_kill_their_workers_or_cannot_be_sent_are_counted_and_the_rest_is_done(tmp_path, config):
+def test_units_that_kill_their_workers_are_counted_and_the_rest_is_done(tmp_path, config):
     trouble, folder = {0: "die", 2: "kill", 4: "die once"}, tmp_path / "run"
-    unsent = Unit("square/unsent", "house 0", lambda: None)
-    assert run([unsent, *units(8, trouble)], WORK, config, folder, workers=2) == Outcome(6, 3, 0)
+    assert run(units(8, trouble), WORK, config, folder, workers=2) == Outcome(6, 2, 0)
     found = {r["key"]: r for r in read(folder)}
-    assert found["square/unsent"]["status"] == "failed"
     assert "exit code 7" in found["square/0"]["error"]
     assert "signal 9" in found["square/2"]["error"]
     assert (found["square/4"]["status"], found["square/4"]["attempt"]) == ("ok", 2)
@@ -228,11 +225,12 @@ def test_units_that_kill_their_workers_or_cannot_be_sent_are_counted_and_the_res
 RUN_24 = """
 import sys
 from pathlib import Path
-from eagor.lab.eval.runner import Unit, run
+from eagor.lab.eval.runner import run
+from eagor.lab.tasks.task import Sample
 
 if __name__ == "__main__":
     folder, notes, workers, sleep = sys.argv[1:]
-    units = [Unit(f"square/{n}", f"house {n % 3}", (n, None)) for n in range(24)]
+    units = [Sample(str(n), f"house {n % 3}", (n, None)) for n in range(24)]
     config = {"task": "square", "notes": notes, "sleep": float(sleep)}
     run(units, "units_of_work:squares", config, Path(folder), workers=int(workers))
 """
@@ -298,5 +296,5 @@ def test_work_that_cannot_be_found_or_set_up_ends_the_run(tmp_path, config, work
 def test_impossible_numbers_and_double_keys_are_refused(tmp_path, config):
     with pytest.raises(EagorError, match="0 workers"):
         run(units(1), WORK, config, tmp_path, workers=0)
-    with pytest.raises(EagorError, match="square/0"):
+    with pytest.raises(EagorError, match="the id '0'"):
         run([*units(2), *units(1)], WORK, config, tmp_path)

@@ -33,8 +33,8 @@ def test_the_parts_divide_the_steps_and_episodes_weigh_alike():
     assert [found[part][0] for part in (*episodes.PARTS, episodes.SEEN)] == [90, 10, 30, 15]
     assert list(shares.values()) == pytest.approx([0.2, 0.6, 0.2])
     assert episodes.UNSEEN not in means(seen(visible=[True] * 5))
-    mean, low, high = episodes.parts([seen(1), seen(2, visible=[True] * 9, errors=(0,) * 9)])[0][episodes.IN_SIGHT]
-    assert low <= mean == 5 <= high
+    mean, ends = episodes.parts([seen(1), seen(2, visible=[True] * 9, errors=(0,) * 9)])[0][episodes.IN_SIGHT]
+    assert ends[0] <= mean == 5 <= ends[1]
     found, shares = episodes.parts([seen(1, errors=(None, 10, None, 30, 0)), seen(2)])
     assert found[episodes.UNSEEN][0] == 90, "steps without a truth are in no part"
     assert shares[episodes.UNSEEN] == pytest.approx(1 / 8)

@@ -22,7 +22,7 @@ def test_markdown_shows_names_as_they_are():
     table = Table(
         EVIL, (EVIL, EVIL), (Row(EVIL, (Cell(EVIL, EVIL),), "ours"), Row(EVIL, (Cell(EVIL),))), (EVIL, "a\n# b")
     )
-    text = markdown(EVIL, [(EVIL, EVIL)], [table])
+    text = markdown(EVIL, [{EVIL: EVIL}], [table])
     assert "<script" not in text
     assert "](" not in text.replace("\\](", "")
     assert "\n# b" not in text

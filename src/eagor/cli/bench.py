@@ -253,10 +253,10 @@ def run(options: BenchRun) -> int:
     if not (slash and part.isdecimal() and parts.isdecimal()):
         raise terminal.UsageError(f"--shard {options.shard}; wanted I/N, such as 1/4")
     config = configure(task, _values(options, task), pairs_of(options.set))  # wrong ones are said before the run begins
-    units, settings = runner.units_of(task, config, options.limit, (int(part), int(parts))), settings_of(config)
+    samples, settings = runner.samples_of(task, config, options.limit, (int(part), int(parts))), settings_of(config)
     out = options.out or Path("runs") / _folder(settings)
-    terminal.log(f"{task.name}: {len(units)} units of work; records go to {out}")
-    with terminal.progress(task.name, len(units)) as advance:
+    terminal.log(f"{task.name}: {len(samples)} units of work; records go to {out}")
+    with terminal.progress(task.name, len(samples)) as advance:
 
         def done(record: dict[str, Any]) -> None:
             advance()
@@ -265,13 +265,13 @@ def run(options: BenchRun) -> int:
 
         how = {name: getattr(options, name) for name in ("workers", "retry_failed", "engine")}
         try:
-            outcome = runner.run(units, WORK, settings, out, on_done=done, **how)
+            outcome = runner.run(samples, WORK, settings, out, on_done=done, **how)
         except KeyboardInterrupt:
-            recorded = {record["key"] for record in log.read(out)} & {unit.key for unit in units}
-            terminal.log(f"{len(recorded)} of {len(units)} units are in {out}; the same command goes on from there")
+            recorded = {record["key"] for record in log.read(out)} & {f"{task.name}/{each.id}" for each in samples}
+            terminal.log(f"{len(recorded)} of {len(samples)} units are in {out}; the same command goes on from there")
             raise
     if outcome.skipped:
-        terminal.log(f"{outcome.skipped} of {len(units)} units were already in {out}")
+        terminal.log(f"{outcome.skipped} of {len(samples)} units were already in {out}")
     return _summarised(results.read(out), out, options.json)
 
 

@@ -23,7 +23,7 @@ from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.eval import episodes as parts
-from eagor.lab.eval.page import Cell, Fold, Pictures, Row, Section, Table, Text, address_of, page
+from eagor.lab.eval.page import Cell, Pictures, Row, Section, Table, Text, address_of, page
 from eagor.lab.eval.results import OURS
 from eagor.lab.tasks.sim.play import Runner, StepInfo
 from eagor.metrics import angular_error_deg
@@ -234,13 +234,13 @@ def write_report(search: Search, folder: Path) -> Path:
     repeat = f"The perception is scout, and intervals are of 95 %. Repeat it: {STUDY_COMMAND}"
     walk = Table("Every method on this walk", ("mean error", *heads, "what it is"), tuple(rows))
     sections = [
-        Section("luck", "Is that luck?", [
+        Section("Is that luck?", [
             Text(STUDY_IN_WORDS), Table("200 searches", ("mean error", *heads), tuple(study)),
             Text(repeat, "note"),
-        ]),
-        Section("error", "The error on this walk", [
-            errors, Fold("The way from above, and every method on the same looks", [above, way, walk]),
-        ]),
+        ], "luck"),
+        Section("The error on this walk", [
+            errors, Section("The way from above, and every method on the same looks", [above, way, walk]),
+        ], "error"),
     ]  # fmt: skip
     return written(folder / "report.html", page(f"Where is the {search.thing}?", [lead, beliefs], sections))
 

@@ -129,8 +129,8 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
         ),
     ]
     sections = [
-        Section("looks", "What the camera saw, and what we believed", [Pictures(moments, "strip")]),
-        Section("methods", "Each method side by side", [table, Pictures(both)]),
+        Section("What the camera saw, and what we believed", [Pictures(moments, "strip")], "looks"),
+        Section("Each method side by side", [table, Pictures(both)], "methods"),
     ]
     lead = [Text(f"{photo}, seen by {short_name(spec)}. {summary(looks)[0]}"), *map(Text, summary(looks)[1:])]
     return written(folder / "report.html", page(f"Where is the {looks.query}?", lead, sections))

@@ -103,18 +103,18 @@ def _counted(folder: Path, run: Run) -> dict[str, Any]:
 
 def compare(options: BenchCompare) -> int:
     """``eagor bench compare``."""
-    from eagor.lab.eval import results, tables
+    from eagor.lab.eval import report, results
     from eagor.lab.tasks.sim.task import split_methods
 
     methods = split_methods(options.methods)
     if options.b is None and len(methods) != 2:
         raise terminal.UsageError("name a second run, or two methods of this one with --methods")
     a = results.read(options.a)
-    found = results.compare(a, a if options.b is None else results.read(options.b), methods)
+    found = report.compare(a, a if options.b is None else results.read(options.b), methods)
     if options.json:
         terminal.emit(found)
     else:
-        terminal.say(*tables.comparison_in_words(found, a))
+        terminal.say(*report.comparison_in_words(found, a))
     return terminal.OK
 
 

@@ -54,31 +54,35 @@ class Log:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.path = Path(folder), Path(folder) / RECORDS
+        self.folder, self.path, self._file = Path(folder), Path(folder) / RECORDS, -1
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-        except (FileExistsError, NotADirectoryError) as error:
-            raise EagorError(f"{folder} cannot be made a folder ({error.strerror}); choose another") from error
-        except OSError as error:
-            raise _unwritable(folder, error) from error
-        try:
             self._file = open_regular(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
-        except OSError as error:
-            raise _unwritable(folder, error) from error
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(self._file)
-            raise EagorError(
-                f"another process is writing into {folder}; wait for it, or choose another folder"
-            ) from None
-        except OSError:
-            pass  # a file system without locks
-        try:
-            _mend(self._file)
-        except OSError as error:
-            os.close(self._file)
-            raise _unwritable(folder, error) from error
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                why = f"another process is writing into {folder}; wait for it, or choose another folder"
+                raise EagorError(why) from None
+            except OSError:
+                pass  # a file system without locks
+            # What comes next must begin on a line of its own.
+            size = os.lseek(self._file, 0, os.SEEK_END)
+            torn = os.pread(self._file, LONGEST, max(0, size - LONGEST)).rpartition(b"\n")[2]
+            if _parsed(torn) is not None:  # somebody's editor left out the last newline
+                append_all(self._file, b"\n")
+            else:
+                os.ftruncate(self._file, size - len(torn))
+        except (OSError, EagorError) as error:
+            if self._file >= 0:
+                os.close(self._file)
+            if isinstance(error, FileExistsError | NotADirectoryError):
+                raise EagorError(f"{folder} cannot be made a folder ({error.strerror}); choose another") from error
+            if isinstance(error, EagorError):
+                raise
+            raise StorageError(
+                f"cannot write in {folder}: {error.strerror or error}; everything recorded there is safe. Make room "
+                "there and let it be written to, then start the same run again; or choose another folder"
+            ) from error
 
     def begin(self, config: Mapping[str, Any], samples: Mapping[str, Any] | None = None) -> None:
         """Make the folder that of the run which `config` describes, or make sure that it already is.
@@ -142,16 +146,14 @@ def commit() -> str | None:
 def description(folder: Path) -> dict[str, Any]:
     """What ``run.json`` says. Raises `FormatError` where there is none, or it is no JSON object."""
     path = Path(folder) / RUN
-    content = _content(path, "name the folder of a run")
-    if content is None:
+    if (content := _content(path, "name the folder of a run")) is None:
         raise FormatError(f"{folder} has no {RUN}; name the folder of a run")
     try:
-        found = parsed(content)
-    except ValueError as error:
-        raise FormatError(f"{path} is no JSON ({error}); restore it, or start the run in another folder") from None
-    if not isinstance(found, dict):
-        raise FormatError(f"{path} holds no JSON object but {type(found).__name__}; name the folder of a run")
-    return found
+        return msgspec.convert(parsed(content), dict[str, Any])
+    except (ValueError, msgspec.ValidationError) as error:
+        raise FormatError(
+            f"{path} is no JSON object ({error}); restore it, or start the run in another folder"
+        ) from None
 
 
 def read(folder: Path) -> list[dict[str, Any]]:
@@ -208,13 +210,6 @@ def as_plain(value: Any, place: str) -> Any:
     )
 
 
-def _unwritable(folder: Path, error: OSError) -> StorageError:
-    return StorageError(
-        f"cannot write in {folder}: {error.strerror or error}; everything recorded there is safe. Make room there and "
-        "let it be written to, then start the same run again; or choose another folder"
-    )
-
-
 def _content(path: Path, advice: str) -> bytes | None:
     """All of a file of a run, None where there is none. Raises `FormatError` where it cannot be read."""
     try:
@@ -224,16 +219,6 @@ def _content(path: Path, advice: str) -> bytes | None:
         return None
     except OSError as error:
         raise FormatError(f"{path} cannot be read ({error.strerror or error}); {advice}") from None
-
-
-def _mend(file: int) -> None:
-    """Bring the end of `file` to the end of a whole line: what comes next must begin on a line of its own."""
-    size = os.lseek(file, 0, os.SEEK_END)
-    torn = os.pread(file, LONGEST, max(0, size - LONGEST)).rpartition(b"\n")[2]
-    if _parsed(torn) is not None:  # somebody's editor left out the last newline
-        append_all(file, b"\n")
-    else:
-        os.ftruncate(file, size - len(torn))
 
 
 def _parsed(line: bytes) -> Any:

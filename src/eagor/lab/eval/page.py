@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import base64
 import io
-import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 from eagor._extras import need
 from eagor._version import __version__
@@ -21,8 +19,7 @@ from eagor._version import __version__
 NOTHING = "–"  # a figure without a case
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """Its text, an interval in small print, a mark (a dagger, or a word), and whether it is the best of its column."""
 
     text: str
@@ -30,123 +27,90 @@ class Cell:
     mark: str = ""
     best: bool = False
 
-    def in_line(self, small: bool = True) -> str:
-        """With a dagger at the figure, and its interval in brackets."""
-        mark = self.mark if len(self.mark) == 1 else ""
-        return f"{self.text}{mark}{f' ({self.small})' if self.small and small else ''}"
 
-
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A row: its head, its cells, and its kind ("ours", "paper", "text" where the last cell is a text, or "")."""
 
     head: str
-    cells: tuple[Cell, ...]
+    cells: Sequence[Cell]
     kind: str = ""
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """A table: what it shows, the heads of its columns (the first is that of the row heads), rows and notes."""
 
     title: str
-    heads: tuple[str, ...]
-    rows: tuple[Row, ...]
-    notes: tuple[str, ...] = ()
+    heads: Sequence[str]
+    rows: Sequence[Row]
+    notes: Sequence[str] = ()
 
     def lines(self, width: int = 0) -> list[str]:
         """For a terminal: with the intervals in brackets where that is at most `width` wide."""
-        wide, narrow = (
-            in_columns([self.heads, *([row.head, *(cell.in_line(small) for cell in row.cells)] for row in self.rows)])
-            for small in (True, False)
-        )
-        return wide if max(map(len, wide)) <= width else narrow
+        lines: list[str] = []
+        for small in (True, False):
+            rows = [list(self.heads)]
+            for head, cells, _ in self.rows:
+                texts = (each.text + each.mark * (len(each.mark) == 1) for each in cells)
+                ends = (f" ({each.small})" * bool(small and each.small) for each in cells)
+                rows.append([head, *map("".join, zip(texts, ends, strict=True))])
+            wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+            sides = "<" + ">" * len(wide)
+            lines = ["  ".join(map("{:{}{}}".format, row, sides, wide)).rstrip() for row in rows]
+            if max(map(len, lines)) <= width:
+                break
+        return lines
 
 
-@dataclass(frozen=True)
-class Text:
-    """A paragraph; its kind is "note", "warn", "h3" (a heading) or "". `link`: a file beside the page to lead to."""
+class Text(NamedTuple):
+    """A paragraph; its kind is "note", "warn" or "". `link`: a file beside the page to lead to."""
 
     text: str
     kind: str = ""
     link: str = ""
 
 
-@dataclass(frozen=True)
-class Pictures:
-    """Pictures (the data address of each, or HTML) with captions; `kind`: "map", "strip", "wide" or ""."""
+class Pictures(NamedTuple):
+    """Pictures with captions; `kind`: "wide", each by its data address, else by its HTML, "strip" or ""."""
 
-    items: Sequence[tuple[str, str]]
+    pairs: Sequence[tuple[str, str]]
     kind: str = ""
 
 
-@dataclass(frozen=True)
-class Facts:
-    """Names and what they are."""
-
-    pairs: Sequence[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class List:
-    """Lines."""
-
-    lines: Sequence[str]
-
-
-@dataclass(frozen=True)
-class Fold:
-    """What is there for those who ask."""
+class Section(NamedTuple):
+    """A part of the page that the contents name by its `id`; within another one, what opens when asked for."""
 
     title: str
     parts: Sequence[Part]
+    id: str = ""
 
 
-Part = Table | Text | Pictures | Facts | List | Fold
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the page that the contents name."""
-
-    id: str
-    title: str
-    parts: Sequence[Part]
+# A list: its lines. A dict: names and what they are.
+Part = Table | Text | Pictures | list[str] | dict[str, str] | Section
 
 
 def page(title: str, lead: Sequence[Part], sections: Sequence[Section]) -> str:
     """The whole page as HTML. Raises `MissingExtraError` without the extra ``report``."""
+    css = files("eagor.lab.eval").joinpath("report.css").read_text("utf-8")
+    return _filled("report.html", title=title, lead=lead, sections=sections, css=css, version=__version__)
+
+
+def markdown(title: str, facts: Sequence[Mapping[str, str]], tables: Sequence[Table]) -> str:
+    """All tables as one Markdown text. Raises as `page`."""
+    return _filled("report.md", title=title, facts=facts, tables=tables)
+
+
+def _filled(name: str, **values: Any) -> str:
+    """The template with the values in it."""
     need("a report", "report", "jinja2")
     import jinja2
 
-    template, css = (files("eagor.lab.eval").joinpath(f"report.{kind}").read_text("utf-8") for kind in ("html", "css"))
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(autoescape=name == "report.html", trim_blocks=True, lstrip_blocks=True)
     environment.tests["kind"] = lambda part, kind: type(part).__name__ == kind
-    values = {"title": title, "lead": lead, "sections": sections, "css": css, "version": __version__}
-    return environment.from_string(template).render(values)
+    environment.filters["words"] = _in_markdown
+    return environment.from_string(files("eagor.lab.eval").joinpath(name).read_text("utf-8")).render(values)
 
 
-def markdown(title: str, facts: Sequence[tuple[str, str]], tables: Sequence[Table]) -> str:
-    """All tables as one Markdown text."""
-    lines = [f"# {_escaped(title)}", "", *(f"- {_escaped(name)}: {_escaped(value)}" for name, value in facts), ""]
-    for table in tables:
-        rows = [[*map(_escaped, table.heads)], ["---", *["---:"] * (len(table.heads) - 1)]]
-        for row in table.rows:
-            stars = {"paper": "*", "ours": "**"}.get(row.kind, "")
-            rows.append([f"{stars}{_escaped(row.head)}{stars}", *map(_in_markdown, row.cells)])
-        lines += [f"## {_escaped(table.title)}", "", *(f"| {' | '.join(row)} |" for row in rows), ""]
-        lines += [f"{_escaped(note)}\n" for note in table.notes]
-    return "\n".join(lines)
-
-
-def _in_markdown(cell: Cell) -> str:
-    """A dagger stands at the figure, a word at the end."""
-    text = f"**{_escaped(cell.text)}**" if cell.best else _escaped(cell.text)
-    small = f" ({_escaped(cell.small)})" if cell.small else ""
-    return f"{text}{cell.mark}{small}" if len(cell.mark) == 1 else f"{text}{small} {cell.mark}".rstrip()
-
-
-def _escaped(text: str) -> str:
+def _in_markdown(text: str) -> str:
     """`text` as Markdown shows it: no tag, no link, no code, no cell of a table and no line begins in it."""
     marked = re.sub(r"([\\`\[\]|])", r"\\\1", " ".join(text.split()))
     return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", marked)
@@ -162,20 +126,12 @@ def number(value: float | None, digits: int = 1, sign: bool = False) -> str:
 
 def span(ends: Sequence[float | None] | None, digits: int = 1, sign: bool = False) -> str:
     """An interval as text; "" where there is none."""
-    known = [end for end in ends or () if end is not None and not math.isnan(end)]
-    return " to ".join(number(end, digits, sign) for end in known) if len(known) == 2 else ""
+    return "" if not ends or None in ends else " to ".join(number(end, digits, sign) for end in ends)
 
 
 def cell(value: float | None, ends: Sequence[float | None] | None = None, digits: int = 1) -> Cell:
     """A cell with a figure and its interval."""
     return Cell(number(value, digits), span(ends, digits))
-
-
-def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows under their heads as lines for a terminal: the first column to the left, the others to the right."""
-    wide = [max(len(row[k]) for row in rows if k < len(row)) for k in range(len(rows[0]))]
-    cells = ([text.ljust(wide[k]) if k == 0 else text.rjust(wide[k]) for k, text in enumerate(row)] for row in rows)
-    return ["  ".join(row).rstrip() for row in cells]
 
 
 def address_of(picture: Any) -> str:

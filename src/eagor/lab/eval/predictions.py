@@ -38,7 +38,7 @@ def score_predictions(
     fields = [name for name in scorer.Config.__struct_fields__ if name != "task"]
     config = read_config(scorer, {name: values[name] for name in fields if name in values}, changes)
     samples, records = scorer.samples(config), []
-    given = predicted(source, [each.id for each in samples]) if run is None else _answers(run.records)
+    given = answers_of(run.records) if run else predicted(source, [each.id for each in samples])
     for sample in samples:
         if sample.id in given:
             try:
@@ -57,24 +57,18 @@ def keep(run: Run, folder: Path) -> None:
     with log.Log(folder) as book:
         book.begin(run.settings)
         there = {record["key"]: record for record in log.read(folder)}
-        for record in run.records:
+        new = {record["key"]: json.loads(log.as_line(record)) for record in run.records}
+        for key in new.keys() & there.keys():
             # The settings do not name the file that was scored: those of another one are the same.
-            same = {**there.get(record["key"], record), **{name: record[name] for name in ("attempt", "seconds")}}
-            if log.as_line(dict(sorted(same.items()))) != log.as_line(dict(sorted(record.items()))):
-                raise EagorError(f"{folder} holds another result for {record['case']}; choose another folder")
+            if there[key] | {"attempt": 1, "seconds": 0.0} != new[key]:
+                raise EagorError(f"{folder} holds another result for {new[key]['case']}; choose another folder")
         for record in run.records:
             if record["key"] not in there:
                 book.append(record)
 
 
-def predictions_of(records: Sequence[Record]) -> str:
-    """JSON lines that `score_predictions` reads: what was answered in each finished sample."""
-    answers = _answers(records).items()
-    return "".join(json.dumps({"case": case, **answer}, ensure_ascii=False) + "\n" for case, answer in answers)
-
-
-def _answers(records: Sequence[Record]) -> dict[str, dict[str, Any]]:
-    """The predictions in records of ours, by sample."""
+def answers_of(records: Sequence[Record]) -> dict[str, dict[str, Any]]:
+    """The predictions, as `score_predictions` reads them, in records of ours: what was answered in each sample."""
     found = {}
     for record in finished(records):
         answer = record.get("answer")

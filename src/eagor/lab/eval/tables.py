@@ -5,31 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
 from eagor._toml import tomllib
 from eagor.lab.eval import episodes
-from eagor.lab.eval.page import NOTHING, Cell, Row, Table, cell, in_columns, number, span
-from eagor.lab.eval.results import (
-    FEW,
-    OURS,
-    PAPERS,
-    RIVALS,
-    SIGNIFICANT,
-    Result,
-    Run,
-    Summary,
-    difference,
-    is_rival,
-    is_variant,
-    lowest_p,
-    small_cluster_warning,
-    values_of,
-)
+from eagor.lab.eval.page import NOTHING, Cell, Row, Table, cell, number, span
+from eagor.lab.eval.results import OURS, Result, Run, Summary, is_rival, is_variant
 from eagor.lab.tasks.task import Metric, Task, finished
-from eagor.statistics import PairedDifference
 
 _PRINTED = tomllib.loads(files("eagor.lab.eval").joinpath("published.toml").read_text(encoding="utf-8"))
 PUBLISHED: dict[str, dict[str, dict[str, float]]] = {
@@ -38,27 +22,24 @@ PUBLISHED: dict[str, dict[str, dict[str, float]]] = {
 }
 PUBLISHED_TAGS: dict[str, dict[str, tuple[float, float]]] = _PRINTED["failure_tags"]
 
-DAGGER = {"-": "†", "+": "‡", "": ""}
+FEW = 10  # groups, below which intervals that resample them are too narrow to be trusted
+SIGNIFICANT = 0.05
 WIDTH = 120  # of a terminal
-SMALL_PRINT = "Small print: 95 % intervals of whole {}s; n: how many episodes have such a case, where not all have."
-
-
-# --- cells ------------------------------------------------------------------------------------------------------------
 
 
 def mark(summary: Summary, name: str, metric: Metric) -> str:
-    """Whether a method differs from its reference beyond chance: "-" it is worse, "+" it is better, "" neither."""
+    """Whether a method differs from its reference beyond chance: "†" it is worse, "‡" it is better, "" neither."""
     found = summary["differences"].get(name, {}).get(metric.key)
     if found is None or found["p_holm"] >= SIGNIFICANT or found["difference"] == 0:
         return ""
-    return "-" if (found["difference"] > 0) == (metric.better == "low") else "+"
+    return "†" if (found["difference"] > 0) == (metric.better == "low") else "‡"
 
 
-def best(summary: Summary, metric: Metric, names: Sequence[str]) -> set[str]:
+def best(summary: Summary, metric: Metric, names: Iterable[str]) -> set[str]:
     """Those of `names` with the best figure of a metric, as it is shown; nobody where neither side is better."""
     there = {name: summary["methods"][name][metric.key] for name in names}
     figures = {name: round(value, metric.digits) for name, value in there.items() if value is not None}
-    if metric.better is None or len(names) < 2 or not figures:
+    if metric.better is None or len(there) < 2 or not figures:
         return set()
     winner = (min if metric.better == "low" else max)(figures.values())
     return {name for name, value in figures.items() if value == winner}
@@ -81,52 +62,45 @@ def shown_metrics(task: Task, summary: Summary) -> list[Metric]:
     return [metric for metric in task.metrics if any(row[metric.key] is not None for row in rows)]
 
 
-def row(name: str, cells: Sequence[Cell]) -> Row:
+def row(name: str, cells: Iterable[Cell]) -> Row:
     """The row of a method; ours is shown as such."""
-    return Row(name, tuple(cells), "ours" if name.partition(" ")[0] == OURS else "")
+    return Row(name, list(cells), "ours" if name.partition(" ")[0] == OURS else "")
 
 
-def figure_rows(summary: Summary, names: Sequence[str], metrics: Sequence[Metric], rivals: Sequence[str]) -> list[Row]:
+def figure_table(
+    title: str, task: Task, summary: Summary, names: Sequence[str], rivals: Iterable[str], notes: Sequence[str] = ()
+) -> Table:
     """A row for each of `names`: figures with intervals and marks; the best of the `rivals` stand out.
 
     The number of cases stands beside where some episodes are none.
     """
-    winners = {metric.key: best(summary, metric, rivals) for metric in metrics}
-    rows = []
-    for name in names:
-        cells = []
-        for metric in metrics:
-            key = metric.key
-            small = [span(summary["intervals"][name][key], metric.digits, key == "delta")]
-            if 0 < (count := summary["counts"][name][key]) < summary["episodes"]:
-                small.append(f"n {count}")
-            text, sign = shown(summary["methods"][name][key], metric), DAGGER[mark(summary, name, metric)]
-            cells.append(Cell(text, "; ".join(filter(None, small)), sign, name in winners[key]))
-        rows.append(row(name, cells))
-    return rows
+    rows: dict[str, list[Cell]] = {name: [] for name in names}
+    metrics, rivals = shown_metrics(task, summary), set(rivals)
+    for metric in metrics:
+        key, winners = metric.key, best(summary, metric, rivals)
+        for name, cells in rows.items():
+            value, ends, count = (summary[part][name][key] for part in ("methods", "intervals", "counts"))
+            small = [span(ends, metric.digits, key == "delta"), f"n {count}" * (0 < count < summary["episodes"])]
+            text, sign = shown(value, metric), mark(summary, name, metric)
+            cells.append(Cell(text, "; ".join(filter(None, small)), sign, name in winners))
+    return Table(title, ["method", *map(column_header, metrics)], [row(*each) for each in rows.items()], notes)
 
 
-def _heads(metrics: Sequence[Metric], first: str = "method") -> tuple[str, ...]:
-    return (first, *map(column_header, metrics))
-
-
-# --- of every task ----------------------------------------------------------------------------------------------------
+def small_cluster_warning(count: int, unit: str) -> list[str]:
+    """What so few groups of this kind (apartment, cluster) cannot tell; nothing where there are enough, or none."""
+    if count == 1:
+        return [f"Only one {unit}: nothing can be said about how far the figures carry over to others."]
+    return [f"Only {count} {unit}s: intervals that resample so few are too narrow."] if 0 < count < FEW else []
 
 
 def main_table(task: Task, summary: Summary) -> Table:
     """The table laid out like the paper's, with the published row below each method that has one."""
-    metrics = shown_metrics(task, summary)
     names = [name for name in summary["methods"] if not is_variant(name)]
     rivals = list(filter(is_rival, names))
-    published = dict(PUBLISHED.get(task.name, {}))
-    rows = []
-    for each in figure_rows(summary, names, metrics, rivals):
-        rows.append(each)
-        if each.head in published:
-            rows.append(_published_row("as published", published.pop(each.head), metrics))
-    rows += [_published_row(f"{name}, published", values, metrics) for name, values in published.items()]
     groups, unit, reference = summary["groups"], summary["unit"], summary["reference"]
-    notes = [SMALL_PRINT.format(unit)]
+    notes = [
+        f"Small print: 95 % intervals of whole {unit}s; n: how many episodes have such a case, where not all have."
+    ]
     if reference in names and len(rivals) > 1 and groups > 1:
         notes.append(
             f"† worse, ‡ better than {reference}: p < {SIGNIFICANT} over what both have, by sign flips of {unit}s, "
@@ -134,23 +108,29 @@ def main_table(task: Task, summary: Summary) -> Table:
         )
     notes += small_cluster_warning(groups, unit)
     tests = sum(found is not None for name in rivals for found in summary["differences"].get(name, {}).values())
-    if groups > 1 and tests and (lowest := lowest_p(groups, tests)) >= SIGNIFICANT:
+    lowest = tests * 2.0 ** (1 - groups)
+    if tests and lowest >= SIGNIFICANT:
         notes.append(
             f"With {groups} {unit}s and {tests} tests no p can be below {min(lowest, 1.0):.2g} after the correction: "
             "whatever the figures are, none of their differences is told from chance."
         )
-    if PUBLISHED.get(task.name):
+    if published := PUBLISHED.get(task.name, {}):
         notes.append(
             "As published: measured by the papers in their own setting (worlds, models, perception, rules, the whole "
             "data). They cannot be compared with ours one to one."
         )
     title = f"{task.title}: {summary['episodes']} {getattr(task, 'case', 'case')}s"
-    return Table(title, _heads(metrics), tuple(rows), tuple(notes))
+    table, metrics, rows = figure_table(title, task, summary, names, rivals, notes), shown_metrics(task, summary), []
 
+    def printed(head: str, name: str) -> Row:
+        values = [published[name].get(metric.key) for metric in metrics]
+        texts = (NOTHING if value is None else f"{value:g}".replace("-", "−") for value in values)
+        return Row(head, list(map(Cell, texts)), "paper")
 
-def _published_row(name: str, values: Mapping[str, float], metrics: Sequence[Metric]) -> Row:
-    cells = tuple(Cell(f"{values[m.key]:g}".replace("-", "−") if m.key in values else NOTHING) for m in metrics)
-    return Row(name, cells, "paper")
+    for each in table.rows:
+        rows += [each, printed("as published", each.head)] if each.head in published else [each]
+    rows += [printed(f"{name}, published", name) for name in published if name not in names]
+    return table._replace(rows=rows)
 
 
 def as_text(run: Run, summary: Summary) -> list[str]:
@@ -158,7 +138,7 @@ def as_text(run: Run, summary: Summary) -> list[str]:
     if not summary["methods"] or not summary["episodes"]:
         return [f"{run.task.title}: no results; {summary['failed']} failed"]
     table = main_table(run.task, summary)
-    lines = Table("", table.heads, tuple(row for row in table.rows if row.kind != "paper")).lines(WIDTH)
+    lines = table._replace(rows=[row for row in table.rows if row.kind != "paper"]).lines(WIDTH)
     groups, unit = summary["groups"], summary["unit"]
     head = f"{table.title}, {groups} {unit}{'s' if groups != 1 else ''}"
     if summary["failed"]:
@@ -178,18 +158,15 @@ def strata_tables(task: Task, summary: Summary) -> list[Table]:
     found = []
     for title, labels in summary["strata"].items():
         for label, part in labels.items():
-            view = {**summary, **part, "differences": {}}
-            metrics = shown_metrics(task, view)
             names = [name for name in part["methods"] if not is_variant(name)]
-            rows = figure_rows(view, names, metrics, list(filter(is_rival, names)))
             what = f"{title}: {label} ({part['episodes']} episodes)"
-            found.append(Table(what, _heads(metrics), tuple(rows)))
+            view = {**summary, **part, "differences": {}}
+            found.append(figure_table(what, task, view, names, filter(is_rival, names)))
     return found
 
 
 def variant_tables(task: Task, summary: Summary) -> list[Table]:
     """One table per varied method and set of settings."""
-    metrics = shown_metrics(task, summary)
     groups: dict[tuple[str, str], list[str]] = {}
     for name in filter(is_variant, summary["methods"]):
         base, _, text = name.partition(":")
@@ -197,54 +174,11 @@ def variant_tables(task: Task, summary: Summary) -> list[Table]:
     found = []
     for (base, keys), variants in sorted(groups.items()):
         names = [name for name in summary["methods"] if name == base or name in variants]
-        rows = figure_rows(summary, names, metrics, names)
-        rows = [Row(f"{base} (as it is)", each.cells, "ours") if each.head == base else each for each in rows]
         note = f"† worse, ‡ better than {base}: p < {SIGNIFICANT}, Holm's correction over all tests of all variants."
-        found.append(Table(f"Variants of {base}: {keys}", _heads(metrics), tuple(rows), (note,)))
+        table = figure_table(f"Variants of {base}: {keys}", task, summary, names, names, [note])
+        rows = [Row(f"{base} (as it is)", each.cells, "ours") if each.head == base else each for each in table.rows]
+        found.append(table._replace(rows=rows))
     return found
-
-
-# --- of simulated tasks; a table without a case has no rows -----------------------------------------------------------
-
-
-def ordering_table(task: Task, results: Mapping[str, Sequence[Result]]) -> Table:
-    """How far the paper's ordering carries over: what its method gains over each rival, published and measured."""
-    published = PUBLISHED.get(task.name, {})
-    metrics = [metric for metric in task.metrics if metric.key in published.get(PAPERS, {})]
-    values = {name: [values_of(results.get(name, ()), metric) for metric in metrics] for name in (PAPERS, *RIVALS)}
-    rows, verdicts = [], []
-    for rival in RIVALS if metrics else ():
-        claimed, cells = [], []
-        for metric, theirs, ours in zip(metrics, values[rival], values[PAPERS], strict=True):
-            lower = metric.better == "low"
-            ahead = published[rival][metric.key] - published[PAPERS][metric.key]
-            margin = ahead if lower else -ahead
-            gain = difference(theirs, ours) if lower else difference(ours, theirs)
-            claimed.append(Cell(shown(margin, metric, True)))
-            verdicts.append(verdict(margin, gain))
-            ends = span((gain.interval.low, gain.interval.high), metric.digits, True) if gain else ""
-            cells.append(Cell(shown(gain and gain.difference, metric, True), ends, verdicts[-1]))
-        rows += [Row(f"over {rival}: published", tuple(claimed), "paper"), Row(f"over {rival}: measured", tuple(cells))]
-    holds, undecided, other = (verdicts.count(word) for word in ("holds", "open", "reversed"))
-    notes = (
-        f"Margins of {PAPERS} (the method as published) over the paper's rivals; positive: it is better. Of "
-        f"{holds + undecided + other} comparisons {holds} hold (the 95 % interval lies on the published side of 0 and "
-        f"p < {SIGNIFICANT}), {other} are reversed (on the other side), {undecided} are open. Each is judged for "
-        "itself, without a correction for their number.",
-        "Measured: paired over the episodes that both have. Published margins are differences of the printed figures.",
-    )
-    title = f"What {PAPERS} gains over the paper's rivals"
-    return Table(title, _heads(metrics, "margin"), tuple(rows if any(verdicts) else ()), notes)
-
-
-def verdict(published: float, measured: PairedDifference | None) -> str:
-    """Whether a measured margin confirms the published one: "holds", "reversed", "open"; "" where it has no case."""
-    if measured is None:
-        return ""
-    low, high = measured.interval.low, measured.interval.high
-    if (low > 0 or high < 0) and measured.p < SIGNIFICANT:
-        return "holds" if (low > 0) == (published > 0) else "reversed"
-    return "open"
 
 
 def parts_table(results: Mapping[str, Sequence[Result]]) -> Table:
@@ -254,8 +188,8 @@ def parts_table(results: Mapping[str, Sequence[Result]]) -> Table:
         if is_variant(name):
             continue
         means, shares = episodes.parts(found)
-        pairs = ((mean, ends) for mean, *ends in (means.get(part, (None, None, None)) for part in episodes.COLUMNS))
-        rows.append(row(name, [cell(mean, ends) for mean, ends in pairs]))
+        figures = (means.get(part, (None, None)) for part in episodes.COLUMNS)
+        rows.append(row(name, (cell(*figure) for figure in figures)))
         if name == OURS and shares:
             parts = ", ".join(f"{100 * each:.0f} % {part}" for part, each in shares.items())
             share = f" Of the steps of {OURS}: {parts}."
@@ -270,7 +204,7 @@ def parts_table(results: Mapping[str, Sequence[Result]]) -> Table:
     )
     heads = ["method", *(f"{part} ↓, °" for part in episodes.COLUMNS[:4]), "distance ↓, %"]
     heads += [f"{part}, %" for part in episodes.COLUMNS[5:]]
-    return Table("What the errors are made of", tuple(heads), tuple(rows), notes)
+    return Table("What the errors are made of", heads, rows, notes)
 
 
 # --- of answers to published data -------------------------------------------------------------------------------------
@@ -288,7 +222,7 @@ def turn_table(summary: Summary) -> Table:
         "Per cent of the episodes whose answer would have succeeded, had it been given at this turn; after a "
         "submission its outcome stands. Small print: 95 % of whole clusters."
     )
-    return Table("Success by turn", ("agent", *(str(k + 1) for k in range(longest))), tuple(rows), (note,))
+    return Table("Success by turn", ["agent", *(str(k + 1) for k in range(longest))], rows, [note])
 
 
 def views_table(summary: Summary) -> Table:
@@ -305,31 +239,31 @@ def views_table(summary: Summary) -> Table:
         "calibration error ↓, %",
     )  # fmt: skip
     note = "Calibration error: mean gap between the stated probability of success and the share that succeeded."
-    return Table("Views, and stopping", heads, tuple(rows), (note,))
+    return Table("Views, and stopping", heads, rows, [note])
 
 
 def failure_tables(task: Task, part: Mapping[str, Any]) -> list[Table]:
     """What was known of the failures before the run, and why cases failed, crossed with that; those that have rows."""
     published, kinds, whys = PUBLISHED_TAGS.get(task.name, {}), [], []
     for tag, found in part["tags"].items():
-        cells = Cell(str(found["episodes"])), cell(found["share"]), cell(found["success"], found["interval"])
-        kinds.append(Row(tag, cells))
+        kinds.append(
+            Row(tag, [Cell(str(found["episodes"])), cell(found["share"]), cell(found["success"], found["interval"])])
+        )
         if tag in published:
-            cells = (Cell(NOTHING), *(Cell(f"{value:g}") for value in published[tag]))
-            kinds.append(Row("published", cells, "paper"))
+            kinds.append(Row("published", [Cell(NOTHING), *(Cell(f"{value:g}") for value in published[tag])], "paper"))
     causes, count = part["causes"], sum(part["causes"].values())
     for cause, n in causes.items():
-        crossed = [Cell(str(tag["causes"].get(cause, 0))) for tag in part["tags"].values()]
-        whys.append(Row(cause.replace("_", " "), (Cell(str(n)), cell(100 * n / count), *crossed)))
+        crossed = (Cell(str(tag["causes"].get(cause, 0))) for tag in part["tags"].values())
+        whys.append(Row(cause.replace("_", " "), [Cell(str(n)), cell(100 * n / count), *crossed]))
     note = (
         "The kind of a case was known before it was played. Small print: 95 % of whole clusters. Published: the "
         "paper's, of its own agent and model."
     )
     meanings = getattr(task, "causes", {})
-    notes = tuple(f"{cause.replace('_', ' ')}: {meanings[cause]}." for cause in causes if cause in meanings)
+    notes = [f"{cause.replace('_', ' ')}: {meanings[cause]}." for cause in causes if cause in meanings]
     tables = [
-        Table("What was asked", ("kind", "cases", "of all, %", "success ↑, %"), tuple(kinds), (note,)),
-        Table("Why cases failed", ("cause", "cases", "of failures, %", *part["tags"]), tuple(whys), notes),
+        Table("What was asked", ["kind", "cases", "of all, %", "success ↑, %"], kinds, [note]),
+        Table("Why cases failed", ["cause", "cases", "of failures, %", *part["tags"]], whys, notes),
     ]
     return [table for table in tables if table.rows]
 
@@ -357,32 +291,6 @@ def failed_lines(run: Run) -> list[str]:
         tags = ", ".join(record.get("tags", ()))
         lines.append(f"{record['case']}  {cause}  [{tags}]  {question!r}: {given or 'no answer'}{off}")
     return lines
-
-
-# --- a comparison, for a terminal -------------------------------------------------------------------------------------
-
-
-def comparison_in_words(found: Mapping[str, Any], run: Run) -> list[str]:
-    """What `eagor.lab.eval.results.compare` found; `run`: one of the two."""
-    case, unit = getattr(run.task, "case", "case"), run.unit
-    lines = [
-        f"{found['task']}: {found['cases']} {case}s that both have "
-        f"(a only: {found['only_in_a']}, b only: {found['only_in_b']})"
-    ]
-    if "methods" in found:
-        lines.append("  method: a {}, b {}".format(*found["methods"]))
-    lines += [f"  {key}: a {words(x)}, b {words(y)}" for key, (x, y) in found["settings"].items()]
-    rows = [["", "a", "b", "a - b", "95 % interval", "p"]]
-    for metric in run.task.metrics:
-        if (figure := found["figures"].get(metric.key)) is not None:
-            sides = (shown(figure[side], metric, side == "difference") for side in ("a", "b", "difference"))
-            ends = span((figure.get("low"), figure.get("high")), metric.digits, True) or "-"
-            p = f"{figure['p']:.2g}" if "p" in figure else "-"
-            rows.append([f"{column_header(metric)} ({figure['n']})", *sides, ends, p])
-    lines += [*in_columns(rows), f"p: sign flips of whole {unit}s, each figure for itself."]
-    groups = max((figure.get("groups", 1) for figure in found["figures"].values()), default=1)
-    lines += small_cluster_warning(groups, unit)
-    return lines + ([f"p cannot be below {lowest_p(groups):.2g}."] if 1 < groups < FEW else [])
 
 
 def words(value: Any) -> str:
