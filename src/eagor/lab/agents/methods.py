@@ -16,7 +16,6 @@ import numpy as np
 from eagor import baselines
 from eagor.baselines import GRID, DirectionFilter
 from eagor.belief.ranged import log_ranges
-from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -86,6 +85,30 @@ class Estimator(Protocol):
     def presence(self) -> float:
         """Probability that the target is here; 1 for estimators that take that for granted."""
         return 1.0
+
+
+class Oracle(Estimator):
+    """Knows where the target is: the upper bound for geometry and policy. With `sign` -1 it always says the opposite.
+
+    `state`: the true one (``info["truth"]`` of an environment); while the target is away, the last direction counts.
+    """
+
+    def __init__(self, sign: float = 1.0) -> None:
+        self.sign, self.state = sign, dict[str, Any]()
+        self._direction = np.array(FORWARD)
+
+    def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
+        if self.state["present"]:
+            self._direction = self.sign * self.state["direction"]
+
+    def see(self, evidence: Evidence) -> None:
+        pass
+
+    def direction(self) -> np.ndarray:
+        return self._direction
+
+    def sure_distance(self) -> float | None:
+        return float(self.state["distance"])
 
 
 @dataclass
@@ -188,9 +211,11 @@ def default_methods(perception: str) -> tuple[str, ...]:
     return EVERY if is_model(perception) else NAMES
 
 
-def answer_at(method: Estimator, stamp: float, pose: np.ndarray, evidence: Evidence | None) -> np.ndarray:
-    """The estimator's direction ``(3,)`` at a `pose` ``(7,)`` of the odometry, given the evidence that has arrived."""
-    method.move(stamp, rotation_from_wxyz(pose[3:]), pose[:3])
+def answer_at(
+    method: Estimator, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None, evidence: Evidence | None
+) -> np.ndarray:
+    """The estimator's direction ``(3,)`` at a pose of the odometry, given the evidence that has arrived."""
+    method.move(stamp, world_R_body, position)
     if evidence is not None:
         method.see(evidence)
     return method.direction()

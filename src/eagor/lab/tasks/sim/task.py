@@ -20,14 +20,14 @@ from eagor._values import lazy
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.lab.agents.methods import ORACLE, default_methods, fitted, make_estimator
-from eagor.lab.envs.episodes import EpisodeSpec, episode_specs, spec_from_json
+from eagor.lab.envs.episodes import EpisodeSpec, episode_specs
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT
 from eagor.lab.envs.rules import Camera, NoiseModel
-from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
+from eagor.lab.tasks.task import Metric, Payload, Record, Sample
 
 if TYPE_CHECKING:
     from eagor.lab.envs.place_env import PlaceEnv
-    from eagor.lab.tasks.sim.play import EpisodeResult
+    from eagor.lab.tasks.sim.play import Rollout
 
 PER_RUN = 20  # episodes of a run that names no number and no file
 RANKED = ("success", "spl", "mae")  # figures that every walked task measures
@@ -135,7 +135,7 @@ class SimTask:
     what: str
     environment: Callable[..., PlaceEnv]
     rules: type
-    measure: Callable[[EpisodeResult], Mapping[str, Any]]
+    measure: Callable[[Rollout], Mapping[str, Any]]
     metrics: tuple[Metric, ...]
     headline: str
     ranked_by: tuple[str, ...] = ()
@@ -163,8 +163,8 @@ class SimTask:
     def runner(self, config: Any) -> Callable[[Payload], Record]:
         from eagor.lab.tasks.sim.play import Runner
 
-        runner = Runner(settings_of(config))
-        return lambda payload: runner.run_episode(spec_from_json(payload["slot"]), payload["methods"])
+        runner = Runner(config, kind=self)
+        return lambda payload: runner.run_episode(EpisodeSpec(**payload["slot"]), payload["methods"])
 
     def failure(self, record: Record) -> str | None:
         """Of a walked task: that the target was not reached by ours, or by the method that played alone."""

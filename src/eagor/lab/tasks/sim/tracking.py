@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
@@ -16,12 +15,11 @@ from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
 from eagor.lab.envs.rules import LOST, SEEN, VISIBLE, Camera, TrackingRules
-from eagor.lab.tasks.sim.play import EpisodeResult
+from eagor.lab.tasks.sim.play import Rollout
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import Metric, degrees
 from eagor.lab.worlds.navmesh import follow_path, stroll
 from eagor.lab.worlds.render import PAINTS, Ball, with_ball
-from eagor.queries import Query
 from eagor.sphere import angular_distance, rotation, world_R_body
 
 SCENARIOS = ("moving target", "moving camera", "target gone")
@@ -34,44 +32,6 @@ _HOLD = (
     "targets"
 )
 SEEN_PIXELS = 6  # of a 64 x 128 panorama: the ball is in plain view at the start
-
-
-@dataclass(frozen=True)
-class TrackingEpisode(Episode):
-    """`route`: x, y, yaw of the body per step; `balls`: x, y, z of the ball's centre, None while it is away."""
-
-    route: tuple[tuple[float, float, float], ...] = ()
-    balls: tuple[tuple[float, float, float] | None, ...] = ()
-    radius: float = 0.25
-    colour: str = "red"
-
-
-def plan(spec: EpisodeSpec, camera: Camera, rules: TrackingRules) -> TrackingEpisode:
-    """The episode of this spec. Raises `WorldError` if the world is too small for it."""
-    place, rng = load_place(spec.world, spec.seed, camera.radius), spec.rng("plan")
-    scenario = SCENARIOS[spec.number % len(SCENARIOS)]
-    radius, colour = float(rng.uniform(*RADIUS)), str(rng.choice(sorted(PAINTS)))
-    best: tuple[float, np.ndarray, np.ndarray, list[np.ndarray | None]] | None = None
-    for _ in range(TRIES):
-        draft = _draft(place, scenario, radius, camera, rules, rng)
-        if draft is None:
-            continue
-        in_view = _share_in_view(place, *draft[1:], radius, camera)
-        if best is None or in_view > best[0]:
-            best = in_view, *draft
-        if in_view >= SEEN:
-            break
-    if best is None:
-        raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
-    in_view, first, route, balls = best
-    x, y, yaw = route[0].tolist()
-    return TrackingEpisode(
-        spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=f"{colour} ball",
-        targets=(len(place.scene.instances),), start=(x, y), yaw=yaw,
-        shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
-        stratum={"scenario": scenario, "in view": round(in_view, 3)}, route=tuple(map(tuple, route.tolist())),
-        balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls), radius=radius, colour=colour,
-    )  # fmt: skip
 
 
 def _draft(
@@ -136,7 +96,7 @@ def _pixels_at(place: Place, xy: np.ndarray, camera: Camera) -> Callable[[np.nda
     return pixels
 
 
-def measure(result: EpisodeResult) -> dict[str, float | None]:
+def measure(result: Rollout) -> dict[str, float | None]:
     """The columns of one episode, over the steps with the ball present; None where one does not apply.
 
     `tc`: the angle between an estimate and the previous one, moved along by the true motions. `recovery`: seconds from
@@ -153,7 +113,7 @@ def measure(result: EpisodeResult) -> dict[str, float | None]:
         recovery = steps * result.camera.seconds
     return {
         "error": metrics.mean_error(errors[present]),
-        "tc": _consistency(result.directions, result.estimates, result.rotations, present),
+        "tc": _consistency(result.directions, result.estimates, result.motions[0], present),
         "time_lost": 100 * float(lost.mean()),
         "recovery": recovery,
         "coverage": result.coverage,
@@ -186,19 +146,30 @@ class TargetTrackingEnv(AnsweringEnv):
     rules = TrackingRules()
 
     def plan(self, spec: EpisodeSpec) -> Episode:
-        return plan(spec, self.camera, self.rules)
-
-    def _ball(self) -> Ball | None:
-        place = self.episode.balls[min(self.body.steps, len(self.episode.balls) - 1)]
-        return Ball(np.array(place), self.episode.radius, self.episode.colour) if place is not None else None
-
-    @property
-    def labels(self) -> tuple[Any, ...]:
-        return (*super().labels, Query("ball", self.episode.colour))
-
-    def _target(self) -> np.ndarray | None:
-        ball = self._ball()
-        return None if ball is None else ball.centre
+        place, rng = load_place(spec.world, spec.seed, self.camera.radius), spec.rng("plan")
+        scenario = SCENARIOS[spec.number % len(SCENARIOS)]
+        radius, colour = float(rng.uniform(*RADIUS)), str(rng.choice(sorted(PAINTS)))
+        best: tuple[float, np.ndarray, np.ndarray, list[np.ndarray | None]] | None = None
+        for _ in range(TRIES):
+            draft = _draft(place, scenario, radius, self.camera, self.rules, rng)
+            if draft is None:
+                continue
+            in_view = _share_in_view(place, *draft[1:], radius, self.camera)
+            if best is None or in_view > best[0]:
+                best = in_view, *draft
+            if in_view >= SEEN:
+                break
+        if best is None:
+            raise WorldError(f"{place.scene.source} has no room for a ball in view ({scenario})")
+        in_view, first, route, balls = best
+        x, y, yaw = route[0].tolist()
+        return Episode(
+            spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=f"{colour} ball",
+            targets=(len(place.scene.instances),), start=(x, y), yaw=yaw,
+            shortest=float(place.ground.field(route[0, None, :2]).distance(first[:2])),
+            stratum={"scenario": scenario, "in view": round(in_view, 3)}, route=tuple(map(tuple, route.tolist())),
+            balls=tuple(None if ball is None else tuple(ball.tolist()) for ball in balls), radius=radius, colour=colour,
+        )  # fmt: skip
 
 
 TRACKING = SimTask(

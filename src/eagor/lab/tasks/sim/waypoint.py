@@ -7,9 +7,8 @@ route and crosses the seam of the panorama.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import Place, load_place
 from eagor.lab.envs.rules import LEGS, OCCLUDED, TURNS, VISIBLE, Camera, WaypointRules
-from eagor.lab.tasks.sim.play import EpisodeResult
+from eagor.lab.tasks.sim.play import Rollout
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import degrees
 from eagor.lab.worlds.navmesh import follow_path, initial_heading
@@ -34,14 +33,6 @@ AHEAD = 0.5  # metres over which the heading of a path is taken, as in `initial_
 NEAREST = 0.8  # metres: least distance of the camera from the target's middle
 
 
-@dataclass(frozen=True)
-class WaypointEpisode(Episode):
-    """A route: rows of x, y, yaw (metres, radians), and the leg of each."""
-
-    route: tuple[tuple[float, float, float], ...] = ()
-    legs: tuple[str, ...] = ()
-
-
 class _Route(NamedTuple):
     """A route through a place, and which instances are visible along it ``(steps, instances)`` bool."""
 
@@ -50,36 +41,7 @@ class _Route(NamedTuple):
     seen: np.ndarray
 
 
-def plan(spec: EpisodeSpec, camera: Camera, rules: WaypointRules) -> WaypointEpisode:
-    """The episode of this spec. Raises `WorldError` if no route of four legs fits into the world."""
-    place = load_place(spec.world, spec.seed, camera.radius)
-    rng = spec.rng("plan")
-    targets = list(choose_target(place, rng))
-    if not targets:
-        raise WorldError(f"{place.scene.source} has no thing with a unique name")
-    attempts = (_route(place, camera, rules, SLACK * attempt / ATTEMPTS, rng) for attempt in range(ATTEMPTS))
-    routes = islice((route for route in attempts if route is not None), ROUTES)
-    best: tuple[float, float, int, str, _Route] | None = None
-    for route, (target, query) in ((route, each) for route in routes for each in targets):
-        fault, hidden = _fault(place, target, route, rules)
-        if fault < (math.inf if best is None else best[0]):
-            best = fault, hidden, target, query, route
-        if fault == 0:
-            break
-    if best is None:
-        raise WorldError(f"{place.scene.source} has no route of four legs of {rules.leg_steps} steps; shorten the legs")
-    fault, hidden, target, query, route = best
-    x, y, yaw = route.poses[0].tolist()
-    category = place.scene.instances[target].category
-    kind = {"category": category, "occluded": round(hidden, 3), "by design": fault == 0}
-    return WaypointEpisode(
-        spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,), start=(x, y),
-        yaw=yaw, shortest=float(place.way_to((target,)).distance(route.poses[0, :2])), stratum=kind,
-        route=tuple(tuple(row) for row in route.poses.tolist()), legs=tuple(route.legs),
-    )  # fmt: skip
-
-
-def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng: np.random.Generator) -> _Route | None:
+def _route(place: Place, camera: Camera, leg_steps: int, slack: float, rng: np.random.Generator) -> _Route | None:
     """Four legs from a random start, or None; a turn may miss its range by `slack` degrees."""
     xy, yaw = place.ground.sample(rng), None
     rows: list[np.ndarray] = []
@@ -87,7 +49,7 @@ def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng
     for leg, (least, most) in zip(LEGS, TURNS, strict=True):
         least, most = max(0.0, least - slack), min(180.0, most + slack)
         # Half of the steps of the sharpest turn are counted in; legs that are still too short are rejected below.
-        shortest = (rules.leg_steps - most / camera.turn / 2) * camera.step
+        shortest = (leg_steps - most / camera.turn / 2) * camera.step
         path = _leg_path(place, xy, yaw, (math.radians(least), math.radians(most)), shortest, rng)
         if path is None:
             return None
@@ -95,7 +57,7 @@ def _route(place: Place, camera: Camera, rules: WaypointRules, slack: float, rng
             turn = math.radians(float(rng.uniform(least, most))) * float(rng.choice([-1, 1]))
             yaw = math.remainder(initial_heading(path) - turn, 2 * math.pi)
         steps = follow_path(path, yaw, camera.step, math.radians(camera.turn))
-        if len(steps) < rules.leg_steps:
+        if len(steps) < leg_steps:
             return None
         rows.append(steps)
         legs += [leg] * len(steps)
@@ -133,7 +95,7 @@ def _leg_path(
     return None
 
 
-def _fault(place: Place, target: int, route: _Route, rules: WaypointRules) -> tuple[float, float]:
+def _fault(place: Place, target: int, route: _Route, leg_steps: int) -> tuple[float, float]:
     """The distance of a route from the requirements for this target, and the share at which the target is hidden.
 
     0: the target is hidden for a while, and crosses the seam; inf: the route comes too near.
@@ -145,12 +107,12 @@ def _fault(place: Place, target: int, route: _Route, rules: WaypointRules) -> tu
     bearing = np.arctan2(offset[:, 1], offset[:, 0]) - route.poses[:, 2]
     hidden, (least, most) = 1 - float(seen.mean()), OCCLUDED
     # A target that is not seen early would have to be found first: that is another task.
-    late = 0.0 if seen[: rules.leg_steps].any() else 0.5
+    late = 0.0 if seen[:leg_steps].any() else 0.5
     crosses = metrics.seam_crossings(direction(bearing, 0.0 * bearing)).any()
     return max(least - hidden, hidden - most, 0.0) + late + (0.0 if crosses else 1.0), hidden
 
 
-def measure(result: EpisodeResult) -> dict[str, float | None]:
+def measure(result: Rollout) -> dict[str, float | None]:
     """The paper's columns for one episode: L1..L4, delta, occ, seam, tc (degrees); None where one does not apply."""
     errors, truth, estimates = np.array(result.trace["error_deg"]), result.truth, result.estimates
     labels = np.array(truth["leg"])
@@ -162,24 +124,53 @@ def measure(result: EpisodeResult) -> dict[str, float | None]:
         "delta": None if first is None or last is None else last - first,
         "occ": metrics.mean_error(errors, ~np.array(truth["visible"], dtype=bool)),
         "seam": metrics.mean_error(errors, metrics.seam_crossings(result.directions)),
-        "tc": metrics.temporal_consistency(estimates, result.rotations, result.translations, ranges),
-        "tc_rotation": metrics.temporal_consistency(estimates, result.rotations),
+        "tc": metrics.temporal_consistency(estimates, *result.motions, ranges),
+        "tc_rotation": metrics.temporal_consistency(estimates, result.motions[0]),
         "mae": metrics.mean_error(errors),
         "coverage": result.coverage,
     }
 
 
 class WaypointFollowingEnv(AnsweringEnv):
-    """The body is carried along a route of four legs; name the direction at each step. ``info["leg"]``: the leg."""
+    """The body is carried along a route of four legs; name the direction at each step.
+
+    ``info["truth"]["leg"]``: the leg.
+    """
 
     task = "waypoint"
     rules = WaypointRules()
 
     def plan(self, spec: EpisodeSpec) -> Episode:
-        return plan(spec, self.camera, self.rules)
-
-    def _measures(self) -> dict[str, Any]:
-        return {**super()._measures(), "leg": self.episode.legs[min(self.body.steps, len(self.episode.legs) - 1)]}
+        place = load_place(spec.world, spec.seed, self.camera.radius)
+        rng = spec.rng("plan")
+        targets = list(choose_target(place, rng))
+        if not targets:
+            raise WorldError(f"{place.scene.source} has no thing with a unique name")
+        attempts = (
+            _route(place, self.camera, self.rules.leg_steps, SLACK * attempt / ATTEMPTS, rng)
+            for attempt in range(ATTEMPTS)
+        )
+        routes = islice((route for route in attempts if route is not None), ROUTES)
+        best: tuple[float, float, int, str, _Route] | None = None
+        for route, (target, query) in ((route, each) for route in routes for each in targets):
+            fault, hidden = _fault(place, target, route, self.rules.leg_steps)
+            if fault < (math.inf if best is None else best[0]):
+                best = fault, hidden, target, query, route
+            if fault == 0:
+                break
+        if best is None:
+            raise WorldError(
+                f"{place.scene.source} has no route of four legs of {self.rules.leg_steps} steps; shorten the legs"
+            )
+        fault, hidden, target, query, route = best
+        x, y, yaw = route.poses[0].tolist()
+        category = place.scene.instances[target].category
+        kind = {"category": category, "occluded": round(hidden, 3), "by design": fault == 0}
+        return Episode(
+            spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,), start=(x, y),
+            yaw=yaw, shortest=float(place.way_to((target,)).distance(route.poses[0, :2])), stratum=kind,
+            route=tuple(tuple(row) for row in route.poses.tolist()), legs=tuple(route.legs),
+        )  # fmt: skip
 
 
 WAYPOINT = SimTask(
