@@ -18,15 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from eagor.conventions import wxyz_from_rotation
 from eagor.errors import AnswerError, EagorError
 from eagor.grids import ErpGrid
 from eagor.lab.agents.methods import BASE, answer_at, make_estimator
-from eagor.lab.agents.search_space import Chance, SteeringInput
+from eagor.lab.agents.search_space import SteeringInput
 from eagor.lab.agents.steering import search_config, steering_for
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.perception import Perception, look
-from eagor.sphere import azimuth_elevation, world_R_body
+from eagor.sphere import world_R_body
 
 CAMERA = Camera(height=0.88)  # as in habitat-lab's ObjectNav on HM3D
 NEAR = 0.75  # metres to the thing within which it stops: nobody is told where the view points are
@@ -89,22 +88,13 @@ class HabitatAgent:
             evidence = look(self._perception, picture, query, stamp=stamp, world_R_body=turn)
         except AnswerError:  # one among hundreds costs its step
             evidence = None
-        pose = np.array([*position, *wxyz_from_rotation(turn)])
-        direction = answer_at(self._method, stamp, pose, evidence)
+        direction = answer_at(self._method, stamp, turn, position, evidence)
         for _ in range(PATIENCE):
             if self._plan is None:
                 depth = self._depth_range * np.asarray(observations["depth"], dtype=float).reshape(picture.shape[:2])
-                distance = self._method.sure_distance()
-                now = SteeringInput(
-                    azimuth=float(azimuth_elevation(direction)[0]),
-                    progress=self._method.progress(),
-                    presence=self._method.presence(),
-                    distance=None if distance is None else distance * math.hypot(direction[0], direction[1]),
-                    position=position,
-                    world_R_body=turn,
-                    floor=self._floor(depth) if self._steering.needs_floor_mask else None,
-                    chance=None if evidence is None else Chance.of(evidence, self._camera.seconds),
-                )
+                floor = self._floor(depth) if self._steering.needs_floor_mask else None
+                looked = floor, evidence, self._camera.seconds
+                now = SteeringInput.of(self._method, direction, position, turn, *looked)
                 azimuth, metres = self._steering.walk(now)
                 if self._steering.arrived:
                     return {"action": "stop"}

@@ -127,10 +127,9 @@ class SteeringInput:
         floor: np.ndarray | None, look: Evidence | None, elapsed: float,
     ) -> SteeringInput:  # fmt: skip
         """What a `method` that said `direction` ``(3,)`` believes; its `look` is `elapsed` seconds after the last."""
-        distance = method.sure_distance()
+        progress, presence, distance = method.belief()
         distance = None if distance is None else distance * math.hypot(float(direction[0]), float(direction[1]))
         azimuth, chance = float(azimuth_elevation(direction)[0]), None if look is None else Chance.of(look, elapsed)
-        progress, presence = method.progress(), method.presence()
         return cls(azimuth, progress, presence, distance, position, world_R_body, floor, chance)
 
 

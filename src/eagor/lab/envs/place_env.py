@@ -189,7 +189,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         centre = balls[min(self.body.steps, len(balls) - 1)]
         return None if centre is None else Ball(np.array(centre), self.episode.radius, self.episode.colour)
 
-    def _target(self) -> np.ndarray | None:
+    def target(self) -> np.ndarray | None:
         """The point ``(3,)`` in the world frame that the true direction leads to; None while the target is away."""
         if self.episode.balls is not None:
             ball = self._ball()
@@ -268,7 +268,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         return found, self._info(np.asarray(look(LOOK_ROWS, rgb=False, ids=True).ids))
 
     def _info(self, ids: np.ndarray) -> dict[str, Any]:
-        pose, target, legs = self.body.pose, self._target(), self.episode.legs
+        pose, target, legs = self.body.pose, self.target(), self.episode.legs
         direction, distance = pose.towards(target) if target is not None else (np.zeros(3), 0.0)
         visible = pixels_of(ids, self.episode.targets) >= getattr(self.rules, "visible_pixels", VISIBLE)
         return {
@@ -306,7 +306,7 @@ class AnsweringEnv(PlaceEnv):
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (3,), np.float32)
 
     def _act(self, action: np.ndarray) -> tuple[float, bool, bool]:
-        target, route, reward = self._target(), self.episode.route, 0.0
+        target, route, reward = self.target(), self.episode.route, 0.0
         if target is not None:
             length = float(np.linalg.norm(action))
             cosine = float(action @ self.body.pose.towards(target)[0]) / length if length > 0 else -1.0

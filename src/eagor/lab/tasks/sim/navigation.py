@@ -119,22 +119,22 @@ class MapFreeNavigationEnv(PlaceEnv):
             yield points[choice], float(geodesic[choice]), float(ratio[choice])
 
     @property
-    def _left(self) -> float:
+    def left(self) -> float:
         """Geodesic metres to the goal."""
         return float(self.place.way_to(self.episode.targets).distance(self.body.xy))
 
     def _act(self, action: np.ndarray) -> tuple[float, bool, bool]:
-        before, length = self._left, min(max(float(action[1]), 0.0), self.camera.step)
+        before, length = self.left, min(max(float(action[1]), 0.0), self.camera.step)
         self._collided = self.body.walk(float(action[0]), length, self.rules.sliding)
         self._collisions += self._collided
-        gained = before - self._left
-        won = self._left < self.rules.success_distance
+        gained = before - self.left
+        won = self.left < self.rules.success_distance
         self._stopped = length == 0 if self.rules.stop == "call" else won
         reward = (gained if math.isfinite(gained) else 0.0) + float(won and self._stopped)
         return reward, self._stopped, self.body.steps >= self.rules.max_steps and not self._stopped
 
     def _info(self, ids: np.ndarray) -> dict[str, Any]:
-        left, shortest, walked = self._left, self.episode.shortest, self.body.walked
+        left, shortest, walked = self.left, self.episode.shortest, self.body.walked
         won = metrics.success(left, self._stopped, self.rules.success_distance)
         return super()._info(ids) | {
             "collisions": {"count": self._collisions, "is_collision": self._collided},

@@ -65,6 +65,10 @@ class Step:
         """The true direction ``(3,)`` in the body frame; None while the target is away."""
         return self.state["direction"] if self.state["present"] else None
 
+    def answered_by(self, method: Estimator) -> np.ndarray:
+        """The estimator's direction ``(3,)`` at this step, which it is told after all before it."""
+        return answer_at(method, self.stamp, self.world_R_body, self.position, self.evidence)
+
 
 Watch = Callable[[Step], object]
 Act = Callable[[Step, Evidence | None, dict[str, Any]], np.ndarray]
@@ -74,7 +78,7 @@ Act = Callable[[Step, Evidence | None, dict[str, Any]], np.ndarray]
 class Rollout:
     """An episode of n steps, and what one method made of it, for `SimTask.measure` (`eagor.lab.tasks.sim.task`).
 
-    - `looked`: metadata and cost of the perception. `info`: the environment's last one.
+    - `cost`: "looked", metadata and cost of the perception, if it has some. `info`: the environment's last one.
     - `trace`: lists of n values: azimuth_deg, elevation_deg, error_deg, mass_above, inside, distance_m.
     - `estimates` ``(n, 3)``: the method's directions, body frame.
     """
@@ -83,7 +87,7 @@ class Rollout:
     steps: tuple[Step, ...]
     rules: Any = None
     camera: Camera = field(default_factory=Camera)
-    looked: dict[str, Any] | None = None
+    cost: dict[str, Any] = field(default_factory=dict)
     info: Mapping[str, Any] = field(default_factory=dict)
     trace: Mapping[str, list[Any]] = field(default_factory=dict)
     estimates: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -154,7 +158,7 @@ class Runner:
             return record | {"methods": {name: self._walk(episode, name, watch) for name in names}}
         rollout = self.record(episode, watched=watch is not None)
         scores = {name: self.score(rollout, self.method(name, spec), watch=watch) for name in names}
-        return record | _looked(rollout) | {"truth": rollout.truth, "methods": scores}
+        return record | rollout.cost | {"truth": rollout.truth, "methods": scores}
 
     def method(self, name: str, spec: EpisodeSpec) -> Estimator:
         """A new estimator of this name, configured for this perception."""
@@ -189,7 +193,8 @@ class Runner:
                 break
             observation, _, terminated, truncated, info = self.env.step(act(step, look, info))
             over = terminated or truncated
-        return Rollout(episode, tuple(steps), self.rules, self.camera, eye.account() or None, info)
+        looked = eye.account()
+        return Rollout(episode, tuple(steps), self.rules, self.camera, {"looked": looked} if looked else {}, info)
 
     def _walk(self, episode: Episode, name: str, watch: Watch | None) -> dict[str, Any]:
         """One estimator through one episode in which it steers the body."""
@@ -213,7 +218,7 @@ class Runner:
         rollout = self.roll_out(episode, act, watched=watch is not None)
         trace |= {key: rollout.truth[key] for key in ("pose", "visible")}
         trace |= {f"true_{key}": rollout.truth[key] for key in ("azimuth_deg", "elevation_deg", "range_m")}
-        return self._measured(rollout, trace, answers) | _looked(rollout)
+        return self._measured(rollout, trace, answers) | rollout.cost
 
     def score(
         self, rollout: Rollout, method: Estimator, regions: bool = True, watch: Watch | None = None
@@ -231,17 +236,11 @@ class Runner:
         return {"metrics": rounded, "trace": trace}
 
 
-def _looked(rollout: Rollout) -> dict[str, Any]:
-    return {"looked": rollout.looked} if rollout.looked else {}
-
-
-def _answer(
-    method: Estimator, step: Step, trace: Columns, watch: Watch | None, regions: bool = True
-) -> np.ndarray:  # fmt: skip
+def _answer(method: Estimator, step: Step, trace: Columns, watch: Watch | None, regions: bool = True) -> np.ndarray:
     """The estimator's direction at a step, judged in `trace`, and shown to `watch`; without error where no truth is."""
     if isinstance(method, Oracle):
         method.state = dict(step.state)
-    direction, true = answer_at(method, step.stamp, step.world_R_body, step.position, step.evidence), step.truth
+    direction, true = step.answered_by(method), step.truth
     error = None if true is None else float(metrics.angular_error_deg(direction, true))
     mass = None if true is None or not regions else method.mass_above(true)
     distance = method.distance() if regions else None
@@ -273,7 +272,7 @@ def check_simulation(
 
     The episode is the `index`-th of the scene that `world` makes of `seed`; `settings` override rules. The same spec
     must always give the same episode; answers must not change the camera's path (unless the task is walked); the truth
-    must be true; and better answers must score better.
+    must be true; and better answers must score better. `eagor.lab.tasks.task.check_task` tests what all tasks promise.
     """
     runner = Runner({"task": task.name, "perception": "truth:ideal", "rules": dict(settings or {})}, kind=task)
     spec = EpisodeSpec(task.name, world, seed, index, index)
@@ -290,50 +289,34 @@ def check_simulation(
             require(info["num_steps"] < STEPS, f"has not ended after {STEPS} steps; wanted terminated or truncated")
             ids, direction = info["instances"]["ids"], step.state["direction"]
             pixels = ErpGrid(*ids.shape).directions[np.isin(ids, episode.targets)]
-            if step.state["present"] and step.state["visible"] and len(pixels):
-                off.append(float(np.min(angular_distance(pixels, direction))))
-            if task.walked:
-                return np.array([math.atan2(sign * direction[1], sign * direction[0]), runner.camera.step])
-            return sign * direction
+            if step.truth is not None and step.state["visible"] and len(pixels):
+                off.append(math.degrees(float(np.min(angular_distance(pixels, direction)))))
+            x, y, _ = sign * direction
+            return np.array([math.atan2(y, x), runner.camera.step]) if task.walked else sign * direction
 
         return runner.roll_out(episode, act)
 
     rollout, repeated, opposite = (played(sign) for sign in (1.0, 1.0, -1.0))
-    same = [
-        len(rollout.steps) == len(each.steps)
-        and all(np.array_equal(a.position, b.position) for a, b in zip(rollout.steps, each.steps, strict=True))
-        for each in (repeated, opposite)
-    ]
-    require(same[0], "takes another path when the same episode is played again")
+    path, same, turned = ([step.position.tolist() for step in each.steps] for each in (rollout, repeated, opposite))
+    require(path == same, "takes another path when the same episode is played again")
+    bent = "takes another path when other answers are given. If the answer is meant to steer the body, set walked=True"
+    require(task.walked or path == turned, bent)
     require(
-        task.walked or same[1],
-        "takes another path when other answers are given. If the answer is meant to steer the body, set walked=True",
-    )
-    require(
-        not off or float(np.median(off)) <= math.radians(NEAR_DEG),
+        not off or float(np.median(off)) <= NEAR_DEG,
         f"says that the target lies farther than {NEAR_DEG:g} degrees (median) from the nearest pixel that shows it; "
         "wanted true directions: world_R_body.T @ (point - position), body frame",
     )
     if task.walked:
-        return _checked(task, runner.run_episode(spec, [ORACLE])["methods"][ORACLE])["metrics"]
-    right, wrong = (_checked(task, runner.score(rollout, Oracle(sign))) for sign in (1.0, -1.0))
+        right = wrong = runner.run_episode(spec, [ORACLE])["methods"][ORACLE]
+    else:
+        right, wrong = (runner.score(rollout, Oracle(sign)) for sign in (1.0, -1.0))
     for metric in task.metrics:
-        good, bad = (metric.of(result) for result in (right, wrong))
-        better = metric.better if good is not None and bad is not None else None
+        known = metric.read is not None or metric.key in right["metrics"]
+        require(known, f"measures {', '.join(right['metrics'])}; wanted also {metric.key}, which its table shows")
+        good, bad, low = metric.of(right), metric.of(wrong), metric.better == "low"
         require(
-            better is None or (good <= bad if better == "low" else good >= bad),
-            f"gives an estimator that is always right {good} in the metric {metric.key}, and one that is always "
-            f"wrong {bad}, though {better} is better",
+            None in (metric.better, good, bad) or (good <= bad if low else good >= bad),  # type: ignore[operator]
+            f"gives an estimator that is always right {good} in the metric {metric.key}, and one that is always wrong "
+            f"{bad}, though {metric.better} is better",
         )
     return right["metrics"]
-
-
-def _checked(task: Any, result: dict[str, Any]) -> dict[str, Any]:
-    """`result`, which has a plain figure for every metric."""
-    figures = result["metrics"]
-    for key, value in figures.items():
-        plain = value is None or (isinstance(value, int | float) and math.isfinite(value))
-        require(plain, f"measures {key} = {value!r}; wanted a finite number, or None if it does not apply")
-    missing = sorted({metric.key for metric in task.metrics if metric.read is None} - figures.keys())
-    require(not missing, f"measures {', '.join(figures)}; wanted also {', '.join(missing)}, which its table shows")
-    return result

@@ -7,9 +7,9 @@ goes its own way, and an episode is one sample per method; else all methods get 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import msgspec
@@ -177,6 +177,7 @@ class SimTask:
 
     def resolve(self, config: Any) -> Any:
         """The config with all that follows from it. Raises `EagorError` for what does not exist or cannot be played."""
+        from eagor.lab import worlds
         from eagor.lab.agents.models import shared
         from eagor.lab.worlds.apartment import VERSION
         from eagor.perception import rows_of
@@ -188,8 +189,10 @@ class SimTask:
         if len(set(names)) != len(names):
             raise EagorError(f"methods {names}; wanted each once")
         played = specs_of(config)
-        if config.world != APARTMENT:
-            _try_world(config.world)
+        made = worlds.load(config.world)
+        scene = None if config.world in worlds.known() else made(0)  # a bad file is no failure of every episode
+        if isinstance(scene, worlds.SimulatedScene):
+            scene.close()  # the processes that play open their own
         return msgspec.structs.replace(
             config,
             episodes=len(played),
@@ -221,27 +224,9 @@ def variants(task: SimTask) -> tuple[str, ...]:
 
 def split_methods(words: Sequence[str]) -> list[str]:
     """The methods in `words`, which may also be joined by commas: ``eagor,vmf eagor:degree=7,decode=mean``."""
-    found: list[str] = []
-    for word in ",".join(words).split(","):
-        if "=" in word and ":" not in word and found:
-            found[-1] += f",{word}"  # a further setting of the same method
-        elif word:
-            found.append(word)
-    return found
+    return [each for word in words for each in re.split(r",(?![^,:]+=)", word) if each]
 
 
 def success_where(condition: str) -> Callable[[Record], float | None]:
     """Reads the success of the episodes whose metric `condition` is above 0."""
     return lambda result: result["metrics"]["success"] if result["metrics"].get(condition) else None
-
-
-@lru_cache(maxsize=1)
-def _try_world(world: str) -> None:
-    """Read a GLB file or a simulator's scene once: a bad one is no failure of every episode. Raises `WorldError`."""
-    from eagor.lab import worlds
-
-    made = worlds.load(world)
-    if world not in worlds.known():  # worlds of other packages need not have a scene of seed 0
-        scene = made(0)
-        if isinstance(scene, worlds.SimulatedScene):
-            scene.close()  # the processes that play open their own
