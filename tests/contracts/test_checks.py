@@ -295,7 +295,7 @@ BROKEN_TASKS = {
     "a way that is drawn anew": (wandering(), "another path when the same episode is played again"),
     "a way that answers bend": (env(_act=obeying), "another path when other answers are given"),
     "the direction in the world": (env(_info=sideways), "from the nearest pixel that shows it"),
-    "no end": (env(_act=endless, _camera_view=blank), "has not ended after"),
+    "no end": (env(_act=endless, view=blank), "has not ended after"),
     "a figure that is missing": (measured(lambda m: {"error": m["error"]}), "wanted also last, which its table shows"),
     "better the other way round": (
         replace(TURNTABLE, metrics=(replace(TURNTABLE.metrics[0], better="high"), TURNTABLE.metrics[1])),

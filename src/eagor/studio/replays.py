@@ -112,9 +112,9 @@ def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> EpisodeRep
     runner.run_episode(spec, [shown], watch)
     for number in sorted({*np.linspace(0, len(seen) - 1, min(len(seen), STEPS)).round().astype(int).tolist()}):
         advance(number)
-        picture = seen[number].picture(ROWS)
-        assert picture is not None
-        found.pictures[number] = picture_of(picture, None, ROWS, "WEBP")
+        view = seen[number].view
+        assert view is not None
+        found.pictures[number] = picture_of(view(ROWS).rgb, None, ROWS, "WEBP")
     for number, step in enumerate(found.steps):
         step["methods"] = {name: part for name, entry in methods.items() if (part := _answered(entry, number))}
     return found

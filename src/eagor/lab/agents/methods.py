@@ -226,19 +226,14 @@ _FILTERS: dict[str, Callable[[], DirectionFilter]] = {
 }
 # The settings of our tracker are the fields of its configuration and of its parts (of two parts with a field of one
 # name the first, the other as detector.spread), but for shells=0: directions only; heights=0: the floor is not known.
+_OWN = ("degree", "shells", "heights", "drift")
 _PARTS = {
     "answers": AnswerSettings,
     "target_motion": MotionModel,
     "calibration": Calibration,
     "detector": DetectorModel,
 }
-_TRACKER = (
-    "degree",
-    "shells",
-    "heights",
-    "drift",
-    *(f"{part}.{each.name}" for part, kind in _PARTS.items() for each in fields(kind)),
-)
+_TRACKER = (*_OWN, *(f"{part}.{each.name}" for part, kind in _PARTS.items() for each in fields(kind)))
 _DEGREES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "offset", "drift")  # in radians
 FITTED: dict[str, dict[str, str]] = {
     "scout": {  # the von Mises-Fisher filter did best with its defaults, in 48 trials each

@@ -55,8 +55,6 @@ PAD = math.ceil(SIGHT / CELL) + 1  # cells around the grid
 FINE = 7 * RAYS  # rays about the body itself, the others among them: what they reach has been looked at
 OPEN = 1.5  # metres: how far one sees on average into what is unknown
 VEIL = np.array([CELL / OPEN, 0.0, 50.0])  # log of the share of sight that is lost in a cell: unknown, floor, contact
-EVERY = 3  # cells between the places that are weighed
-
 TOUCH = 0.07  # a step that falls short by more than this share collided
 
 
@@ -102,8 +100,7 @@ class SteeringInput:
     - `position` ``(3,)``: of the camera by odometry, z in metres above the floor; `world_R_body` ``(3, 3)``.
     - `floor` ``(H, W)`` bool: which pixels of an equirectangular look show the floor; None if the policy needs none.
       `chance`: to find, of that look; None if it could not be read.
-    - World frame: `here` ``(2,)`` of the body; azimuths `yaw` of the body, `bearing` of the estimate; `ahead`: its unit
-      vector ``(2,)``.
+    - World frame: `here` ``(2,)`` and `yaw` of the body; `ahead`: the unit vector ``(2,)`` towards the estimate.
     """
 
     azimuth: float
@@ -116,10 +113,8 @@ class SteeringInput:
     chance: Chance | None = field(default_factory=Chance)
 
     def __post_init__(self) -> None:
-        self.here = np.array(self.position[:2], dtype=np.float64)
-        self.yaw = heading(self.world_R_body)
-        self.bearing = self.azimuth + self.yaw
-        self.ahead = np.array([math.cos(self.bearing), math.sin(self.bearing)])
+        self.here, self.yaw = np.array(self.position[:2], dtype=np.float64), heading(self.world_R_body)
+        self.ahead = np.array([math.cos(self.azimuth + self.yaw), math.sin(self.azimuth + self.yaw)])
 
     @classmethod
     def of(
@@ -193,13 +188,15 @@ class FloorMap:
         """Take in what a look shows of the floor, and that it had its chance to find the thing."""
         here, height, floor = now.here, float(now.position[2]), now.floor
         assert floor is not None
-        reach = _reach(floor, height)
+        # Nothing is told of what is farther than the highest pixel of the floor, and a little more.
+        row, shown = math.pi / len(floor), np.flatnonzero(floor.any(axis=1))
+        depression = (shown[0] + 0.5) * row - math.pi / 2 if len(shown) else math.pi / 2
+        reach = min(max(height / math.tan(max(depression, 1e-9)) + THICK, 1.0), FARTHEST)
         places = self.centres(self._around(here, reach))
         away = places - here
         metres = np.hypot(*away.T)
-        near = (metres < min(reach, FARTHEST)) & (metres > 0.05)
+        near = (metres < reach) & (metres > 0.05)
         places, away, metres = places[near], away[near], metres[near]
-        row = math.pi / len(floor)
         # A thing stands where the floor has just ended: nearer by this much (at least a row of pixels) there is floor.
         back = np.maximum(THICK, 1.2 * row * (height + metres**2 / height))
         is_floor = _shows(floor, now.world_R_body, away, height)
@@ -268,11 +265,6 @@ class FloorMap:
         share = np.pad(self._finds(), PAD, constant_values=self._chance.recall).take(index) * reached
         return information(here.reshape(count, -1), share.reshape(count, -1))
 
-    def places(self) -> np.ndarray:
-        """Cells ``(m, 2)`` of the known floor from which one may look: not all of them, but evenly spread."""
-        cells = np.argwhere(self.state == FLOOR)
-        return cells[(cells % EVERY == 0).all(axis=1)]
-
     def sight(self, there: np.ndarray) -> float:
         """The probability that nothing hides a place ``(2,)`` from here, by the floor that is known."""
         away = float(np.hypot(*(there - self.here)))
@@ -290,16 +282,6 @@ class FloorMap:
         index = ((cells + PAD) @ flat)[:, None, None] + _rays(count)[0] @ flat
         dimmed = veil.take(index)
         return index, np.exp(dimmed - np.cumsum(dimmed, axis=2))
-
-
-def _reach(floor: np.ndarray, height: float) -> float:
-    """Metres to the farthest floor that a look from this height shows, and a little more; `FARTHEST` at most."""
-    rows = np.flatnonzero(floor.any(axis=1))
-    if not len(rows):
-        return 1.0
-    depression = (rows[0] + 0.5) / floor.shape[0] * math.pi - math.pi / 2
-    far = height / math.tan(depression) if depression > 0.02 else FARTHEST
-    return min(max(far + THICK, 1.0), FARTHEST)
 
 
 def _shows(floor: np.ndarray, world_R_body: np.ndarray, away: np.ndarray, height: float) -> np.ndarray:

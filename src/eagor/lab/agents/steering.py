@@ -90,6 +90,7 @@ class Policy:
 # --- a search --------------------------------------------------------------------------------------------------------
 
 OPEN_SIGHT = 0.5  # of sight that is left: looks that miss the thing then count
+EVERY = 3  # cells between the places that are weighed
 PATIENCE = 30  # times that the body is blocked on its way to a place before it gives it up
 REACHED = 0.3  # metres from a goal
 ALIKE, FARTHER = math.radians(25), 0.3  # a belief that changes by less (distance: its logarithm) means the same place
@@ -211,8 +212,8 @@ class Searcher(Policy):
                 known.mark_scanned(self._goal)  # as good as there: steps end a little beside it
             elif worth(cell[None])[0] > WORTH * self._promise and known.state[tuple(cell)] <= FLOOR:
                 return cell
-        cells = known.places()
-        cells = cells[np.isfinite(metres[tuple(cells.T)])]
+        cells = np.argwhere((known.state == FLOOR) & np.isfinite(metres))
+        cells = cells[(cells % EVERY == 0).all(axis=1)]
         if not len(cells):
             self._goal = None
             return known.cells(now.here + now.ahead)

@@ -8,10 +8,9 @@ Observations (Dict):
   ``world_R_body`` as a quaternion w, x, y, z; from the odometry, which may drift (`NoiseModel`).
 - ``rotation`` ``(3, 3)`` float64: new_R_old since the last step, from the same odometry.
 
-``info`` holds Habitat's measures under their names (`distance_to_goal`, `success`, `spl`, `soft_spl`, `collisions`,
-`num_steps`), the ``query``, the ``episode_id`` (``episode`` is left to wrappers' statistics), and two privileged
-entries that agents must not use: ``instances`` (``ids``, the instance in each direction, and at reset ``labels``) and
-``truth`` (true pose, direction, distance, visibility).
+``info`` holds `num_steps`, the ``query``, the ``episode_id`` (``episode`` is left to wrappers' statistics), and two
+privileged entries that agents must not use: ``instances`` (``ids``, the instance in each direction, and at reset
+``labels``) and ``truth`` (true pose, direction, distance, visibility).
 
 An action is a Box: where the agent walks, heading (radians, left) and metres; where it answers, x, y, z (body frame).
 """
@@ -43,7 +42,6 @@ except ImportError as error:
     raise MissingExtraError(f"a simulated task needs gymnasium: {how_to_install('sim')}") from error
 
 
-Picture = Callable[[int], np.ndarray | None]  # a panorama ``(rows, 2 rows, 3)`` uint8, by its rows
 BOBS_PER_SECOND = 2.0
 FAR = 100.0  # metres: ranges in observations are clipped to this
 EXTENT = 1e4  # metres, bound of positions in observations; rendering in single precision gets inexact beyond it
@@ -122,12 +120,12 @@ class MobileBase:
         return self._pose(self._odometry_xy, self._odometry_yaw)
 
     def _pose(self, xy: np.ndarray, yaw: float) -> Pose:
-        stamp = self.steps * self.camera.seconds
-        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * stamp * 0.93  # 0.93: not in step with panoramas
+        # 0.93: not in step with panoramas.
+        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * (self.steps * self.camera.seconds) * 0.93
         height = self.floor + self.camera.height + self.noise.bob * math.sin(phase)
         sway = math.radians(self.noise.sway)
         turned = world_R_body(yaw, sway * math.sin(phase / 2 + 1.0), sway * math.sin(phase / 2))
-        return Pose(np.array([xy[0], xy[1], height]), turned)
+        return Pose(np.array([*xy, height]), turned)
 
 
 class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
@@ -192,8 +190,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
     def target(self) -> np.ndarray | None:
         """The point ``(3,)`` in the world frame that the true direction leads to; None while the target is away."""
         if self.episode.balls is not None:
-            ball = self._ball()
-            return None if ball is None else ball.centre
+            return ball.centre if (ball := self._ball()) else None
         centres = (self.place.scene.instances[index].centre for index in self.episode.targets)
         return min(centres, key=lambda point: float(np.linalg.norm(point - self.body.pose.position)))
 
@@ -212,7 +209,9 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
                 f"{self.place.scene.hash} of {chosen.scene}; plan the episode again"
             )
         rng = spec.rng("odometry")
-        self.body = MobileBase(self.place.ground, chosen.start, chosen.yaw, self.camera, self.disturbances, rng)
+        self.body = MobileBase(
+            self.place.ground, np.array(chosen.start), chosen.yaw, self.camera, self.disturbances, rng
+        )
         if np.abs(self.body.pose.position).max() > EXTENT:
             raise WorldError(
                 f"episode {spec.id} starts at {self.body.pose.position} m; wanted a scene within "
@@ -233,8 +232,8 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         observation, info = self._shown()
         return observation, reward, terminated, truncated, info
 
-    def _camera_view(self) -> Callable[..., Frame]:
-        """Renders what the camera shows at this step, with the ball, if any; also after later steps."""
+    def view(self) -> Callable[..., Frame]:
+        """Renders a panorama of so many rows, as the camera shows it at this step, also after later steps."""
         place, pose, ball = self.place, self.body.pose, self._ball()
 
         def look(rows: int, rgb: bool = True, range: bool = False, ids: bool = False) -> Frame:
@@ -246,25 +245,18 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
 
         return look
 
-    def picture(self) -> Picture:
-        """The panorama at this step, for whoever watches: rendered when it is asked for, also after later steps."""
-        look = self._camera_view()
-        return lambda rows: look(rows).rgb
-
     def _shown(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """The observation of this step, and its info."""
-        look, odometry = self._camera_view(), self.body.odometry
-        found = {
+        look, odometry = self.view(), self.body.odometry
+        found: dict[str, Any] = {
             "pose": np.concatenate([odometry.position, conventions.wxyz_from_rotation(odometry.world_R_body)]),
             "rotation": np.clip(odometry.world_R_body.T @ self._before.world_R_body, -1.0, 1.0),
         }
         if self.rows is not None or self.with_range:
-            frame = look(self.rows or LOOK_ROWS, rgb=self.rows is not None, range=True)
-            if self.rows is not None:
-                found["panorama"] = frame.rgb
-            if self.with_range:
-                metres = np.where(np.isfinite(frame.range), frame.range, 0.0)
-                found["range"] = np.minimum(metres, FAR).astype(np.float32)
+            frame: Any = look(self.rows or LOOK_ROWS, rgb=self.rows is not None, range=True)
+            metres = np.minimum(np.where(np.isfinite(frame.range), frame.range, 0.0), FAR).astype(np.float32)
+            found |= {"panorama": frame.rgb} if self.rows is not None else {}
+            found |= {"range": metres} if self.with_range else {}
         return found, self._info(np.asarray(look(LOOK_ROWS, rgb=False, ids=True).ids))
 
     def _info(self, ids: np.ndarray) -> dict[str, Any]:
@@ -274,8 +266,6 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         return {
             "query": self.episode.query,
             "episode_id": self.episode.spec.id,
-            "scene": self.place.scene.source,
-            "scene_hash": self.place.scene.hash,
             "num_steps": self.body.steps,
             "truth": {
                 "position": pose.position,
@@ -291,7 +281,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The panorama at this step, at least 128 rows, uint8."""
-        return self.picture()(max(self.rows or 0, 128)) if self.render_mode == "rgb_array" else None
+        return self.view()(max(self.rows or 0, 128)).rgb if self.render_mode == "rgb_array" else None
 
 
 class AnsweringEnv(PlaceEnv):

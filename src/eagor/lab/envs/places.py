@@ -37,7 +37,7 @@ class Place:
 
     def eye(self, xy: np.ndarray, height: float) -> np.ndarray:
         """The point ``(3,)`` at this height (metres) above the ground at a point ``(2,)``: of a camera, say."""
-        return np.array([xy[0], xy[1], height + self.ground.height(xy)])
+        return np.array([*xy, height + self.ground.height(xy)])
 
     def ids(self, position: np.ndarray, world_R_body: np.ndarray, rows: int = LOOK_ROWS) -> np.ndarray:
         """The instance in each direction: an equirectangular image ``(rows, 2 rows)``, -1 for none."""

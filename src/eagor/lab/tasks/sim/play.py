@@ -31,15 +31,12 @@ from eagor.perception.calibrated import from_json
 from eagor.sphere import angular_distance, azimuth_elevation
 
 if TYPE_CHECKING:
-    from eagor.lab.envs.place_env import Picture, PlaceEnv
+    from eagor.lab.envs.place_env import PlaceEnv
+    from eagor.lab.worlds.render import Frame
 
 STANDS = 1e-6  # metres of a step in which the body only turns: no metres at all would call stop
 MASS = 0.9  # of the credible regions whose coverage is measured
 Columns = dict[str, list[Any]]  # a value for each step
-
-
-def _no_picture(rows: int) -> None:
-    """Rollouts are kept in files, so their steps have pictures only while somebody watches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +45,7 @@ class Step:
 
     - `world_R_body`, `position`: by odometry. `evidence`: what arrives, of the query, and of the `other` one.
     - `state`: the true one, as in the environment's ``info["truth"]``.
-    - For whoever watches: `picture` renders what the camera shows, with so many rows; the `method` after its answer.
+    - For whoever watches: `view` renders what the camera shows, with so many rows; the `method` after its answer.
     """
 
     stamp: float
@@ -57,7 +54,7 @@ class Step:
     evidence: Evidence | None
     other: Evidence | None = None
     state: Mapping[str, Any] = field(default_factory=dict)
-    picture: Picture = _no_picture
+    view: Callable[..., Frame] | None = None
     method: Estimator | None = None
 
     @property
@@ -186,8 +183,8 @@ class Runner:
             under_way.append(look)
             due = under_way.pop(0) if len(under_way) > self.noise.latency else None
             also = second.look(observation, info, stamp, other) if other else None
-            picture = self.env.picture() if watched else _no_picture
-            step = Step(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, info["truth"], picture)
+            view = self.env.view() if watched else None  # rollouts are pickled
+            step = Step(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, info["truth"], view)
             steps.append(step)
             if over:
                 break

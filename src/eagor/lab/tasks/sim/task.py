@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from eagor.lab.envs.place_env import PlaceEnv
     from eagor.lab.tasks.sim.play import Rollout
 
-PER_RUN = 20  # episodes of a run that names no number and no file
 RANKED = ("success", "spl", "mae")  # figures that every walked task measures
 OURS = "eagor"  # the method whose answer decides whether an episode is a failure, where it has played
 
@@ -45,7 +44,7 @@ class SimConfig(msgspec.Struct, kw_only=True):
 
     task: str
     perception: Annotated[str, Meta(description="detector on the rendered pictures")] = "scout"
-    episodes: Annotated[int | None, Meta(description="number of episodes, five in each apartment")] = None
+    episodes: Annotated[int, Meta(description="number of episodes, five in each apartment")] = 20
     seed: Annotated[int, Meta(ge=0, description="first apartment")] = 2000
     development: Annotated[bool, Meta(description="whether parameters were chosen on these apartments")] = False
     methods: list[str] = []
@@ -152,13 +151,12 @@ class SimTask:
         return made
 
     def samples(self, config: Any) -> list[Sample]:
-        found = []
-        for spec in specs_of(config):
-            alone = [[name] for name in config.methods] if self.walked else [list(config.methods)]
-            for names in alone:
-                id = f"{spec.id}/{names[0]}" if self.walked else spec.id
-                found.append(Sample(id, str(spec.seed), {"slot": asdict(spec), "methods": names}))
-        return found
+        played = [(f"/{name}", [name]) for name in config.methods] if self.walked else [("", list(config.methods))]
+        return [
+            Sample(spec.id + end, str(spec.seed), {"slot": asdict(spec), "methods": names})
+            for spec in episode_specs(config.task, config.episodes, config.seed, config.world)
+            for end, names in played
+        ]
 
     def runner(self, config: Any) -> Callable[[Payload], Record]:
         from eagor.lab.tasks.sim.play import Runner
@@ -171,9 +169,8 @@ class SimTask:
         if not self.walked:
             return None
         result = record["methods"].get(OURS) or next(iter(record["methods"].values()))
-        if result["metrics"]["success"]:
-            return None
-        return "never in sight" if not any(result["trace"]["visible"]) else "not reached"
+        missed = "not reached" if any(result["trace"]["visible"]) else "never in sight"
+        return None if result["metrics"]["success"] else missed
 
     def resolve(self, config: Any) -> Any:
         """The config with all that follows from it. Raises `EagorError` for what does not exist or cannot be played."""
@@ -183,43 +180,32 @@ class SimTask:
         from eagor.perception import rows_of
 
         names = list(config.methods) or list(default_methods(config.perception))
-        for name in names:
-            if name != ORACLE or not self.walked:
-                make_estimator(name, np.random.default_rng(0))  # complains about unknown ones
+        for name in (each for each in names if each != ORACLE or not self.walked):
+            make_estimator(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(names)) != len(names):
             raise EagorError(f"methods {names}; wanted each once")
-        played = specs_of(config)
+        seeds = [spec.seed for spec in episode_specs(config.task, config.episodes, config.seed, config.world)]
         made = worlds.load(config.world)
         scene = None if config.world in worlds.known() else made(0)  # a bad file is no failure of every episode
         if isinstance(scene, worlds.SimulatedScene):
             scene.close()  # the processes that play open their own
         return msgspec.structs.replace(
             config,
-            episodes=len(played),
             methods=names,
-            development=config.world == APARTMENT and any(spec.seed in DEVELOPMENT for spec in played),
+            development=config.world == APARTMENT and any(seed in DEVELOPMENT for seed in seeds),
             fitted={name: text for name in names if (text := fitted(config.perception, name.partition(":")[0]))},
             rows=config.rows or rows_of(shared(config.perception)),
             versions={"eagor": __version__, "apartment": VERSION},
         )
 
 
-def specs_of(config: SimConfig) -> list[EpisodeSpec]:
-    """The specs of a run's episodes. Raises `WorldError`."""
-    count = PER_RUN if config.episodes is None else config.episodes
-    return list(episode_specs(config.task, count, config.seed, config.world))
-
-
 def variants(task: SimTask) -> tuple[str, ...]:
     """The ablations of our tracker and of the published one, as methods; of a walked task who is told the truth."""
-    if task.walked:
-        return (ORACLE,)
-    ours = ("decode=mean", "shells=0", "wander=0", "jump=0")
-    return (
-        *(f"eagor_paper:degree={degree}" for degree in (3, 15, 31)),
-        "eagor_paper:decode=mode",
-        *(f"eagor:{change}" for change in ours),
+    paper, ours = (
+        ("degree=3", "degree=15", "degree=31", "decode=mode"),
+        ("decode=mean", "shells=0", "wander=0", "jump=0"),
     )
+    return (ORACLE,) if task.walked else (*(f"eagor_paper:{each}" for each in paper), *(f"eagor:{e}" for e in ours))
 
 
 def split_methods(words: Sequence[str]) -> list[str]:

@@ -44,13 +44,13 @@ def measure(result: Rollout) -> dict[str, float | None]:
     for back in np.flatnonzero(present[1:] & ~present[:-1])[:1] + 1:
         good = np.flatnonzero(errors[back:] <= LOST)
         recovery = float(good[0] if len(good) else len(errors) - back) * result.camera.seconds
-    carried, steps, true = [], np.flatnonzero(present[1:] & present[:-1]), result.directions
-    for turn, before, now, estimate in zip(result.motions[0], true, true[1:], result.estimates, strict=False):
-        carried.append(Rotation.align_vectors(now, turn @ before)[0].apply(turn @ estimate))
-    jumps = metrics.angular_error_deg(result.estimates[1:][steps], np.array(carried)[steps]) if len(steps) else None
+    jumps, true, turns, estimates = [], result.directions, result.motions[0], result.estimates
+    for k in np.flatnonzero(present[1:] & present[:-1]):
+        carried = Rotation.align_vectors(true[k + 1], turns[k] @ true[k])[0].apply(turns[k] @ estimates[k])
+        jumps.append(float(metrics.angular_error_deg(estimates[k + 1], carried)))
     return {
         "error": metrics.mean_error(errors[present]),
-        "tc": None if jumps is None else float(jumps.mean()),
+        "tc": float(np.mean(jumps)) if jumps else None,
         "time_lost": 100 * float((errors[present] > LOST).mean()),
         "recovery": recovery,
         "coverage": result.coverage,

@@ -166,9 +166,8 @@ class Walk:
 
     def __init__(self, seed: int, drive: str = "", rows: int | None = None) -> None:
         self.seed, self._rows, self._env = seed, rows, MapFreeNavigationEnv(panorama=None)
-        number = seed % PER_PLACE
-        episode, way = self._env.plan(EpisodeSpec("navigation", APARTMENT, seed, number, number)), list[np.ndarray]()
-        self.place = load_place(APARTMENT, seed, Camera().radius)
+        spec, way = EpisodeSpec("navigation", APARTMENT, seed, seed % PER_PLACE, seed % PER_PLACE), list[np.ndarray]()
+        episode, self.place = self._env.plan(spec), load_place(APARTMENT, seed, Camera().radius)
         # Apartments of another version have another tour.
         if seed == TOUR_SEED and drive in ("", "tour") and (targets := self._named(TOUR_QUERY)):
             way = [np.array(point.split(","), dtype=float) for point in TOUR.split()]
@@ -181,16 +180,16 @@ class Walk:
         self.clock, self.closed, self.poses = WalkClock(), threading.Event(), _Poses(self)
         self.grid = ErpGrid(rows or MOVING_ROWS, 2 * (rows or MOVING_ROWS))
         self._lock = threading.Lock()  # the person steers from another thread than time passes in
-        self._env.picture()(32)  # the first takes seconds, for its light
-        self._moved = self.clock.now()
-        self._pose = self._posed(self._moved)
+        self._env.view()(32)  # the first takes seconds, for its light
+        now = self.clock.now()
+        self._now = self._pose(now), now  # and since when the body has been there
         self._direction: np.ndarray | None = None
         self._looks, self._arrived = 0, False
         self._hidden: tuple[str, float] | None = None  # what a wall hides, and since when
 
-    def _posed(self, now: float) -> Pose:
-        pose = self.walker.body.pose
-        return Pose(now, pose.world_R_body, pose.position)
+    def _pose(self, now: float) -> Pose:
+        here = self.walker.body.pose
+        return Pose(now, here.world_R_body, here.position)
 
     def _named(self, query: str) -> tuple[int, ...]:
         """The things that a query names; none if it names nothing that is known here."""
@@ -202,19 +201,18 @@ class Walk:
 
     def __iter__(self) -> Iterator[Frame]:
         """A picture whenever the body has moved, a finer one once it stands, and that again for further looks."""
-        shown: Pose | None = None
-        picture, rows, last, due = np.zeros(0), 0, -math.inf, -math.inf
+        picture, rows, seen, last, due = np.zeros(0), 0, -math.inf, -math.inf, -math.inf
         while not self.closed.wait(POSES / 4):
-            pose, now = self._pose, self.clock.now()
-            rests = self.clock.paused or now - self._moved > RESTED
+            (pose, moved), now = self._now, self.clock.now()
+            rests = self.clock.paused or now - moved > RESTED
             wanted = self._rows or (FINE_ROWS if rests else MOVING_ROWS)
-            if shown is None or not _same(pose, shown) or wanted > rows:
+            if moved != seen or wanted > rows:
                 assert pose.position is not None
                 found = self.place.renderer.panorama(pose.position, pose.world_R_body, wanted, range=False, ids=False)
                 picture, rows = np.asarray(found.rgb), wanted
             elif now < due:
                 continue
-            shown, due, last = pose, now + STILL, max(pose.stamp, last + TICK)
+            seen, due, last = moved, now + STILL, max(pose.stamp, last + TICK)
             yield Frame(last, picture, f"apartment {self.seed}")
             self.closed.wait(PICTURES - POSES / 4)
 
@@ -224,14 +222,14 @@ class Walk:
     def step(self) -> Pose | None:
         """Let the body move until now; its pose, or None while the walk is paused."""
         with self._lock:
-            now = self.clock.now()
-            if now <= self._pose.stamp:
+            now, then = self.clock.now(), self._now[0].stamp
+            if now <= then:
                 return None
             known = None if self.walker.by == "tour" and self._looks < SURE else self._direction
-            self.walker.move(now - self._pose.stamp, known, self._arrived)
-            pose = self._posed(now)
-            self._moved = self._moved if _same(pose, self._pose) else now
-            self._pose = pose
+            self.walker.move(now - then, known, self._arrived)
+            pose, (last, since) = self._pose(now), self._now
+            same = np.array_equal(pose.position, last.position) and np.array_equal(pose.world_R_body, last.world_R_body)
+            self._now = pose, since if same else now
             return pose
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
@@ -280,13 +278,6 @@ class Walk:
     def targets(self, query: str) -> set[str]:
         """The names in the scene of what a query names."""
         return {self.place.scene.instances[index].name for index in self._named(query)}
-
-
-def _same(one: Pose, other: Pose) -> bool:
-    """Whether the body stands where it stood."""
-    assert one.position is not None
-    assert other.position is not None
-    return bool((one.position == other.position).all() and (one.world_R_body == other.world_R_body).all())
 
 
 def walled(ground: NavMesh, xy: np.ndarray, point: np.ndarray) -> bool:
