@@ -54,10 +54,9 @@ class World:
         azimuth = math.remainder(math.atan2(to[1], to[0]) - self.yaw, 2 * math.pi)
         return self.situation(azimuth, 1.0, float(np.hypot(*to)))
 
-    def step(self, walk):
-        turn, metres = walk
+    def step(self, turn):
         self.yaw = math.remainder(self.yaw + turn, 2 * math.pi)
-        ahead = metres * np.array([math.cos(self.yaw), math.sin(self.yaw)])
+        ahead = STEP * np.array([math.cos(self.yaw), math.sin(self.yaw)])
         self.xy, collided = self.ground.move(self.xy, ahead)
         return collided
 

@@ -50,10 +50,10 @@ class Policy:
         self.known = FloorMap(radius)
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # start of the last step, and the intended step
 
-    def walk(self, now: SteeringInput) -> tuple[float, float]:
-        """The next step: a turn, radians, positive left, in (-pi, pi], and then so many metres straight ahead."""
+    def walk(self, now: SteeringInput) -> float:
+        """The turn before the next step, radians, positive left, in (-pi, pi]."""
         self.arrived = self._arrives(now)
-        return self.heading(now.azimuth, now.here, now.yaw), self.step
+        return self.heading(now.azimuth, now.here, now.yaw)
 
     def heading(self, azimuth: float, xy: np.ndarray, yaw: float) -> float:
         """Radians from straight ahead, in (-pi, pi]; `azimuth` of the estimate; `xy` ``(2,)`` and `yaw` by odometry."""
@@ -132,7 +132,7 @@ class Searcher(Policy):
         self._given_up: list[tuple[np.ndarray, float]] = []
         self._clock = 0  # the steps so far
 
-    def walk(self, now: SteeringInput) -> tuple[float, float]:
+    def walk(self, now: SteeringInput) -> float:
         known = self.known
         known.look(now)
         self._clock += 1
@@ -147,7 +147,7 @@ class Searcher(Policy):
         end, stands = (None, False) if target is None else self._beside(now, ways, target)
         self.arrived = target is not None and self._arrives(now, stands)
         way = ways.first(self._search(ways.metres, now) if end is None else end)
-        return self._begin_step(way, now.here, now.yaw), self.step
+        return self._begin_step(way, now.here, now.yaw)
 
     def _believes(self, now: SteeringInput) -> bool:
         """Whether the body goes where the thing should be: it is likely there, or was, and cannot be seen from here."""

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from eagor.lab.envs.place_env import PlaceEnv
     from eagor.lab.worlds.render import Frame
 
-STANDS = 1e-6  # metres of a step in which the body only turns: no metres at all would call stop
 MASS = 0.9  # of the credible regions whose coverage is measured
 Columns = dict[str, list[Any]]  # a value for each step
 
@@ -201,16 +200,14 @@ class Runner:
 
         def act(step: Step, look: Evidence | None, info: dict[str, Any]) -> np.ndarray:
             answers.append(_answer(method, step, trace, watch))
-            floor = None
+            true, floor = step.state, None
             if steering.needs_floor_mask:
-                true = info["truth"]["position"], info["truth"]["world_R_body"]
-                floor = self.env.place.floor_in(info["instances"]["ids"], *true)
+                floor = self.env.place.floor_in(info["instances"]["ids"], true["position"], true["world_R_body"])
             pose = np.array([*step.position[:2], self.camera.height]), step.world_R_body
-            now = SteeringInput.of(method, answers[-1], *pose, floor, look, self.camera.seconds)
-            turn, metres = steering.walk(now)
+            turn = steering.walk(SteeringInput.of(method, answers[-1], *pose, floor, look, self.camera.seconds))
             if steering.needs_floor_mask:
                 trace["searching"].append(steering.searching)
-            return np.array([turn, 0.0 if steering.arrived else max(metres, STANDS)])
+            return np.array([turn, 0.0 if steering.arrived else self.camera.step])
 
         rollout = self.roll_out(episode, act, watched=watch is not None)
         trace |= {key: rollout.truth[key] for key in ("pose", "visible")}

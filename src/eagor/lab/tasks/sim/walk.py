@@ -183,6 +183,7 @@ class Walk:
         self._env.view()(32)  # the first takes seconds, for its light
         now = self.clock.now()
         self._now = self._pose(now), now  # and since when the body has been there
+        self._at: tuple[float, ...] = ()  # that is, x, y, yaw
         self._direction: np.ndarray | None = None
         self._looks, self._arrived = 0, False
         self._hidden: tuple[str, float] | None = None  # what a wall hides, and since when
@@ -227,9 +228,9 @@ class Walk:
                 return None
             known = None if self.walker.by == "tour" and self._looks < SURE else self._direction
             self.walker.move(now - then, known, self._arrived)
-            pose, (last, since) = self._pose(now), self._now
-            same = np.array_equal(pose.position, last.position) and np.array_equal(pose.world_R_body, last.world_R_body)
-            self._now = pose, since if same else now
+            at = (*self.walker.body.xy.tolist(), self.walker.body.yaw)
+            pose, since = self._pose(now), self._now[1] if at == self._at else now
+            self._now, self._at = (pose, since), at
             return pose
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
