@@ -146,20 +146,16 @@ class FilterEstimator(Estimator):
         return np.asarray(self.filter.direction())
 
     def mass_above(self, direction: np.ndarray) -> float | None:
-        if self._density is None:
+        if (density := getattr(self.filter, "log_density", None)) is None:
             return None
-        values, truth = self._density(GRID.directions), float(self._density(np.asarray(direction)[None])[0])
+        values, truth = density(GRID.directions), float(density(np.asarray(direction)[None])[0])
         return float(np.sum((np.exp(values) * GRID.weights)[values > truth]))
 
     def belief(self) -> tuple[float, float, float | None]:
-        if self._density is None:
+        if (density := getattr(self.filter, "log_density", None)) is None:
             return super().belief()
-        mass = np.exp(self._density(GRID.directions)) * GRID.weights
+        mass = np.exp(density(GRID.directions)) * GRID.weights
         return float(np.sum(mass * (GRID.directions @ self.direction()))), 1.0, None
-
-    @property
-    def _density(self) -> Any:
-        return getattr(self.filter, "log_density", None)
 
 
 class TrackerEstimator(Estimator):

@@ -1,10 +1,9 @@
 """From what is known at a step to the step itself: along the estimate, or a search until there is one to act on.
 
 A `Policy` goes a fixed step along the estimate, as published. A `Searcher` looks where that tells most for what it
-costs while nothing is believed; then it acts on the belief. It uses odometry, touch, and the floor that looks show; no
-map is given and no depth is read. A look from another place costs the way there; the best ratio is the next goal (a
-frontier search; Yamauchi, 1997, with expected information as in Bourgault et al., 2002). The camera of H*Bench only
-turns: its next heading is the one whose look tells most (`next_heading`).
+costs while nothing is believed; then it acts on the belief. A look from another place costs the way there; the best
+ratio is the next goal (a frontier search; Yamauchi, 1997, with expected information as in Bourgault et al., 2002). The
+camera of H*Bench only turns: its next heading is the one whose look tells most (`next_heading`).
 
 The body begins to walk to the thing when that is likely to bring it nearer. It goes on although looks miss the thing,
 as long as that may be hidden from here, by the floor that is known. It comes to the place from another side where it
@@ -124,13 +123,12 @@ class Searcher(Policy):
         self._goal: np.ndarray | None = None  # a place to look from
         self._promise = 0.0  # of the goal: nats per metre
         # Where the thing should be ``(2,)``, metres, world frame; where the body stood beside it and did not meet it;
-        # how often it was blocked on its way there, and the steps of that way.
+        # how often it was blocked on its way there, the steps of that way, and all steps so far.
         self._place: np.ndarray | None = None
         self._tried: list[np.ndarray] = []
-        self._blocked_count = self._way_steps = 0
+        self._blocked_count = self._way_steps = self._clock = 0
         # Places ``(2,)`` where it should have been and was not, with the step from which each is tried again.
         self._given_up: list[tuple[np.ndarray, float]] = []
-        self._clock = 0  # the steps so far
 
     def walk(self, now: SteeringInput) -> float:
         known = self.known

@@ -98,12 +98,9 @@ def episode_specs(task: str, count: int, seed: int, world: str = APARTMENT) -> I
 
 def choose_target(place: Place, rng: np.random.Generator) -> Iterator[tuple[int, str]]:
     """The nameable things of a place in random order, with their names; every category is equally likely."""
-    by_category: dict[str, list[int]] = {}
-    names = place.nameable()
-    for index in names:
-        by_category.setdefault(place.scene.instances[index].category, []).append(index)
-    for category in rng.permutation(sorted(by_category)):
-        for index in rng.permutation(by_category[str(category)]):
+    names, things = place.nameable(), place.scene.instances
+    for category in rng.permutation(sorted({things[index].category for index in names})):
+        for index in rng.permutation([index for index in names if things[index].category == category]):
             yield int(index), str(names[int(index)])
 
 

@@ -212,14 +212,12 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         self.body = MobileBase(
             self.place.ground, np.array(chosen.start), chosen.yaw, self.camera, self.disturbances, rng
         )
-        if np.abs(self.body.pose.position).max() > EXTENT:
-            raise WorldError(
-                f"episode {spec.id} starts at {self.body.pose.position} m; wanted a scene within "
-                f"{EXTENT / 1000:g} km of the origin of its coordinates: move it there"
-            )
+        if np.abs(start := self.body.pose.position).max() > EXTENT:
+            wanted = f"a scene within {EXTENT / 1000:g} km of the origin of its coordinates: move it there"
+            raise WorldError(f"episode {spec.id} starts at {start} m; wanted {wanted}")
         self._collisions, self._collided, self._stopped, self._before = 0, False, False, self.body.odometry
         observation, info = self._shown()
-        ball = () if chosen.balls is None else (Query("ball", chosen.colour),)
+        ball = [] if chosen.balls is None else [Query("ball", chosen.colour)]
         info["instances"]["labels"] = (*self.place.scene.instances, *ball)  # in the order of their ids
         return observation, info
 

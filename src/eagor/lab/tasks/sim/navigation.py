@@ -7,7 +7,6 @@ than the straight line by more than a fifth, so that walking straight leads into
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from eagor import metrics
 from eagor.errors import WorldError
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import PlaceEnv, gymnasium
-from eagor.lab.envs.places import Place, load_place, pixels_of
+from eagor.lab.envs.places import load_place, pixels_of
 from eagor.lab.envs.rules import FACING_AWAY, RATIO, VISIBLE, WINDING, NavigationRules
 from eagor.lab.tasks.sim.play import Rollout
 from eagor.lab.tasks.sim.task import COVERAGE, SimTask, success_where
@@ -86,37 +85,29 @@ class MapFreeNavigationEnv(PlaceEnv):
         # The wanted stratum first, then whatever the apartment offers: few have every kind of start.
         for visible, winding in ((first, way), (first, not way), (not first, way), (not first, not way)):
             for target, query in choose_target(place, rng):
-                thing = place.scene.instances[target]
-                for xy, shortest, ratio in self._starts(place, target, winding, rng):
+                thing, points = place.scene.instances[target], place.ground.points
+                geodesic = place.ground.at_points(place.way_to((target,)))
+                ratio = geodesic / np.maximum(distance_to_box(points, thing.low[:2], thing.high[:2]), 1e-6)
+                fits = (geodesic >= self.rules.nearest) & (geodesic <= self.rules.farthest) & (ratio <= RATIO)
+                for start in rng.permutation(np.flatnonzero(fits & ((ratio > WINDING) == winding)))[:TRIES]:
+                    xy = points[start]
                     ids = place.ids(place.eye(xy, self.camera.height), world_R_body(0.0))
                     if (pixels_of(ids, (target,)) >= VISIBLE) != visible:
                         continue
                     # The bearing to the target, turned so that it lies behind, within the tolerance.
                     away = math.pi + math.radians(FACING_AWAY) * float(rng.uniform(-1, 1))
-                    to = thing.centre[:2] - xy
-                    kind = {"visible": visible, "way": "winding" if winding else "direct", "ratio": round(ratio, 3)}
+                    x, y = thing.centre[:2] - xy
+                    kind = {"visible": visible, "way": "winding" if winding else "direct"}
                     return Episode(
                         spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=query,
-                        targets=(target,), start=(float(xy[0]), float(xy[1])), shortest=shortest,
-                        yaw=math.remainder(float(np.arctan2(to[1], to[0])) + away, 2 * math.pi),
-                        stratum=kind | {"category": thing.category},
+                        targets=(target,), start=(float(xy[0]), float(xy[1])), shortest=float(geodesic[start]),
+                        yaw=math.remainder(float(np.arctan2(y, x)) + away, 2 * math.pi),
+                        stratum=kind | {"ratio": round(float(ratio[start]), 3), "category": thing.category},
                     )  # fmt: skip
         raise WorldError(
             f"{place.scene.source} has no target that is {self.rules.nearest} to {self.rules.farthest} m away; "
             "widen the rules, or leave this world out"
         )
-
-    def _starts(
-        self, place: Place, target: int, winding: bool, rng: np.random.Generator
-    ) -> Iterator[tuple[np.ndarray, float, float]]:
-        """Some starts for this target: a point, its geodesic distance, and the ratio of that to the straight line."""
-        points, thing = place.ground.points, place.scene.instances[target]
-        geodesic = place.ground.at_points(place.way_to((target,)))
-        ratio = geodesic / np.maximum(distance_to_box(points, thing.low[:2], thing.high[:2]), 1e-6)
-        fits = (geodesic >= self.rules.nearest) & (geodesic <= self.rules.farthest) & (ratio <= RATIO)
-        fits &= (ratio > WINDING) == winding
-        for choice in rng.permutation(np.flatnonzero(fits))[:TRIES]:
-            yield points[choice], float(geodesic[choice]), float(ratio[choice])
 
     @property
     def left(self) -> float:

@@ -67,14 +67,10 @@ def open_walk(
 class WalkClock(LoopClock):
     """A clock that can be stopped."""
 
-    _stopped: float | None = None
-
-    @property
-    def paused(self) -> bool:
-        return self._stopped is not None
+    paused, _stopped = False, 0.0
 
     def now(self) -> float:
-        return super().now() if self._stopped is None else self._stopped
+        return self._stopped if self.paused else super().now()
 
     def slip(self) -> float:
         return 0.0
@@ -83,8 +79,8 @@ class WalkClock(LoopClock):
         """Stand still, or go on."""
         if on != self.paused:
             now = super().now()
-            self._steady += 0.0 if self._stopped is None else now - self._stopped
-            self._stopped = now if on else None
+            self._steady += 0.0 if on else now - self._stopped
+            self._stopped, self.paused = now, on
 
 
 class Walker:
@@ -177,7 +173,9 @@ class Walk:
         self._env.reset(options={"episode": episode})
         self.query, self.names = str(episode.query), tuple(sorted(map(str, self.place.nameable().values())))
         self.walker = Walker(self._env.body, drive or ("tour" if way else "policy"), [*way[1:], *reversed(way)])
-        self.clock, self.closed, self.poses = WalkClock(), threading.Event(), _Poses(self)
+        self.clock, self.closed = WalkClock(), threading.Event()
+        self.pause, self.close = self.clock.pause, self.closed.set
+        self.poses = _Poses(self)
         self.grid = ErpGrid(rows or MOVING_ROWS, 2 * (rows or MOVING_ROWS))
         self._lock = threading.Lock()  # the person steers from another thread than time passes in
         self._env.view()(32)  # the first takes seconds, for its light
@@ -217,9 +215,6 @@ class Walk:
             yield Frame(last, picture, f"apartment {self.seed}")
             self.closed.wait(PICTURES - POSES / 4)
 
-    def close(self) -> None:
-        self.closed.set()
-
     def step(self) -> Pose | None:
         """Let the body move until now; its pose, or None while the walk is paused."""
         with self._lock:
@@ -246,10 +241,6 @@ class Walk:
                 self.walker.drive(by)
             if not self.clock.paused:
                 self.walker.steer(forward, turn, seconds)
-
-    def pause(self, on: bool) -> None:
-        """Let time stand still, or go on."""
-        self.clock.pause(on)
 
     def truth(self, query: str, body_R_world: np.ndarray) -> tuple[np.ndarray | None, dict[str, Any] | None]:
         """The true direction ``(3,)`` of the nearest thing that a query names, body frame, and the way to it.
