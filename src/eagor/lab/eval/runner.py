@@ -301,7 +301,7 @@ def _lane(queue: Queue, hire: Callable[[], Any], team: list[Any]) -> Generator[t
 
 
 def _together(queue: Queue, hire: Callable[[], Any], workers: int) -> Generator[tuple[Record, bool], None, None]:
-    """What comes of all samples on so many workers, each with a thread that talks with it. Raises what ended the run."""
+    """What comes of all samples on so many workers, each with a thread of its own. Raises what ended the run."""
     answers: SimpleQueue[Any] = SimpleQueue()
     team: list[Any] = []
 
