@@ -13,6 +13,7 @@ from functools import partial
 from itertools import pairwise, takewhile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import eagor
 from processes import alive, sessions_of, wait_for
@@ -89,7 +90,7 @@ def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
 
 
 def test_a_robot_that_has_not_told_its_orientation_is_said_so(monkeypatch):
-    monkeypatch.setattr(sim, "_xyzw", lambda *_: (0.0, 0.0, 0.0, 0.0))
+    monkeypatch.setattr(sim, "xyzw_from_rotation", lambda _: np.zeros(4))
     with SimulatedGo2(SimSettings(None), free_domain()) as robot:
         done = check(robot.link.domain, "--seconds", 1)
     assert done.returncode == 1

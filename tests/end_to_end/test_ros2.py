@@ -372,10 +372,10 @@ def test_one_message_that_cannot_be_taken_in_does_not_end_the_hearing(start):
     from rclpy.qos import QoSProfile
 
     from eagor.media.ros_messages import ODOMETRY
-    from eagor.robots.ros.topics import Ears
+    from eagor.robots.ros.topics import TopicListener
 
     start(rows=16)
-    ears, heard = Ears(), []
+    ears, heard = TopicListener(), []
 
     def take(message):
         heard.append(message.header.frame_id)
@@ -407,6 +407,6 @@ def test_who_is_not_there_is_named(domain, monkeypatch):
     from eagor.errors import DeviceError
     from eagor.robots.ros import RosCamera, topics
 
-    monkeypatch.setattr(topics.Ears.wait, "__defaults__", (0.2,))
+    monkeypatch.setattr(topics.TopicListener.wait, "__defaults__", (0.2,))
     with pytest.raises(DeviceError, match=rf"nobody publishes /nowhere \(ROS_DOMAIN_ID {domain}\)"):
         RosCamera("/nowhere")
