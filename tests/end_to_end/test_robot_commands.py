@@ -151,11 +151,6 @@ def blocks_of_the_page(language, needs):
     return [part.split("```")[0].strip() for before, part in pairwise(parts) if needs in before[-60:]]
 
 
-def test_the_page_about_the_go2_begins_with_safety():
-    text = PAGE.read_text(encoding="utf-8")
-    assert 0 < text.index("(robot-safety.md)") < text.index("```sh")
-
-
 @pytest.mark.slow
 def test_the_page_about_the_go2_runs_as_written(tmp_path, monkeypatch):
     start, look = (shlex.split(line) for line in blocks_of_the_page("sh", "\n\n")[:2])

@@ -213,7 +213,6 @@ def test_sim_time_an_ordinary_camera_and_a_query_from_before(start, listener):
 
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     listener.node.create_publisher(String, "/eagor/query", latched).publish(String(data="red ball; red!"))
-    listener.hear(String, "/eagor/red/direction", print)
     camera = {"sim_time": True, "hfov_deg": 90.0, "poses": "imu", "turn": 0.02, "frame": "x3_optical_frame"}
     robot = start(reliable=False, **camera)
     node = start(
@@ -351,9 +350,13 @@ def test_the_markers_stand_about_the_direction():
 
 
 @pytest.mark.parametrize("kind", ["odom", "pose", "pose_with_covariance", "imu"])
-def test_poses_of_each_kind(start, kind):
-    from eagor.robots.ros import RosPoses
+@pytest.mark.parametrize("rosbags", [True, False])
+def test_poses_of_each_kind(start, kind, rosbags, monkeypatch):
+    """Also where rclpy alone is there to make the messages."""
+    from eagor.robots.ros import RosPoses, topics
 
+    if not rosbags:
+        monkeypatch.setattr(topics, "find_spec", lambda name: None)
     start(poses=kind, rows=16)
     with closing(RosPoses("/wheels", camera="base_link")) as poses:
         found = [next(iter(poses)) for _ in range(30)]
