@@ -28,7 +28,7 @@ from eagor.sphere import world_R_body
 BALL = 0.6  # radians: its azimuth in the world
 SETTINGS = {
     "seconds": 20.0, "rate": 10.0, "rows": 128, "transport": "raw", "reliable": True, "poses": "odom", "turn": 0.5,
-    "sim_time": False, "frame": "base_link", "namespace": "", "start": 0.0, "hfov_deg": 0.0, "tf": False, "static_after": 0,
+    "sim_time": False, "frame": "base_link", "namespace": "", "start": 0, "hfov_deg": 0, "tf": False, "static_after": 0,
 }  # fmt: skip
 
 
