@@ -284,7 +284,7 @@ class EagorNode(LifecycleNode):
         turn, place = self.listener.mount(self.base, self.frame, stamp)
         spread = 0.0 if self.turning is None else deviation(self.turning.midway**2 / 2)
         header = Header(stamp=Time(nanoseconds=nanoseconds).to_msg(), frame_id=self.base)
-        found = []
+        found, self.faults = [], self.wrong(answers[0].faults)
         for answer, space in zip(answers, spaces([each.query for each in answers]), strict=True):
             camera = answer.estimate.world_R_body if pose is None else pose.world_R_body
             estimate = answer.estimate.turned(answer.estimate.stamp, camera @ turn.T, spread)
@@ -299,9 +299,9 @@ class EagorNode(LifecycleNode):
             found.append(
                 replace(answer, estimate=estimate).as_dict()
                 | {"stamp": nanoseconds / NANO, "stamp_ns": nanoseconds, "frame": self.base}
-                | {"faults": [fault.text for fault in answer.faults]}
+                | {"faults": [fault.text for fault in self.faults]}
             )
-        self.answers, self.faults = found, self.wrong(answers[0].faults)
+        self.answers = found
         self.publish("~/answers", String, data=lambda: json.dumps(found))
         for text, wrong in self.log.of(self.faults, time.monotonic()):
             if wrong:  # rclpy knows a call by its line, whose severity must stay
