@@ -34,7 +34,7 @@ from eagor.media import Frame, Pose
 from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC
 from eagor.media.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
 from eagor.media.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds, store
-from eagor.media.topic_pictures import Lenses, LensTold, TopicPictures, beside, lens_told, placed, topics_of
+from eagor.media.topic_pictures import Info, Lenses, TopicPictures, beside, lens_of_info, placed, topics_of
 
 __all__ = ["RosCamera", "RosPoses", "TopicListener"]
 
@@ -292,7 +292,7 @@ class RosCamera(TopicSource):
             self.dropped += self._fresh.is_set()
             self._fresh.set()
 
-    def _camera_info(self, topic: str, asked: str | None) -> LensTold | None:
+    def _camera_info(self, topic: str, asked: str | None) -> Info | None:
         """What the CameraInfo says; None if nobody publishes it."""
         name, found = self._listener.resolved(asked or beside(topic)), list[Any]()
         if not self._listener.wait(lambda: self._listener.node.count_publishers(name), SETTLING):
@@ -301,7 +301,7 @@ class RosCamera(TopicSource):
         if not self._listener.wait(lambda: found):
             raise DeviceError(f"no CameraInfo came on {name} within {FIRST:g} s; drivers send one with each picture")
         self._listener.unsubscribe(self._readers.pop())
-        return lens_told(found[0], name, topic)
+        return lens_of_info(found[0], name, topic)
 
     def _turns(self, frames: Sequence[str]) -> list[np.ndarray]:
         """The rotations of cameras in the axes of the first."""
