@@ -201,13 +201,8 @@ class Loop:
         self._fatal: EagorError | None = None
         self._refused: set[str] = set()
         self._slip, self._now = 0.0, -math.inf
-<<<<<<< HEAD
-        self._problem: str | None = None  # what the camera says of itself
-        self._frozen, self._froze = FrozenCamera(self.core.orientation), ""  # and what was said of it last
-=======
         self._problems: dict[Part, str | None] = {}  # what the camera and the odometry say of themselves
-        self._frozen: dict[int, tuple[FrozenCamera, str]] = {}  # by lens, and what was said of it last
->>>>>>> robots
+        self._frozen, self._froze = FrozenCamera(self.core.orientation), ""  # and what was said of it last
 
     def _readers(
         self, reopen: Callable[[], CameraSource] | None, poses: Any
