@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import replace
-
-from PIL import Image
 
 from eagor.errors import ImageError, TimeError
 from eagor.media import Frame
 from eagor.media.intrinsics import IntrinsicsHint
-from eagor.media.panorama import Picture, decoded_bytes, opened, photograph_of, resized, resized_mask
+from eagor.media.panorama import Picture, decoded_bytes, opened, photograph_of, shrunk_picture
 from eagor.media.video import selected
 
 __all__ = ["Animation", "is_animation"]
@@ -48,54 +45,42 @@ class Animation:
         end: float | None = None,
         rows: int | None = None,
     ) -> None:
-        self.path = os.fspath(path)
-        self._rate, self._start, self._end, self._rows = rate, start, end, rows
-        with opened(self.path) as image:
-            if decoded_bytes(image) > LARGEST:
-                raise ImageError(
-                    f"{self.path} claims {image.width} x {image.height} pixels; it is corrupt, or too large"
-                )
-            count, kind, (width, height) = image.n_frames, image.format, image.size  # type: ignore[attr-defined]
-        first = next(self._all(), None)
-        if first is None:
+        self.path, self._rows, self._taken = os.fspath(path), rows, (start, end, rate)
+        found, lasts = next(self._all(), (0.0, (None, 0.0)))[1]
+        if found is None:
             raise ImageError(f"{self.path} holds no picture that can be read; fetch or export it again")
-        _, (found, lasts) = first
         self.shape, self.unseen, self.level_R_body = found.picture.shape[:2], found.unseen, found.level_R_body
         self.frame_rate: float | None = 1 / lasts
-        self.facts = (f"{kind}, {width} x {height} pixels, {count} pictures, one after the other", *found.facts)
+        with opened(self.path) as image:
+            about = f"{image.format}, {image.width} x {image.height} pixels, {image.n_frames} pictures"  # type: ignore[attr-defined]
+        self.facts = (f"{about}, one after the other", *found.facts)
 
     def __iter__(self) -> Iterator[Frame]:
         stamp = None
-        for stamp, (found, _) in selected(self._all(), self._start, self._end, self._rate, 1e-6):
+        for stamp, (found, _) in selected(self._all(), *self._taken, 1e-6):
             yield Frame(stamp, found.picture, f"{os.path.basename(self.path)} at {stamp:.2f} s")
         if stamp is None:
-            raise TimeError(f"{self.path} has no picture from {self._start:g} s on; it ends before that")
+            raise TimeError(f"{self.path} has no picture from {self._taken[0]:g} s on; it ends before that")
 
     def _all(self) -> Iterator[tuple[float, tuple[Picture, float]]]:
         """Time and picture of each, and for how long it is shown; raises `ImageError` where it is damaged."""
         stamp = 0.0
         try:
             with opened(self.path) as image:
+                if decoded_bytes(image) > LARGEST:
+                    raise ImageError(
+                        f"{self.path} claims {image.width} x {image.height} pixels; it is corrupt, or large"
+                    )
                 # Of an APNG the first may be one for programs that know no animations.
                 for number in range(int(bool(image.info.get("default_image"))), image.n_frames):  # type: ignore[attr-defined]
                     image.seek(number)
                     image.load()
                     lasts = float(image.info.get("duration") or 0) / 1000
                     lasts = lasts if lasts >= SHORTEST else USUAL
-                    yield stamp, (self._made(image), lasts)
+                    yield stamp, (shrunk_picture(photograph_of(image, self.path), self._rows), lasts)
                     stamp += lasts
         except ImageError:
             raise
         except Exception as error:  # Pillow's decoders may raise anything for damaged files
-            raise ImageError(
-                f"{self.path} is damaged: its picture after {stamp:.2f} s cannot be read ({type(error).__name__}: "
-                f"{error}); fetch or export it again"
-            ) from error
-
-    def _made(self, image: Image.Image) -> Picture:
-        found = photograph_of(image, self.path)
-        height, width = found.picture.shape[:2]
-        rows = min(height, self._rows or height)
-        size = rows, max(1, round(width * rows / height))
-        unseen = None if found.unseen is None else resized_mask(found.unseen, size)
-        return replace(found, picture=resized(found.picture, size, wrap=width == 2 * height), unseen=unseen)
+            what = f"its picture after {stamp:.2f} s cannot be read ({type(error).__name__}: {error})"
+            raise ImageError(f"{self.path} is damaged: {what}; fetch or export it again") from error

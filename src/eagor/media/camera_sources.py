@@ -116,11 +116,11 @@ def open_footage(
             force, say, None if camera.eyes is None else replace(camera, eyes="mono")
         )  # it takes one of them
         return Footage(BagFrames(bag, check, rate, start, end), latency)
-    paths, check = [Path(place) for place in places], FrameCheck(force, say, camera)
+    paths, check = [Path(place) for place in places], FrameCheck(force, say, camera, rig)
     if is_video(paths, rig is not None):
         video = open_video(paths, rig, rate=rate, start=start, end=end, rows=rows)
         return Footage(VideoFrames(video, check), latency)
-    return Footage(images(paths, rate, check, rig), latency, rows)
+    return Footage(images(paths, rate, check), latency, rows)
 
 
 def _warned(text: str) -> None:

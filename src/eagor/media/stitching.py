@@ -14,7 +14,7 @@ from eagor._checks import is_twice_as_wide
 from eagor.cameras import Rig, Sampler
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.media.defects import TWICE, fisheye_circles, two_eyes
+from eagor.media.defects import MAKE, STITCH, TWICE, circles_in_words, two_eyes
 from eagor.media.intrinsics import ASK, Camera, IntrinsicsHint, ShapeError, ordinary_grid
 from eagor.media.metadata import Projection
 from eagor.media.panorama import by_area, checked_picture, resized, resized_mask
@@ -22,7 +22,6 @@ from eagor.media.panorama import by_area, checked_picture, resized, resized_mask
 __all__ = ["PanoramaBuilder", "Stitcher", "seen_by", "sizes_of"]
 
 MOST_ROWS = 1 << 14  # of a panorama: the directions of its pixels take 13 GB
-MAKE = "Give its lenses with --rig FILE.yaml (eagor camera calibrate makes one)"
 NO_HINT = IntrinsicsHint()
 
 
@@ -157,12 +156,9 @@ class PanoramaBuilder:
         """Look at the first pictures ``(H, W, 3)`` uint8. Raises `ShapeError` for fisheye circles, or two eyes."""
         if self._settled:
             return
-        if circles := fisheye_circles(pictures[0]):
-            what = "the two circles of a dual fisheye camera, side by side" if circles == 2 else "a fisheye's circle"
-            raise ShapeError(
-                f"{self.name} shows {what}, and no panorama: directions would be wrong. {MAKE}, or stitch it first, in "
-                "the camera's own app or with FFmpeg's filter v360=dfisheye:e. To look at it all the same: --force"
-            )
+        if circles := circles_in_words(pictures[0]):
+            advice = f"{MAKE}, or stitch it first, {STITCH}. To look at it all the same: --force"
+            raise ShapeError(f"{self.name} shows {circles}, and no panorama: directions would be wrong. {advice}")
         if eyes := two_eyes(pictures[0]):
             raise ShapeError(f"{self.name} {TWICE[eyes]}")
 
