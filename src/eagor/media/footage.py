@@ -26,9 +26,8 @@ from eagor.media.animations import is_animation
 from eagor.media.bag_sources import BagCamera
 from eagor.media.defects import TWICE, problems, two_eyes
 from eagor.media.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
-from eagor.media.panorama import (
-    IMAGES, Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph, shrunk_picture,
-)  # fmt: skip
+from eagor.media.panorama import IMAGES, Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
+from eagor.media.panorama import shrunk_picture
 from eagor.media.rig_videos import StitchedVideo
 from eagor.media.stitching import PanoramaBuilder, sizes_of
 from eagor.media.video import plays, selected

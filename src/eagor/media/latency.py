@@ -2,9 +2,8 @@
 
 A camera that stamps its pictures `latency` seconds late shows at the stamp t what odometry told for t - latency. For
 each step between two pictures both tell how far the body turned about its vertical axis; the latency is the shift at
-which the two series have the highest correlation. Odometry is interpolated (slerp), so the shift is continuous. The
-interval is from a moving-block bootstrap (H. Kunsch, Annals of Statistics 17, 1989): neighbouring steps are not
-independent.
+which the two series have the highest correlation. Its interval is from a moving-block bootstrap (H. Kunsch, Annals of
+Statistics 17, 1989): neighbouring steps are not independent.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from eagor.errors import PoseError
 from eagor.media import Frame, Pose
 from eagor.odometry.visual import VisualOdometer
 
-__all__ = ["Latency", "Steps", "check_turning", "latency_between", "steps_of"]
+__all__ = ["Latency", "check_turning", "latency_between", "steps_of"]
 
 GRID = 0.005  # seconds between the shifts that are tried; the peak is found between them
 FEWEST = 20  # steps
@@ -28,15 +27,6 @@ LEAST_CHANGE = math.radians(3.0)  # per second: by how much the turning rate has
 LEAST_MATCH = 0.5  # correlation below which the two do not show the same motion
 BLOCK, DRAWS = 1.0, 400  # seconds of neighbouring steps that are drawn together, and how often
 LONGEST = 1.0  # seconds between two pictures that make a step
-
-
-@dataclass(frozen=True, eq=False)
-class Steps:
-    """Between two pictures each: `start` and `end` ``(n,)``, seconds; `turned` ``(n,)``: left about body z, radians."""
-
-    start: np.ndarray
-    end: np.ndarray
-    turned: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -53,8 +43,11 @@ class Latency:
     mirrored: bool = False
 
 
-def steps_of(frames: Iterable[Frame]) -> Steps:
-    """How a camera turned from picture to picture, from its pictures; where it got lost, there is no step."""
+def steps_of(frames: Iterable[Frame]) -> np.ndarray:
+    """How a camera turned from picture to picture: start, end (seconds), turn to the left about body z (radians).
+
+    ``(n, 3)``, from its pictures; where it got lost, there is no step.
+    """
     odometer, before, rows = VisualOdometer(), None, []
     for frame in frames:
         if frame.picture is None:
@@ -64,30 +57,29 @@ def steps_of(frames: Iterable[Frame]) -> Steps:
             turn = Rotation.from_matrix(before[1].T @ turned.world_R_body).as_rotvec()
             rows.append((before[0], frame.stamp, float(turn[2])))
         before = frame.stamp, turned.world_R_body
-    return Steps(*np.array(rows).reshape(-1, 3).T)
+    return np.array(rows).reshape(-1, 3)
 
 
-def latency_between(steps: Steps, poses: Sequence[Pose], *, most: float = 1.0, seed: int = 0) -> Latency:
-    """The latency of the pictures against `poses` in order of time, from -`most` to `most` seconds.
+def latency_between(steps: np.ndarray, poses: Sequence[Pose], *, most: float = 1.0, seed: int = 0) -> Latency:
+    """The latency of `steps` (`steps_of`) against `poses` in order of time, from -`most` to `most` seconds.
 
     Negative: odometry is the later one. Raises `PoseError` where the motion does not tell it: too few steps that both
     cover, too little change of the turning rate, no correlation, or a peak at the end of what is searched.
     """
     slerp = check_turning(poses)
     first, last = poses[0].stamp, poses[-1].stamp
-    covered = (steps.start - most >= first) & (steps.end + most <= last)
-    n = int(covered.sum())
+    start, end, turned = steps[(steps[:, 0] - most >= first) & (steps[:, 1] + most <= last)].T
+    n = len(start)
     if n < FEWEST:
-        span = f"{steps.start[0]:.2f} to {steps.end[-1]:.2f} s" if len(steps.start) else "none that could be compared"
+        span = f"{steps[0, 0]:.2f} to {steps[-1, 1]:.2f} s" if len(steps) else "none that could be compared"
         raise PoseError(
             f"{n} steps between pictures lie within the odometry, {most:g} s off its ends; wanted {FEWEST} or more. "
             f"Pictures: {span}; odometry: {first:.2f} to {last:.2f} s. Both need one clock: shift one of them, or "
             "record longer"
         )
-    start, end = steps.start[covered], steps.end[covered]
     shifts = np.arange(-most, most + GRID / 2, GRID)
     rates = np.stack([_turned(slerp, start - shift, end - shift) for shift in shifts]) / (end - start)  # (shifts, n)
-    seen = steps.turned[covered] / (end - start)
+    seen = turned / (end - start)
     values = _correlation(rates, seen)
     mirrored = bool(values.max() < -values.min() - 0.2)
     if mirrored:
