@@ -26,8 +26,16 @@ from eagor.media.animations import is_animation
 from eagor.media.bag_sources import BagCamera
 from eagor.media.defects import TWICE, problems, two_eyes
 from eagor.media.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
-from eagor.media.panorama import IMAGES, Picture, in_order, is_whole, pictures_in, read_panorama, read_photograph
-from eagor.media.panorama import shrunk_picture
+from eagor.media.panorama import (
+    IMAGES,
+    Picture,
+    in_order,
+    is_whole,
+    pictures_in,
+    read_panorama,
+    read_photograph,
+    shrunk_picture,
+)
 from eagor.media.rig_videos import StitchedVideo
 from eagor.media.stitching import PanoramaBuilder, sizes_of
 from eagor.media.video import plays, selected
@@ -260,6 +268,12 @@ class Footage:
 
     def close(self) -> None:
         self._closed = True
+
+
+def warned(text: str) -> None:
+    """A `UserWarning` for what begins with "warning: ": where nobody else listens."""
+    if text.startswith("warning: "):
+        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=4)
 
 
 def is_video(places: Sequence[Path], rig: bool = False) -> bool:

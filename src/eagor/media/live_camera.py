@@ -264,9 +264,7 @@ class LiveCamera:
                 )
         stamps = [each.stamp for each in taken]
         apart = max(stamps) - min(stamps)
-        self._broken = None
-        if apart > APART:
-            self._broken = f"{self._name}: the pictures of its lenses are {apart:.2f} s apart"
+        self._broken = f"{self._name}: the pictures of its lenses are {apart:.2f} s apart" if apart > APART else None
         return self._builder.make(*self._decoded(taken))
 
     def _decoded(self, taken: Sequence[TimedFrame]) -> list[np.ndarray]:

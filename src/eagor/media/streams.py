@@ -8,6 +8,7 @@ picture was taken; without it, the arrival less the latency counts.
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import re
@@ -72,67 +73,51 @@ class Stream:
         `damaged` is called for each picture that is lost. Raises `DeviceError` in words.
         """
         need(f"reading {self.name}", "photos", "av")
+        import av
         from av.error import FFmpegError
 
-        container = self._opened()
+        how = {"options": dict(self.options), "timeout": (OPENING, READING), "metadata_errors": "replace"}
+        try:
+            container = cast("InputContainer", av.open(self.address, format=self.format or None, **how))  # type: ignore[call-overload]
+        except (FFmpegError, OSError, ValueError) as error:
+            raise DeviceError(f"{self.name} cannot be opened ({_why(error)}). {self._hint(error)}") from error
         try:
             streams = container.streams.video
             if not streams:
                 others = ", ".join(sorted({stream.type for stream in container.streams})) or "nothing"
                 raise DeviceError(f"{self.name} has no pictures, but: {others}. Give the address of a video")
-            stream = streams[0]
-            context = stream.codec_context
-            if context is None:
+            if (context := streams[0].codec_context) is None:
                 raise DeviceError(
                     f"{self.name} is in a codec that this FFmpeg cannot decode; wanted H.264, H.265, MJPEG"
                 )
             context.thread_type = "SLICE"  # threads by picture would hold back a picture for each thread
             damage, before = Damage(), 0
-            for picture in pictures(container, stream, damage):
+            for picture in pictures(container, streams[0], damage):
                 for _ in range(damage.packets - before):
                     damaged()
                 before = damage.packets
-                self._check(picture)
+                if self.size not in (None, (picture.width, picture.height)):
+                    wide, high = self.size
+                    raise DeviceError(
+                        f"{self.name} gives pictures of {picture.width} x {picture.height}, not {wide} x {high} as "
+                        "asked for. Choose a size that it has (v4l2-ctl --list-formats-ext shows them)"
+                    )
                 yield picture.time, picture
         except FFmpegError as error:
             raise DeviceError(f"{self.name} broke off ({_why(error)})") from error
         finally:
             container.close()
 
-    def _opened(self) -> InputContainer:
-        import av
-        from av.error import FFmpegError
-
-        try:
-            found = av.open(
-                self.address,
-                format=self.format or None,
-                options=dict(self.options),
-                timeout=(OPENING, READING),
-                metadata_errors="replace",
-            )
-        except (FFmpegError, OSError, ValueError) as error:
-            raise DeviceError(f"{self.name} cannot be opened ({_why(error)}). {self._hint(error)}") from error
-        return cast("InputContainer", found)
-
     def _hint(self, error: Exception) -> str:
+        if isinstance(error, PermissionError):
+            return "Add yourself to the group video (sudo usermod -aG video $USER), and log in again"
+        if getattr(error, "errno", 0) == errno.EBUSY:
+            return "Another program uses it; end that"
         if self.format == "v4l2":
-            if isinstance(error, PermissionError):
-                return "Add yourself to the group video (sudo usermod -aG video $USER), and log in again"
-            if getattr(error, "errno", 0) == 16:
-                return "Another program uses it; end that"
             return "Is it a camera, and can it give this size, rate and format? v4l2-ctl --list-formats-ext shows them"
         if self.address.startswith("pipe:"):
             return "Wanted encoded pictures (MPEG-TS, Matroska, MJPEG); raw ones are pipe:rgb24:1920x960"
         return "Is the address right, the camera on, and this machine in its network?"
-
-    def _check(self, picture: VideoFrame) -> None:
-        if self.size is not None and (picture.width, picture.height) != self.size:
-            wide, high = self.size
-            raise DeviceError(
-                f"{self.name} gives pictures of {picture.width} x {picture.height}, not {wide} x {high} as asked for. "
-                "Choose a size that it has (v4l2-ctl --list-formats-ext shows them)"
-            )
 
 
 def device(path: str, settings: Mapping[str, str]) -> Stream:
@@ -147,18 +132,15 @@ def device(path: str, settings: Mapping[str, str]) -> Stream:
     if found is None:
         raise DeviceError(f"{path}: size={settings['size']}; wanted width and height, such as size=1920x960")
     size = (int(found[1]), int(found[2])) if "size" in settings else None
-    options = {SETTINGS[key]: value for key, value in settings.items()}
-    try:
-        mode = os.stat(path).st_mode
-    except OSError:
+    if not os.path.exists(path):
         there = ", ".join(str(each) for each in sorted(Path("/dev").glob("video*")))
         have = f"this machine has {there}" if there else "this machine has no camera (no /dev/video*)"
-        raise DeviceError(f"there is no {path}; {have}. Plug it in, or give another source") from None
-    if not stat.S_ISCHR(mode):
+        raise DeviceError(f"there is no {path}; {have}. Plug it in, or give another source")
+    if not stat.S_ISCHR(os.stat(path).st_mode):
         raise DeviceError(
             f"{path} is no device; wanted a camera such as /dev/video0, or the path of a video or a folder"
         )
-    return Stream(path, path, "v4l2", options, size=size)
+    return Stream(path, path, "v4l2", {SETTINGS[key]: value for key, value in settings.items()}, size=size)
 
 
 def network(address: str) -> Stream:
@@ -201,38 +183,32 @@ class RawPipe:
         need("reading raw pictures", "photos", "av")
         import av
 
-        size = round(self.width * self.height * BYTES[self.kind])
-        head = STAMP.size if self.stamped else 0
+        per, head = BYTES[self.kind], STAMP.size if self.stamped else 0
+        rows, planes = (self.height * 3 // 2, ()) if per == 1.5 else (self.height, () if per == 1 else (int(per),))
+        size = head + round(self.width * self.height * per)
+        shape = f"{self.kind}, {self.width} x {self.height}"
         while True:
-            data = self._exactly(head + size)
-            if len(data) < head + size:
-                if data:
-                    damaged()
-                    warnings.warn(
-                        f"{self.name} ended in the middle of a picture, after {len(data)} of {head + size} bytes. Are "
-                        f"its pictures {self.kind} of {self.width} x {self.height}?",
-                        UserWarning,
-                        stacklevel=2,
-                    )
+            data, read = memoryview(bytearray(size)), 0
+            while read < size and (part := self.file.readinto(data[read:])):  # type: ignore[attr-defined]
+                read += part
+            if 0 < read < size:
+                damaged()
+                warnings.warn(
+                    f"{self.name} ended in the middle of a picture, after {read} of {size} bytes. Are its pictures "
+                    f"{shape}?",
+                    UserWarning,
+                    stacklevel=2,
+                )
+            if read < size:
                 return
             told = STAMP.unpack_from(data)[0] if self.stamped else None
             if told is not None and not (math.isfinite(told) and 0 < told < 1e11):
                 raise DeviceError(
                     f"{self.name}: the time before a picture is {told:g}; wanted seconds since 1970 as a little-endian "
-                    f"double, then {size} bytes ({self.kind}, {self.width} x {self.height}). Pictures without times: "
-                    "leave out :stamped"
+                    f"double, then {size - head} bytes ({shape}). Pictures without times: leave out :stamped"
                 )
-            per = BYTES[self.kind]
-            rows, planes = (self.height * 3 // 2, ()) if per == 1.5 else (self.height, () if per == 1 else (int(per),))
             array = np.frombuffer(data, np.uint8, offset=head).reshape(rows, self.width, *planes)
             yield told, av.VideoFrame.from_ndarray(np.ascontiguousarray(array), format=self.kind)
-
-    def _exactly(self, count: int) -> memoryview:
-        """`count` bytes, or fewer at the end."""
-        data, read = memoryview(bytearray(count)), 0
-        while read < count and (part := self.file.readinto(data[read:])):  # type: ignore[attr-defined]
-            read += part
-        return data[:read]
 
 
 def raw_pipe(text: str, file: BinaryIO) -> RawPipe:
