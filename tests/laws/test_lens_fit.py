@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from eagor.cameras import dual_fisheye
 from eagor.errors import ImageError, PoseError
 from eagor.media import Pose
-from eagor.media.latency import latency_between
-from eagor.media.lens_calibration import calibrate, first_rig, overlap_of
+from eagor.media.calibration import calibrate, first_rig, latency_between, overlap_of
 from eagor.media.stitching import seen_by
 from eagor.sphere import world_R_body
 

@@ -101,7 +101,7 @@ IDEAL = 200.0  # degrees across the circles of a camera of which nothing is know
 
 def calibrate(options: CameraCalibrate) -> int:
     """``eagor camera calibrate``."""
-    from eagor.media.lens_calibration import calibrate as fit
+    from eagor.media.calibration import calibrate as fit
     from eagor.media.rigs import write_rig
 
     checked_number(options.every, "--every")
@@ -140,7 +140,7 @@ def view(options: CameraView) -> int:
     from PIL import Image
 
     from eagor.cameras import dual_fisheye
-    from eagor.media.lens_calibration import overlap_of
+    from eagor.media.calibration import overlap_of
     from eagor.media.stitching import sizes_of
 
     if options.out is not None:
@@ -178,8 +178,8 @@ def view(options: CameraView) -> int:
 
 def latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
+    from eagor.media.calibration import check_turning, latency_between, steps_of
     from eagor.media.camera_sources import open_source
-    from eagor.media.latency import check_turning, latency_between, steps_of
 
     for name in ("rate", "seconds", "most"):
         checked_number(getattr(options, name), f"--{name}")
@@ -236,9 +236,9 @@ def _pictures(text: str, rate: float | None = None) -> Iterator[Sequence[np.ndar
     """The lenses' pictures of each moment of a video, or of the one moment of PICTURE or FRONT,BACK."""
     import warnings
 
+    from eagor.media.films import lens_videos
     from eagor.media.footage import is_video
     from eagor.media.panorama import read_panorama
-    from eagor.media.rig_videos import lens_videos
 
     paths = [Path(part) for part in ([text] if Path(text).exists() else text.split(","))]
     if is_video(paths, True):

@@ -151,9 +151,9 @@ def locate(options: Locate) -> int:
 
 def _frame(options: Locate, places: Sequence[Path], perception: Perception) -> Picture:
     """The photograph, or the frame of a video at ``--stamp`` seconds."""
+    from eagor.media.films import open_video
     from eagor.media.footage import LEAST_ROWS, FrameCheck, is_video
     from eagor.media.panorama import Picture
-    from eagor.media.rig_videos import open_video
     from eagor.perception import rows_of
 
     rig, camera = rig_of(options.rig), ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)

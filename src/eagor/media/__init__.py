@@ -97,10 +97,9 @@ def check_camera(camera: CameraSource, frames: int = 3) -> None:
     for frame in came:
         require(isinstance(frame, Frame), f"gave a {type(frame).__name__}; wanted eagor.media.Frame")
         shape, picture = (*(frame.grid or camera.grid).shape, 3), np.asarray(frame.picture)
-        require(
-            picture.dtype == np.uint8 and picture.shape == shape,
-            f"gave a picture of {picture.dtype} {picture.shape} {frame.problem}; wanted uint8 {shape}, as its grid says",
-        )
+        came_as = f"{picture.dtype} {picture.shape} {frame.problem}"
+        fits = picture.dtype == np.uint8 and picture.shape == shape
+        require(fits, f"gave a picture of {came_as}; wanted uint8 {shape}, as its grid says")
         require(math.isfinite(frame.stamp) and frame.stamp > before, f"gave the stamp {frame.stamp} after {before}")
         require(bool(frame.name), "gave a frame without a name")
         require((frame.grid is not None) == ordinary, f"gave a frame with the grid {frame.grid!r}; its own is another")

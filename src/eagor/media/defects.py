@@ -179,7 +179,7 @@ def never_seen(panorama: np.ndarray) -> np.ndarray:
         thrice = np.tile(flat, 3)  # regions go on around the seam
         seed = np.zeros_like(thrice)
         seed[pole] = thrice[pole]
-        region = ndimage.binary_propagation(seed, square, mask=thrice)
+        region = np.asarray(ndimage.binary_propagation(seed, square, mask=thrice))
         if area[region[:, width : 2 * width]].sum() >= 2 * np.pi * (1 - np.cos(LEAST)):
             found |= region
     if found.any():  # what the filter took off the rim, and the ringing of compression around it
@@ -196,10 +196,11 @@ class NeverSeen:
 
     def add(self, panorama: np.ndarray) -> np.ndarray:
         """The mask ``(H, W)`` of what was in `never_seen` of all panoramas so far; all have to have the same shape."""
-        same = self.mask is not None and self.mask.shape == panorama.shape[:2]
-        if not same or self.mask.any():  # else it stays so
-            found = never_seen(panorama)
-            self.mask = self.mask & found if same else found
+        before = self.mask if self.mask is not None and self.mask.shape == panorama.shape[:2] else None
+        if before is not None and not before.any():
+            return before  # and it stays so
+        found = never_seen(panorama)
+        self.mask = found if before is None else before & found
         return self.mask
 
 

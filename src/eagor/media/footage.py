@@ -22,9 +22,9 @@ from eagor.cameras import Rig
 from eagor.errors import EagorError, ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media import Frame
-from eagor.media.animations import is_animation
 from eagor.media.bag_sources import BagCamera
 from eagor.media.defects import TWICE, problems, two_eyes
+from eagor.media.films import StitchedVideo, is_animation
 from eagor.media.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
 from eagor.media.panorama import (
     IMAGES,
@@ -36,7 +36,6 @@ from eagor.media.panorama import (
     read_photograph,
     shrunk_picture,
 )
-from eagor.media.rig_videos import StitchedVideo
 from eagor.media.stitching import PanoramaBuilder, sizes_of
 from eagor.media.video import plays, selected
 from eagor.odometry.times import times_of
@@ -145,7 +144,7 @@ class ImageFrames:
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """The frames of a video, as `eagor.media.rig_videos.open_video` gives it."""
+    """The frames of a video, as `eagor.media.films.open_video` gives it."""
 
     video: Any
     check: FrameCheck

@@ -168,7 +168,7 @@ def intrinsics_from_exif(path: str | Path) -> IntrinsicsHint:
         _number(tags.get(tag)) for tag in (FOCAL_35MM, FOCAL_LENGTH, PLANE_X, EXIF_WIDTH, EXIF_HEIGHT)
     )
     taken = wide or size[0], high or size[1]
-    if not (_alike(size, taken) or _alike(size, taken[::-1])):
+    if not (_alike(size, taken) or _alike(size, (taken[1], taken[0]))):
         return IntrinsicsHint(turns=turns, facts=("its Exif is that of a picture of another shape: it was cropped",))
     if film:
         return _hint(film * math.hypot(*size) / FULL_FRAME, "its Exif (FocalLengthIn35mmFilm)", size[turns % 2], turns)

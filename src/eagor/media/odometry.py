@@ -92,9 +92,9 @@ def open_poses(
     name, _, topic = text.partition(":")
     footage, own = source if isinstance(source, Footage) else None, getattr(source, "poses", None)
     bag = None if footage is None else footage.bag
-    if bag is not None and (text == "auto" or name == "ros"):
-        if (found := bag_odometry(bag.bag, topic or None, bag.frame)) is not None:
-            return found
+    found = bag_odometry(bag.bag, topic or None, bag.frame) if bag and (text == "auto" or name == "ros") else None
+    if found is not None:
+        return found
     if text == "auto" and footage is not None and footage.motion is not None:
         return MotionPoses(footage.motion)
     if text == "auto" and own is not None:  # a simulated body knows its own

@@ -21,6 +21,7 @@ from eagor.media.panorama import by_area, checked_picture, resized, resized_mask
 
 __all__ = ["PanoramaBuilder", "Stitcher", "seen_by", "sizes_of"]
 
+STRETCHED = "all columns for 360 degrees, all rows for 180"
 MOST_ROWS = 1 << 14  # of a panorama: the directions of its pixels take 13 GB
 NO_HINT = IntrinsicsHint()
 
@@ -116,9 +117,9 @@ class PanoramaBuilder:
         if len(sizes) > 1:
             raise ImageError(f"{name} gives {len(sizes)} pictures at a time, one for each lens. {MAKE}")
         (width, height), *_ = sizes
-        whole = is_twice_as_wide(height, width)
-        if camera.eyes not in (None, "mono"):
-            self._layout = Projection.of_eyes(camera.eyes).layout(height, width, rows)  # type: ignore[arg-type]
+        whole, eyes = is_twice_as_wide(height, width), camera.eyes or "mono"
+        if eyes != "mono":
+            self._layout = Projection.of_eyes(eyes).layout(height, width, rows)
             self.grid, self.unseen = ErpGrid(*self._layout.shape), self._layout.unseen
             self.wanted = (self._layout.size,)
             return
@@ -129,8 +130,7 @@ class PanoramaBuilder:
             why = f" ({'; '.join(hint.facts)})" if hint.facts else ""
             raise ShapeError(
                 f"{name} is {width} x {height}, not 2:1 as a whole panorama is, and does not tell its lens{why}. {ASK}"
-                f". Are these the pictures of lenses? {MAKE}. A panorama all the same: --force (all columns for 360 "
-                "degrees, all rows for 180)"
+                f". Are these the pictures of lenses? {MAKE}. A panorama all the same: --force ({STRETCHED})"
             )
         by = 1.0 if rows is None else min(1.0, rows / height)
         self._settled |= view is not None

@@ -113,19 +113,16 @@ class Video:
                 advice = f"Copy it again from the camera, or {CONVERT.format(path)}"
                 raise ImageError(f"{path} holds no picture: {why}. {advice}")
             unit, begins = float(stream.time_base or 0), (container.start_time or 0) / 1e6  # seconds
-            told = stream.duration * unit if stream.duration else (container.duration or 0) / 1e6
-            self.duration, self._frames = told or None, stream.frames
+            lasts = stream.duration * unit if stream.duration else (container.duration or 0) / 1e6
+            self.duration, self._frames = lasts or None, stream.frames
             self.frame_rate = float(stream.average_rate or stream.guessed_rate or 0) or None
             aspect, codec = float(stream.sample_aspect_ratio or 1) or 1.0, stream.codec_context.name
             tags = container.metadata | stream.metadata
         if self.duration is not None and start >= self.duration:
             raise TimeError(f"start = {start:g} s is beyond the end of {self.path}, which lasts {self.duration:.2f} s")
-        beside = cast("dict[str, bytes]", picture.side_data)
-        side_data = {
-            name: bytes(beside[name])
-            for name in ("SPHERICAL", "STEREO3D", "DISPLAYMATRIX")
-            if beside.get(name) is not None
-        }
+        told = cast("dict[str, bytes | None]", picture.side_data)
+        names = ("SPHERICAL", "STEREO3D", "DISPLAYMATRIX")
+        side_data = {name: bytes(data) for name in names if (data := told.get(name)) is not None}
         found = None if lenses else of_video(side_data)
         projection = found or Projection("nothing", "rectangular")
         projection.check(self.path)
@@ -137,7 +134,8 @@ class Video:
             self._turns = round(picture.rotation / 90) % 4
             mirrored = np.linalg.det(np.frombuffer(matrix, "i4").reshape(3, 3)[:2, :2].astype(float)) < 0
         shown = picture.height, max(1, round(picture.width * aspect))
-        self._layout = projection.layout(*(shown[::-1] if self._turns % 2 else shown), rows)
+        high, wide = shown[::-1] if self._turns % 2 else shown
+        self._layout = projection.layout(high, wide, rows)
         self.shape, self.unseen, self.level_R_body = self._layout.shape, self._layout.unseen, projection.level_R_body
         self.hint = intrinsics_from_tags(tags, (self.shape[1], self.shape[0]), self._turns)
         degrees, bright = 90 * self._turns, HDR.get(picture.color_trc)
@@ -171,9 +169,9 @@ class Video:
                 UserWarning,
                 stacklevel=2,
             )
-        last, missing, all_read = self._last, "", self.end is not None
+        last, missing = self._last, ""
         reached = "none of its pictures could be read" if last is None else f"it was read up to {last:.2f} s"
-        if last is not None and not (all_read and last >= self.end - self._clock):
+        if last is not None and (self.end is None or last < self.end - self._clock):
             if self._frames and damage.of < self._frames and not self.start:
                 missing = f"of {self._frames} pictures {damage.of} are there"
             elif not self._frames and self.duration and last < self.duration - SHORT - 2 * self._interval:
