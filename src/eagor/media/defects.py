@@ -179,8 +179,8 @@ def never_seen(panorama: np.ndarray) -> np.ndarray:
         thrice = np.tile(flat, 3)  # regions go on around the seam
         seed = np.zeros_like(thrice)
         seed[pole] = thrice[pole]
-        region = np.asarray(ndimage.binary_propagation(seed, square, mask=thrice))
-        if area[region[:, width : 2 * width]].sum() >= 2 * np.pi * (1 - np.cos(LEAST)):
+        region: np.ndarray = ndimage.binary_propagation(seed, square, mask=thrice)
+        if (area * region[:, width : 2 * width]).sum() >= 2 * np.pi * (1 - np.cos(LEAST)):
             found |= region
     if found.any():  # what the filter took off the rim, and the ringing of compression around it
         found = ndimage.binary_dilation(np.tile(found[:, width : 2 * width], 3), square, 2)

@@ -119,8 +119,20 @@ class FrameCheck:
         return frame
 
 
+class _Frames:
+    """Where recorded pictures come from; `begins`: the stamp of the first on a clock of its own."""
+
+    begins = 0.0
+    level_R_body: np.ndarray | None = None
+    motion: Any = None
+    ordinary = False  # as far as that is known without a picture
+
+    def items(self) -> Iterator[Item]:
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class ImageFrames:
+class ImageFrames(_Frames):
     """Pictures in files, `rate` per second; `read` gives one of them.
 
     `stamps`: when the pictures were taken, if that is known.
@@ -130,8 +142,6 @@ class ImageFrames:
     rate: float
     read: Callable[[Path], Picture]
     stamps: tuple[float, ...] = ()
-    level_R_body = motion = None
-    begins = 0.0
 
     @property
     def count(self) -> int:
@@ -142,21 +152,18 @@ class ImageFrames:
             yield self.stamps[number] if self.stamps else number / self.rate, path.name, partial(self.read, path)
 
 
-@dataclass(frozen=True)
-class VideoFrames:
-    """The frames of a video, as `eagor.media.films.open_video` gives it."""
+class VideoFrames(_Frames):
+    """The frames of a `video`, as `eagor.media.films.open_video` gives it."""
 
-    video: Any
-    check: FrameCheck
-    begins = 0.0
-
-    @property
-    def level_R_body(self) -> np.ndarray | None:
-        return self.video.level_R_body
+    def __init__(self, video: Any, check: FrameCheck) -> None:
+        self.video, self.check = video, check
+        self.level_R_body, self.motion = video.level_R_body, video.motion
 
     @property
-    def motion(self) -> Any:
-        return self.video.motion
+    def ordinary(self) -> bool:
+        high, wide = self.video.shape
+        stitched = isinstance(self.video, StitchedVideo)
+        return not stitched and self.check.builder(((wide, high),), self.video.path, self.video.hint).view is not None
 
     def items(self) -> Iterator[Item]:
         for frame in self.video:
@@ -164,29 +171,24 @@ class VideoFrames:
             yield frame.stamp, frame.name, partial(self.check, found, frame.name, self.video.hint)
 
 
-@dataclass(frozen=True)
-class BagFrames:
+class BagFrames(_Frames):
     """The pictures of a bag's `camera`, `rate` per second, from `start` to `end` (seconds from the first).
 
     Stamps are those of the messages' headers.
     """
 
-    camera: BagCamera
-    check: FrameCheck
-    rate: float | None = None
-    start: float = 0.0
-    end: float | None = None
-    level_R_body = motion = None
-
-    @property
-    def begins(self) -> float:
-        return self.camera.begins
+    def __init__(
+        self, camera: BagCamera, check: FrameCheck, rate: float | None = None, start: float = 0.0,
+        end: float | None = None,
+    ) -> None:  # fmt: skip
+        self.camera, self.check, self._taken = camera, check, (rate, start, math.inf if end is None else end)
+        self.begins, self.ordinary = camera.begins, camera.view is not None
 
     def items(self) -> Iterator[Item]:
-        ends = math.inf if self.end is None else self.end
+        rate, start, end = self._taken
         coming = ((stamp - self.begins, (stamp, read)) for stamp, read in self.camera.pictures())
-        inside = takewhile(lambda each: each[0] <= ends, (each for each in coming if each[0] >= self.start))
-        for _, (stamp, read) in selected(inside, 0.0, None, self.rate, 1e-6):
+        inside = takewhile(lambda each: each[0] <= end, (each for each in coming if each[0] >= start))
+        for _, (stamp, read) in selected(inside, 0.0, None, rate, 1e-6):
             name = f"{self.camera.topics[0]} at {stamp:.3f} s"
             yield stamp, name, partial(self._checked, read, name)
 
@@ -227,13 +229,7 @@ class Footage:
     @property
     def ordinary(self) -> bool:
         """Whether its pictures are those of an ordinary camera, as far as that is known without one."""
-        frames = self.frames
-        if isinstance(frames, BagFrames):
-            return frames.camera.view is not None
-        if isinstance(frames, VideoFrames) and not isinstance(frames.video, StitchedVideo):
-            high, wide = frames.video.shape
-            return frames.check.builder(((wide, high),), frames.video.path, frames.video.hint).view is not None
-        return False
+        return self.frames.ordinary
 
     @property
     def bag(self) -> BagCamera | None:
