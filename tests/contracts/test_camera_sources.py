@@ -25,10 +25,9 @@ from eagor.lab.worlds.painted import painted_room
 from eagor.media import Frame, check_camera
 from eagor.media.camera_sources import open_source
 from eagor.media.intrinsics import camera_of
-from eagor.media.live_camera import FrameGrabber, LiveCamera
+from eagor.media.live_camera import FrameGrabber, LiveCamera, Stream, device, raw_pipe
 from eagor.media.rigs import write_rig
 from eagor.media.stitching import seen_by
-from eagor.media.streams import Stream, device, raw_pipe
 from eagor.odometry.clocks import PROBATION, StreamClock
 from eagor.sphere import world_R_body
 

@@ -15,7 +15,7 @@ from eagor.lab.worlds.apartment import generate
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.painted import painted_room
 from eagor.lab.worlds.render import Renderer
-from eagor.media.defects import NeverSeen, fisheye_circles, never_seen, problems, seam_of
+from eagor.media.defects import NeverSeen, circles_in_words, never_seen, problems, seam_of
 from eagor.media.panorama import read_panorama, turn, view
 from eagor.sphere import world_R_body
 
@@ -51,7 +51,7 @@ def lenses(image, scale=1.0, size=256):
 
 
 def check_good(image):
-    assert fisheye_circles(image) == 0
+    assert not circles_in_words(image)
     assert not seam_of(image).visible, seam_of(image)
     assert not never_seen(image).any()
     assert problems(image) == ()
@@ -91,7 +91,7 @@ def test_no_alarm_in_apartments(seed):
 def test_no_alarm_in_the_dark():
     check_good(np.full((64, 128, 3), 12, np.uint8))
     night = np.random.default_rng(0).integers(0, 10, (128, 256, 3)).astype(np.uint8)
-    assert fisheye_circles(night) == 0
+    assert not circles_in_words(night)
     assert not never_seen(night).any()
 
 
@@ -106,9 +106,9 @@ def test_fisheye_circles_are_found(name, scale):
     wide = np.zeros_like(both)
     wide[:, 128:384] = front
     for change in (np.asarray, jpeg):
-        assert fisheye_circles(change(both)) == 2
-        assert fisheye_circles(change(front)) == 1
-        assert fisheye_circles(change(wide)) == 1
+        assert circles_in_words(change(both)).startswith("the two circles of a dual fisheye")
+        assert circles_in_words(change(front)) == "the circle of a fisheye lens"
+        assert circles_in_words(change(wide)) == "the circle of a fisheye lens"
     assert "two circles of a dual fisheye camera" in problems(both)[0]
     assert "circle of a fisheye lens" in problems(wide)[0]
 
@@ -161,7 +161,7 @@ def test_black_holes_are_found(name, which):
         assert found.shape == truth.shape
         assert (found & truth).sum() > 0.9 * truth.sum()
         assert (found & ~truth).sum() < 0.03 * truth.size
-        assert fisheye_circles(change(image)) == 0
+        assert not circles_in_words(change(image))
         assert not seam_of(change(image)).visible
 
 
@@ -199,7 +199,7 @@ def test_what_is_black_in_all_pictures():
 
 
 def test_what_is_no_picture():
-    for look in (fisheye_circles, seam_of, never_seen, problems):
+    for look in (circles_in_words, seam_of, never_seen, problems):
         with pytest.raises(ImageError, match="wanted uint8 sRGB"):
             look(np.zeros((4, 8)))
         look(np.zeros((1, 1, 3), np.uint8))

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from eagor.cameras import dual_fisheye
 from eagor.errors import ImageError, PoseError
 from eagor.media import Pose
-from eagor.media.latency import Steps, latency_between
-from eagor.media.lens_calibration import calibrate, first_rig, overlap_of
+from eagor.media.calibration import calibrate, first_rig, latency_between, overlap_of
 from eagor.media.stitching import seen_by
 from eagor.sphere import world_R_body
 
@@ -38,7 +37,6 @@ def test_pictures_of_a_camera_that_turns_give_its_lenses_everywhere(turned):
     found = calibrate(turned, turned=True, on_step=lambda: steps.append(1))
     assert rigs.off(start, TRUE).max() > 2
     assert rigs.off(found.rig, TRUE).max() < 0.3
-    assert found.spreads.max() < math.radians(0.5)
     assert found.gap < found.before / 3
     assert len(steps) == 2 * HEADINGS
     (share, before, grey, _), (_, after, less, _) = (overlap_of(rig, turned[0]) for rig in (start, found.rig))
@@ -47,13 +45,12 @@ def test_pictures_of_a_camera_that_turns_give_its_lenses_everywhere(turned):
     assert 0.1 < share < 0.2
 
 
-def test_the_overlap_alone_fits_there_and_owns_up_to_the_rest(turned):
+def test_the_overlap_alone_fits_there(turned):
     """The second circle is turned by a quarter, as sensors that are mounted upright make it."""
     half = TRUE.sizes[0][1]
     found = calibrate([(np.hstack([p[:, :half], np.rot90(p[:, half:])]),) for (p,) in turned[:3]])
     assert found.pairs[1] == 0
     assert found.gap < min(found.before / 3, math.radians(0.2))
-    assert found.spreads.max() > math.radians(0.7), "nothing tells the inside of the circles"
     front, back = (lens.body_R_lens for lens in found.rig.lenses)
     roll = Rotation.from_matrix(front.T @ back).as_euler("ZYX", degrees=True)[2]
     assert abs(abs(roll) - 90) < 5
@@ -108,7 +105,7 @@ def camera_steps(latency, noise=0.002, rate=10.0, sign=1.0, scale=1.0):
     stamps = np.arange(2, 28, 1 / rate)
     yaw = sign * wobble(stamps - latency, scale)
     turned = np.diff(yaw) + np.random.default_rng(0).normal(0, noise, len(stamps) - 1)
-    return Steps(stamps[:-1], stamps[1:], turned)
+    return np.stack([stamps[:-1], stamps[1:], turned], axis=1)
 
 
 @pytest.mark.parametrize(("latency", "sign"), [(0.0, 1), (0.037, 1), (0.5, 1), (-0.1, 1), (0.212, -1)])
@@ -135,7 +132,7 @@ def test_more_noise_gives_a_wider_interval():
         (camera_steps(0.8), odometry(), "search farther|do not agree"),
         (camera_steps(0.2), odometry(end=3.0), "steps between pictures lie within the odometry"),
         (camera_steps(0.2), odometry()[:1], "1 poses"),
-        (Steps(*np.empty((3, 0))), odometry(), "none that could be compared"),
+        (np.empty((0, 3)), odometry(), "none that could be compared"),
     ],
 )
 def test_a_motion_that_does_not_tell_is_refused(steps, poses, says):

@@ -12,8 +12,8 @@ from PIL import Image
 from eagor.errors import ImageError, TimeError
 from eagor.lab.worlds.painted import painted_room
 from eagor.media import check_camera
-from eagor.media.animations import Animation, is_animation
 from eagor.media.camera_sources import open_source
+from eagor.media.films import Animation, is_animation
 from eagor.media.panorama import BOXED, read_photograph, turn
 from eagor.sphere import world_R_body
 

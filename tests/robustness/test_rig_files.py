@@ -62,7 +62,7 @@ def test_a_lens_that_wants_too_large_a_panorama(tmp_path):
         (", height: 200", "", r"missing required field `height` - at `\$.pictures\[0\]`"),
         ("lenses:", "lens:", r"unknown field `lens`|missing required field `lenses`"),
         ("field_deg: 200", "field_deg: 200\n    polynomial: [-0.5]", r"(not above 0|turns back)"),
-        ("field_deg: 200", "field_deg: 200\n    distortion: [1]", r"unknown field `distortion` - at `\$.lenses\[0\]`"),
+        ("field_deg: 200", "kind: pinhole\n    field_deg: 200", r"lenses\[0\]: wanted either field_deg"),
     ],
 )  # fmt: skip
 def test_mistakes_are_named_with_their_place(tmp_path, old, new, says):

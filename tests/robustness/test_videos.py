@@ -70,7 +70,7 @@ def sound(path):
 
 OTHERS = {
     "missing.mp4": (lambda path: None, "there is no file .*missing.mp4'; give the path of a video"),
-    "folder.mp4": (lambda path: path.mkdir(), "is a folder; give one video file in it"),
+    "folder.mp4": (lambda path: path.mkdir(), "is a folder; give one file in it"),
     "pipe.mp4": (lambda path: os.mkfifo(path), "is a pipe or a device"),
     "empty.mp4": (lambda path: path.touch(), "is empty"),
     "text.mp4": (lambda path: path.write_text("hello, this is not a video\n" * 99), "cannot be read as a video"),

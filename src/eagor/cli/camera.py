@@ -95,16 +95,13 @@ class Camera:
     ]
 
 
-WANTED = 0.3  # degrees: a lens that is known so well everywhere needs no more pictures
 APART = 1.0  # degrees: a median gap in the overlap above it means that the rig does not fit
 IDEAL = 200.0  # degrees across the circles of a camera of which nothing is known
 
 
 def calibrate(options: CameraCalibrate) -> int:
     """``eagor camera calibrate``."""
-    import numpy as np
-
-    from eagor.media.lens_calibration import calibrate as fit
+    from eagor.media.calibration import calibrate as fit
     from eagor.media.rigs import write_rig
 
     checked_number(options.every, "--every")
@@ -115,35 +112,25 @@ def calibrate(options: CameraCalibrate) -> int:
     ]  # fmt: skip
     with terminal.progress("looking", 2 * len(moments), shown=not options.json) as advance:
         found = fit(moments, rig=rig, turned=options.turned, on_step=advance)
-    gap, before, worst = (round(math.degrees(a), 4) for a in (found.gap, found.before, float(found.spreads.max())))
-    (both, later), angles = found.pairs, np.degrees(found.angles).round(1).tolist()
-    text = f"median gap {gap:.3f} degrees (before: {before:.3f}), known to {worst:.2f} degrees"
-    write_rig(
-        found.rig, out, [f"By eagor camera calibrate, from {len(moments)} pictures: {both} + {later} pairs, {text}."]
-    )
-    names = [lens.name for lens in found.rig.lenses]
-    spreads = dict(zip(names, np.degrees(found.spreads).round(4).tolist(), strict=True))
+    gap, before = (round(math.degrees(angle), 4) for angle in (found.gap, found.before))
+    both, later = found.pairs
+    text = f"{both} + {later} pairs, median gap {gap:.3f} degrees (before: {before:.3f})"
+    write_rig(found.rig, out, [f"By eagor camera calibrate, from {len(moments)} pictures: {text}."])
     if options.json:
         fitted = {"moments": len(moments), "pairs": [both, later], "gap_deg": gap, "before_deg": before}
-        known = {"angles_deg": angles, "spreads_deg": spreads, "worst_deg": worst}
-        terminal.emit({"out": str(out), "turned": options.turned} | fitted | known)
+        terminal.emit({"out": str(out), "turned": options.turned} | fitted)
     else:
         print(f"{len(moments)} pictures; seen twice: {both} things by both lenses, {later} in two pictures")
         print(f"gap between their rays, median: {gap:.3f} deg (before the fit {before:.3f})")
         for lens in found.rig.lenses:
             x, y = lens.centre
             print(f"  {lens.name:6s} centre {x:.1f}, {y:.1f}, {2 * math.degrees(lens.reach):.1f} deg from rim to rim")
-        print("how far directions may be off (standard deviation, degrees) at degrees off the axis:")
-        print("  " + f"{'':6s}" + "".join(f"{angle:8.0f}" for angle in angles))
-        for name, each in spreads.items():
-            print(f"  {name:6s}" + "".join(f"{value:8.3f}" for value in each))
         print(f"Written to {out}; other commands take it as --rig {out}")
-    if worst > WANTED:
-        advice = "give more pictures, at more headings" if options.turned else (
+    if not options.turned:
+        terminal.warning(
             "the overlap does not tell what is inside the circles, where the lenses are taken to be nearly equidistant "
-            "and alike. Pictures of a camera that turns in place do: --turned"
-        )  # fmt: skip
-        terminal.warning(f"the lenses are known to {worst:.2f} degrees only, wanted {WANTED:g}: {advice}")
+            "and alike: directions there may be off by degrees. Pictures of a camera that turns in place tell: --turned"
+        )
     return terminal.OK
 
 
@@ -153,7 +140,7 @@ def view(options: CameraView) -> int:
     from PIL import Image
 
     from eagor.cameras import dual_fisheye
-    from eagor.media.lens_calibration import overlap_of
+    from eagor.media.calibration import overlap_of
     from eagor.media.stitching import sizes_of
 
     if options.out is not None:
@@ -191,8 +178,8 @@ def view(options: CameraView) -> int:
 
 def latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
+    from eagor.media.calibration import check_turning, latency_between, steps_of
     from eagor.media.camera_sources import open_source
-    from eagor.media.latency import check_turning, latency_between, steps_of
 
     for name in ("rate", "seconds", "most"):
         checked_number(getattr(options, name), f"--{name}")
@@ -249,9 +236,9 @@ def _pictures(text: str, rate: float | None = None) -> Iterator[Sequence[np.ndar
     """The lenses' pictures of each moment of a video, or of the one moment of PICTURE or FRONT,BACK."""
     import warnings
 
+    from eagor.media.films import lens_videos
     from eagor.media.footage import is_video
     from eagor.media.panorama import read_panorama
-    from eagor.media.rig_videos import lens_videos
 
     paths = [Path(part) for part in ([text] if Path(text).exists() else text.split(","))]
     if is_video(paths, True):

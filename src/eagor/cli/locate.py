@@ -151,17 +151,15 @@ def locate(options: Locate) -> int:
 
 def _frame(options: Locate, places: Sequence[Path], perception: Perception) -> Picture:
     """The photograph, or the frame of a video at ``--stamp`` seconds."""
-    from eagor.media.footage import LEAST_ROWS, FrameCheck, LensPictures, is_video
+    from eagor.media.films import open_video
+    from eagor.media.footage import LEAST_ROWS, FrameCheck, is_video
     from eagor.media.panorama import Picture
-    from eagor.media.rig_videos import open_video
     from eagor.perception import rows_of
 
-    check = FrameCheck(
-        options.force, terminal.log, ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)
-    )
-    rig = rig_of(options.rig)
+    rig, camera = rig_of(options.rig), ordinary(options.hfov, options.camera, options.rig, eyes=options.eyes)
+    check = FrameCheck(options.force, terminal.log, camera, rig)
     if not is_video(places, rig is not None):
-        return check.read(places[0]) if rig is None else LensPictures(rig).read(*places)
+        return check.read(*places)
     rows = max(rows_of(perception), LEAST_ROWS)
     video = open_video(places, rig, start=options.stamp or 0.0, rows=rows)
     say_of_video(places[0].name, video.facts, video.duration)

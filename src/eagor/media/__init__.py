@@ -82,46 +82,32 @@ def check_camera(camera: CameraSource, frames: int = 3) -> None:
 
     It needs so many: give a source that is not at its end. The camera is closed at the end.
     """
-    _require(isinstance(camera, CameraSource), "lacks a member of eagor.media.CameraSource")
-    ordinary = isinstance(camera.grid, PerspectiveGrid)
-    _require(ordinary or isinstance(camera.grid, ErpGrid), f"grid is {camera.grid!r}; wanted an ErpGrid, or a view's")
-    _require(math.isfinite(camera.latency), f"latency is {camera.latency!r}; wanted seconds")
-    _require(isinstance(camera.live, bool), f"live is {camera.live!r}; wanted True or False")
-    came, before = 0, -math.inf
-    for frame in camera:
-        came += 1
-        _require(isinstance(frame, Frame), f"gave a {type(frame).__name__}; wanted eagor.media.Frame")
-        picture, shape = frame.picture, (*(frame.grid or camera.grid).shape, 3)
-        came_as = f"{getattr(picture, 'dtype', type(picture))} {getattr(picture, 'shape', frame.problem)}"
-        _require(
-            isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and picture.shape == shape,
-            f"gave a picture of {came_as}; wanted uint8 {shape}, as its grid says",
-        )
-        _require(math.isfinite(frame.stamp), f"gave the stamp {frame.stamp!r}; wanted seconds")
-        _require(frame.stamp > before, f"gave the stamp {frame.stamp:.6f} after {before:.6f}; wanted increasing stamps")
-        _require(bool(frame.name), "gave a frame without a name")
-        _require(
-            (frame.grid is not None) == ordinary,
-            f"gave a frame with the grid {frame.grid!r}; wanted a view's, as its own is, or None for panoramas",
-        )
+    ordinary, before = isinstance(getattr(camera, "grid", None), PerspectiveGrid), -math.inf
+
+    def require(holds: bool, what: str) -> None:
+        if not holds:
+            raise AssertionError(f"the camera {what}")
+
+    require(isinstance(camera, CameraSource), "lacks a member of eagor.media.CameraSource")
+    require(ordinary or isinstance(camera.grid, ErpGrid), f"grid is {camera.grid!r}; wanted an ErpGrid, or a view's")
+    require(math.isfinite(camera.latency), f"latency is {camera.latency!r}; wanted seconds")
+    require(isinstance(camera.live, bool), f"live is {camera.live!r}; wanted True or False")
+    came = [frame for frame, _ in zip(camera, range(frames), strict=False)]
+    require(len(came) == frames, f"gave {len(came)} frames; wanted {frames} for this test")
+    for frame in came:
+        require(isinstance(frame, Frame), f"gave a {type(frame).__name__}; wanted eagor.media.Frame")
+        shape, picture = (*(frame.grid or camera.grid).shape, 3), np.asarray(frame.picture)
+        came_as = f"{picture.dtype} {picture.shape} {frame.problem}"
+        fits = picture.dtype == np.uint8 and picture.shape == shape
+        require(fits, f"gave a picture of {came_as}; wanted uint8 {shape}, as its grid says")
+        require(math.isfinite(frame.stamp) and frame.stamp > before, f"gave the stamp {frame.stamp} after {before}")
+        require(bool(frame.name), "gave a frame without a name")
+        require((frame.grid is not None) == ordinary, f"gave a frame with the grid {frame.grid!r}; its own is another")
         before = frame.stamp
-        if came == frames:
-            break
-    _require(came == frames, f"gave {came} frames; wanted {frames} for this test")
-    _require(camera.dropped >= 0, f"dropped is {camera.dropped!r}; wanted a count")
+    require(camera.dropped >= 0, f"dropped is {camera.dropped!r}; wanted a count")
     camera.close()
     camera.close()
-    ended = threading.Event()
-
-    def rest() -> None:
-        for _ in camera:
-            pass
-        ended.set()
-
-    threading.Thread(target=rest, daemon=True).start()
-    _require(ended.wait(PATIENCE), f"goes on for {PATIENCE:g} s after close; wanted iterating to end")
-
-
-def _require(holds: bool, what: str) -> None:
-    if not holds:
-        raise AssertionError(f"the camera {what}")
+    rest = threading.Thread(target=lambda: [*camera], daemon=True)
+    rest.start()
+    rest.join(PATIENCE)
+    require(not rest.is_alive(), f"goes on for {PATIENCE:g} s after close; wanted iterating to end")

@@ -5,28 +5,25 @@ Packages add cameras of their own under the entry points ``eagor.cameras``; `eag
 
 from __future__ import annotations
 
-import math
 import os
 import re
-import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from io import FileIO
 from pathlib import Path
 from typing import Any
 
 from eagor import plugins
+from eagor._checks import above
 from eagor.cameras import Rig
 from eagor.errors import DeviceError, TimeError
 from eagor.media import CameraSource
 from eagor.media.bag_sources import BagCamera
 from eagor.media.bags import is_bag, split_bag
-from eagor.media.footage import BagFrames, Footage, FrameCheck, VideoFrames, images, is_video
+from eagor.media.films import open_video
+from eagor.media.footage import BagFrames, Footage, FrameCheck, VideoFrames, images, is_video, warned
 from eagor.media.intrinsics import Camera, in_words
-from eagor.media.live_camera import LiveCamera
-from eagor.media.rig_videos import open_video
+from eagor.media.live_camera import SCHEMES, LiveCamera, device, network, raw_pipe, standard_input
 from eagor.media.rigs import read_rig
-from eagor.media.streams import SCHEMES, device, network, raw_pipe, standard_input
 
 __all__ = ["BUILT_IN", "GROUP", "SOURCES", "open_footage", "open_source"]
 
@@ -73,7 +70,7 @@ def open_source(
     if len(set(kinds)) > 1:
         raise DeviceError(f"{text} mixes {' and '.join(sorted(set(kinds)))}; wanted the same kind for each lens")
     settings: dict[str, Any] = {"latency": latency, "rows": rows, "rig": lenses, "rate": rate}
-    if kinds[0] in ("file", "bag"):
+    if kinds[0] == "file":
         return open_footage(parts, **settings, camera=camera, **more)
     if camera is not None and (camera.known or camera.eyes):  # cameras of other packages need not know of it
         settings["camera"] = camera
@@ -104,28 +101,21 @@ def open_footage(
     the topic of a bag's CameraInfo. `say` is told what files say of themselves, and what looks odd in a line that
     begins with "warning: " (default: that is a `UserWarning`). The rest, and errors, as for `open_source`.
     """
-    if not (rate is None or (math.isfinite(rate) and rate > 0)):
+    if not (rate is None or above(rate, 0)):
         raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
-    say, camera = say or _warned, camera or Camera()
+    say, camera = say or warned, camera or Camera()
     path, topic = split_bag(str(places[0]))
     if is_bag(path):
         bag = BagCamera(path, topic, rows=rows, rig=rig, camera=camera, info=info)
         if bag.lens is not None:
             say(f"{bag.topic}: {in_words(bag.lens.name, bag.view)}")
-        check = FrameCheck(
-            force, say, None if camera.eyes is None else replace(camera, eyes="mono")
-        )  # it takes one of them
+        check = FrameCheck(force, say, Camera(eyes="mono") if camera.eyes else None)  # of two eyes it takes one
         return Footage(BagFrames(bag, check, rate, start, end), latency)
-    paths, check = [Path(place) for place in places], FrameCheck(force, say, camera)
+    paths, check = [Path(place) for place in places], FrameCheck(force, say, camera, rig)
     if is_video(paths, rig is not None):
         video = open_video(paths, rig, rate=rate, start=start, end=end, rows=rows)
         return Footage(VideoFrames(video, check), latency)
-    return Footage(images(paths, rate, check, rig), latency, rows)
-
-
-def _warned(text: str) -> None:
-    if text.startswith("warning: "):
-        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=3)
+    return Footage(images(paths, rate, check), latency, rows)
 
 
 def _kind(text: str) -> str:
@@ -137,17 +127,15 @@ def _kind(text: str) -> str:
         return "device"
     if _ADDRESS.match(text):
         return "stream"
-    if is_bag(split_bag(text)[0]):
-        return "bag"
-    if os.path.exists(text):
+    if is_bag(split_bag(text)[0]) or os.path.exists(text):
         return "file"
-    named = _NAME.fullmatch(text)
-    if named is not None and named[1] in plugins.known(GROUP, BUILT_IN):
+    if (named := _NAME.fullmatch(text)) is None:
+        raise DeviceError(f"there is no file or folder {text!r}; wanted {SOURCES}")
+    known = plugins.known(GROUP, BUILT_IN)
+    if named[1] in known:
         return "plugin"
-    if named is not None:
-        known = ", ".join(f"{name}:" for name in sorted({*plugins.known(GROUP, BUILT_IN), "v4l2", "pipe", *SCHEMES}))
-        raise DeviceError(f"there is no file {text!r}, and no source is called {named[1]}: ({known}). Wanted {SOURCES}")
-    raise DeviceError(f"there is no file or folder {text!r}; wanted {SOURCES}")
+    names = ", ".join(f"{name}:" for name in sorted({*known, "v4l2", "pipe", *SCHEMES}))
+    raise DeviceError(f"there is no file {text!r}, and no source is called {named[1]}: ({names}). Wanted {SOURCES}")
 
 
 def _has_topics(text: str) -> bool:
@@ -157,11 +145,9 @@ def _has_topics(text: str) -> bool:
 
 def _device(text: str) -> Any:
     place, _, query = text.partition("?")
-    found = _DEVICE.fullmatch(place)
-    if found is None:
+    if (found := _DEVICE.fullmatch(place)) is None:
         raise DeviceError(f"{text}: wanted a camera such as /dev/video0, or v4l2:0")
-    pairs = (pair.partition("=") for pair in query.split("&") if pair)
-    settings = {key: value for key, _, value in pairs}
+    settings = {key: value for key, _, value in (pair.partition("=") for pair in query.split("&") if pair)}
     return device(found[1] or f"/dev/video{found[2]}", settings)
 
 

@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,9 @@ from eagor.cameras import Rig
 from eagor.errors import EagorError, ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media import Frame
-from eagor.media.animations import is_animation
 from eagor.media.bag_sources import BagCamera
 from eagor.media.defects import TWICE, problems, two_eyes
+from eagor.media.films import StitchedVideo, is_animation
 from eagor.media.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
 from eagor.media.panorama import (
     IMAGES,
@@ -33,27 +34,20 @@ from eagor.media.panorama import (
     pictures_in,
     read_panorama,
     read_photograph,
-    resized,
-    resized_mask,
+    shrunk_picture,
 )
-from eagor.media.rig_videos import StitchedVideo
 from eagor.media.stitching import PanoramaBuilder, sizes_of
-from eagor.media.video import plays
+from eagor.media.video import plays, selected
 from eagor.odometry.times import times_of
 
-__all__ = [
-    "LEAST_ROWS", "VIDEOS", "BagFrames", "Footage", "FrameCheck", "ImageFrames", "LensPictures", "Read", "ShapeError",
-    "VideoFrames", "images", "is_video",
-]  # fmt: skip
+__all__ = ["LEAST_ROWS", "BagFrames", "Footage", "FrameCheck", "ImageFrames", "ShapeError", "VideoFrames", "is_video"]
 
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")  # without a look
 RATE = 1.0  # pictures per second where nothing tells
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 
 NOTHING = IntrinsicsHint()
-Read = Callable[[], Picture]  # gives a picture, or raises `EagorError`
-Item = tuple[float, str, Read]  # of a frame: its stamp (seconds), its name, its picture
-Say = Callable[[str], object]
+Item = tuple[float, str, Callable[[], Picture]]  # stamp (seconds), name, and what gives the picture or `EagorError`
 
 
 @dataclass
@@ -62,26 +56,37 @@ class FrameCheck:
 
     `say` gets facts that files tell, and what looks odd, once. `force`: pictures that are not 2:1 are panoramas, and
     circles are looked at. Without a `camera` all have to be panoramas; with one that knows nothing itself, those that
-    are not have a lens that files tell.
+    are not have a lens that files tell. `rig`: files hold the pictures of its lenses.
     """
 
     force: bool = False
-    say: Say = lambda text: None
+    say: Callable[[str], object] = lambda text: None
     camera: Camera | None = None
+    rig: Rig | None = None
     _looked: bool = False
     _builders: dict[Any, PanoramaBuilder] = field(default_factory=dict)
 
-    def read(self, path: Path) -> Picture:
-        """The picture in a file, and what the file says of it; raises `ImageError`, and as the check of a frame."""
-        return self(read_photograph(path, warn=False, force=self.force), str(path), intrinsics_from_exif(path))
+    def read(self, *paths: Path) -> Picture:
+        """The picture in a file, or in those of a rig's lenses, as what it is. Raises `ImageError`, and as a frame."""
+        if self.rig is None:
+            (path,) = paths
+            found = read_photograph(path, warn=False, force=self.force)
+            return self(found, str(path), intrinsics_from_exif(path))
+        with warnings.catch_warnings():  # of their shapes: they are no panoramas
+            warnings.simplefilter("ignore")
+            pictures = [read_panorama(path) for path in paths]
+        builder = self.builder(sizes_of(pictures), str(paths[0]), rig=self.rig)
+        return Picture(builder.make(*pictures), builder.unseen)
 
-    def builder(self, size: tuple[int, int], name: str, hint: IntrinsicsHint) -> PanoramaBuilder:
-        """What makes frames of pictures of a `size` (width, height); errors as of `PanoramaBuilder`."""
+    def builder(
+        self, sizes: tuple[tuple[int, int], ...], name: str, hint: IntrinsicsHint = NOTHING, rig: Rig | None = None
+    ) -> PanoramaBuilder:
+        """What makes frames of pictures of `sizes` (width, height); errors as of `PanoramaBuilder`."""
         hint = NOTHING if self.camera is None else hint
-        if (size, hint) not in self._builders:
-            made = PanoramaBuilder([size], name, camera=self.camera, hint=hint, force=self.force)
-            self._builders[size, hint] = made
-        return self._builders[size, hint]
+        if (sizes, hint) not in self._builders:
+            made = PanoramaBuilder(sizes, name, rig=rig, camera=self.camera, hint=hint, force=self.force)
+            self._builders[sizes, hint] = made
+        return self._builders[sizes, hint]
 
     def __call__(self, frame: Picture, name: str, hint: IntrinsicsHint = NOTHING) -> Picture:
         """`frame`, as a panorama, or with the grid of an ordinary picture; `hint`: what its file says of the lens.
@@ -91,7 +96,7 @@ class FrameCheck:
         eyes, view, words = self.camera is not None and self.camera.eyes is not None, None, ""
         if eyes or frame.unseen is None or not is_whole(frame.picture):  # else its file says where it is
             try:
-                builder = self.builder(sizes_of([frame.picture])[0], name, hint)
+                builder = self.builder(sizes_of([frame.picture]), name, hint)
             except ShapeError as error:  # of any shape, two eyes are told by their likeness
                 twice = two_eyes(frame.picture)
                 raise ShapeError(f"{name} {TWICE[twice]}" if twice else str(error)) from error
@@ -114,8 +119,20 @@ class FrameCheck:
         return frame
 
 
+class _Frames:
+    """Where recorded pictures come from; `begins`: the stamp of the first on a clock of its own."""
+
+    begins = 0.0
+    level_R_body: np.ndarray | None = None
+    motion: Any = None
+    ordinary = False  # as far as that is known without a picture
+
+    def items(self) -> Iterator[Item]:
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class ImageFrames:
+class ImageFrames(_Frames):
     """Pictures in files, `rate` per second; `read` gives one of them.
 
     `stamps`: when the pictures were taken, if that is known.
@@ -125,8 +142,6 @@ class ImageFrames:
     rate: float
     read: Callable[[Path], Picture]
     stamps: tuple[float, ...] = ()
-    level_R_body = motion = None
-    begins = 0.0
 
     @property
     def count(self) -> int:
@@ -137,21 +152,18 @@ class ImageFrames:
             yield self.stamps[number] if self.stamps else number / self.rate, path.name, partial(self.read, path)
 
 
-@dataclass(frozen=True)
-class VideoFrames:
-    """The frames of a video, as `eagor.media.rig_videos.open_video` gives it."""
+class VideoFrames(_Frames):
+    """The frames of a `video`, as `eagor.media.films.open_video` gives it."""
 
-    video: Any
-    check: FrameCheck
-    begins = 0.0
-
-    @property
-    def level_R_body(self) -> np.ndarray | None:
-        return self.video.level_R_body
+    def __init__(self, video: Any, check: FrameCheck) -> None:
+        self.video, self.check = video, check
+        self.level_R_body, self.motion = video.level_R_body, video.motion
 
     @property
-    def motion(self) -> Any:
-        return self.video.motion
+    def ordinary(self) -> bool:
+        high, wide = self.video.shape
+        stitched = isinstance(self.video, StitchedVideo)
+        return not stitched and self.check.builder(((wide, high),), self.video.path, self.video.hint).view is not None
 
     def items(self) -> Iterator[Item]:
         for frame in self.video:
@@ -159,36 +171,24 @@ class VideoFrames:
             yield frame.stamp, frame.name, partial(self.check, found, frame.name, self.video.hint)
 
 
-@dataclass(frozen=True)
-class BagFrames:
+class BagFrames(_Frames):
     """The pictures of a bag's `camera`, `rate` per second, from `start` to `end` (seconds from the first).
 
     Stamps are those of the messages' headers.
     """
 
-    camera: BagCamera
-    check: FrameCheck
-    rate: float | None = None
-    start: float = 0.0
-    end: float | None = None
-    level_R_body = motion = None
-
-    @property
-    def begins(self) -> float:
-        return self.camera.begins
+    def __init__(
+        self, camera: BagCamera, check: FrameCheck, rate: float | None = None, start: float = 0.0,
+        end: float | None = None,
+    ) -> None:  # fmt: skip
+        self.camera, self.check, self._taken = camera, check, (rate, start, math.inf if end is None else end)
+        self.begins, self.ordinary = camera.begins, camera.view is not None
 
     def items(self) -> Iterator[Item]:
-        tick = -math.inf
-        for stamp, read in self.camera.pictures():
-            at = stamp - self.begins
-            if at < self.start:
-                continue
-            if self.end is not None and at > self.end:
-                return
-            if self.rate is not None:
-                if (number := math.floor(at * self.rate + 1e-6)) <= tick:
-                    continue
-                tick = number
+        rate, start, end = self._taken
+        coming = ((stamp - self.begins, (stamp, read)) for stamp, read in self.camera.pictures())
+        inside = takewhile(lambda each: each[0] <= end, (each for each in coming if each[0] >= start))
+        for _, (stamp, read) in selected(inside, 0.0, None, rate, 1e-6):
             name = f"{self.camera.topics[0]} at {stamp:.3f} s"
             yield stamp, name, partial(self._checked, read, name)
 
@@ -229,13 +229,7 @@ class Footage:
     @property
     def ordinary(self) -> bool:
         """Whether its pictures are those of an ordinary camera, as far as that is known without one."""
-        frames = self.frames
-        if isinstance(frames, BagFrames):
-            return frames.camera.view is not None
-        if isinstance(frames, VideoFrames) and not isinstance(frames.video, StitchedVideo):
-            high, wide = frames.video.shape
-            return frames.check.builder((wide, high), frames.video.path, frames.video.hint).view is not None
-        return False
+        return self.frames.ordinary
 
     @property
     def bag(self) -> BagCamera | None:
@@ -258,7 +252,7 @@ class Footage:
             first = last == -math.inf
             last = max(stamp - self.latency, math.nextafter(last, math.inf))
             try:
-                found = _shrunk(read(), self.rows)
+                found = shrunk_picture(read(), self.rows)
             except EagorError as error:
                 if first and isinstance(error, ShapeError):  # hardly any other will do better
                     raise
@@ -271,15 +265,10 @@ class Footage:
         self._closed = True
 
 
-def _shrunk(found: Picture, rows: int | None) -> Picture:
-    """The picture with `rows` at the most."""
-    height, width = found.picture.shape[:2]
-    if rows is None or height <= rows:
-        return found
-    shape = (rows, 2 * rows) if found.grid is None else (rows, max(1, round(width * rows / height)))
-    unseen = None if found.unseen is None else resized_mask(found.unseen, shape)
-    grid = None if found.grid is None else found.grid.resized(*shape)
-    return replace(found, picture=resized(found.picture, shape, wrap=grid is None), unseen=unseen, grid=grid)
+def warned(text: str) -> None:
+    """A `UserWarning` for what begins with "warning: ": where nobody else listens."""
+    if text.startswith("warning: "):
+        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=4)
 
 
 def is_video(places: Sequence[Path], rig: bool = False) -> bool:
@@ -290,29 +279,27 @@ def is_video(places: Sequence[Path], rig: bool = False) -> bool:
     return not many and all(map(_is_film, places))
 
 
-def images(places: Sequence[Path], rate: float | None, check: FrameCheck, rig: Rig | None = None) -> ImageFrames:
+def images(places: Sequence[Path], rate: float | None, check: FrameCheck) -> ImageFrames:
     """The pictures in `places` (one folder, or image files), sorted by name; numbers in names sort by value.
 
     Without a `rate` they were taken at the times that their names are (`eagor.odometry.times`: 12.350.png), or else one
-    per second. With a `rig` they are pictures of its lenses, as `LensPictures` reads them; of one for several pictures,
-    a folder for each. Raises `ImageError` for anything else.
+    per second. Of a rig for several pictures, `places` are a folder for each. Raises `ImageError` for anything else.
     """
-    found = _images(places, rate or RATE, check, rig)
-    times = times_of([path.stem for path in found.paths]) if rate is None and len(found.paths) > 1 else None
-    if times is None or len({*times}) < len(times):
-        return found
-    stamps, paths = zip(*sorted(zip(times, found.paths, strict=True)), strict=True)
-    return replace(found, paths=paths, stamps=stamps)
+    count = 1 if check.rig is None else len(check.rig.sizes)
+    together = _together(places, count) if count > 1 else [(path,) for path in _single(places)]
+    with_first = {each[0]: each for each in together}
+    paths, stamps = tuple(with_first), ()
+    times = times_of([path.stem for path in paths]) if rate is None and len(paths) > 1 else None
+    if times is not None and len({*times}) == len(times):
+        stamps, paths = zip(*sorted(zip(times, paths, strict=True)), strict=True)
+    return ImageFrames(paths, rate or RATE, lambda path: check.read(*with_first[path]), stamps)
 
 
-def _images(places: Sequence[Path], rate: float, check: FrameCheck, rig: Rig | None) -> ImageFrames:
-    if rig is not None and len(rig.sizes) > 1:
-        return _of_folders(places, rate, rig)
+def _single(places: Sequence[Path]) -> tuple[Path, ...]:
     if films := list(filter(_is_film, places)):
         raise ImageError(f"{films[0]} is a video, beside other files; give one video, a folder, or image files")
-    read = check.read if rig is None else LensPictures(rig).read
     if len(places) == 1 and os.path.isdir(places[0]):
-        return ImageFrames(pictures_in(places[0]), rate, read)
+        return pictures_in(places[0])
     for place in places:  # os.path returns False where Path would raise: a name too long, a closed folder
         if os.path.isdir(place):
             raise ImageError(f"{place} is a folder; give one folder, or only image files")
@@ -320,30 +307,22 @@ def _images(places: Sequence[Path], rate: float, check: FrameCheck, rig: Rig | N
             raise ImageError(
                 f"there is no file {place}; give a video, a recorded ROS 2 bag, a folder of pictures, or image files"
             )
-    return ImageFrames(in_order(places), rate, read)
+    return in_order(places)
 
 
-def _of_folders(places: Sequence[Path], rate: float, rig: Rig) -> ImageFrames:
-    """A folder for each camera of a rig, whose pictures belong together in order of their names."""
-    count = len(rig.sizes)
+def _together(places: Sequence[Path], count: int) -> list[tuple[Path, ...]]:
+    """Of a folder for each of `count` cameras, the pictures that belong together, in order of their names."""
     if len(places) != count or not all(map(os.path.isdir, places)):
         raise ImageError(
             f"the rig is for {count} pictures at a time, one for each lens; give {count} folders with commas between, "
             "one for each lens in its order, a video, or pictures with all lenses in one. One moment alone: eagor "
             "locate FRONT,BACK"
         )
-    together = {moment[0]: moment for moment in zip(*_lens_folders(places), strict=True)}
-    lenses = LensPictures(rig)
-    return ImageFrames(tuple(together), rate, lambda path: lenses.read(*together[path]))
-
-
-def _lens_folders(folders: Sequence[Path]) -> list[tuple[Path, ...]]:
-    """The pictures in the folders of a rig's lenses. Raises `ImageError` where their numbers differ."""
-    lists = [pictures_in(Path(folder)) for folder in folders]
+    lists = [pictures_in(Path(folder)) for folder in places]
     if len({len(each) for each in lists}) > 1:
-        counts = ", ".join(f"{len(each)} in {folder}" for each, folder in zip(lists, folders, strict=True))
+        counts = ", ".join(f"{len(each)} in {folder}" for each, folder in zip(lists, places, strict=True))
         raise ImageError(f"the folders of the lenses hold different numbers of pictures: {counts}")
-    return lists
+    return [*zip(*lists, strict=True)]
 
 
 def _is_film(place: Path) -> bool:
@@ -352,21 +331,3 @@ def _is_film(place: Path) -> bool:
     if suffix in VIDEOS:
         return not place.is_dir()
     return suffix not in IMAGES and os.path.isfile(place) and plays(place)
-
-
-class LensPictures:
-    """Reads pictures of a `rig`, stitched."""
-
-    def __init__(self, rig: Rig) -> None:
-        self.rig, self._sizes = rig, ()
-        self._builder: PanoramaBuilder | None = None
-
-    def read(self, *paths: Path) -> Picture:
-        """The panorama of the pictures at `paths`, of one moment. Raises `ImageError`."""
-        with warnings.catch_warnings():  # of their shapes: they are no panoramas
-            warnings.simplefilter("ignore")
-            pictures = [read_panorama(path) for path in paths]
-        sizes = sizes_of(pictures)
-        if self._builder is None or sizes != self._sizes:
-            self._builder, self._sizes = PanoramaBuilder(sizes, str(paths[0]), rig=self.rig), sizes
-        return Picture(self._builder.make(*pictures), self._builder.unseen)

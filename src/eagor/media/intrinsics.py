@@ -11,6 +11,7 @@ import math
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,9 +37,7 @@ ASK = (
 )
 
 ORIENTATION, EXIF = 0x0112, 0x8769
-FOCAL_LENGTH, FOCAL_35MM = 0x920A, 0xA405
-PLANE_X, PLANE_UNIT = 0xA20E, 0xA210
-EXIF_WIDTH, EXIF_HEIGHT = 0xA002, 0xA003
+FOCAL_LENGTH, FOCAL_35MM, PLANE_X, PLANE_UNIT, EXIF_WIDTH, EXIF_HEIGHT = 0x920A, 0xA405, 0xA20E, 0xA210, 0xA002, 0xA003
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # mm: inch, cm, mm, micrometre
 QUARTERS = {3: 2, 6: 3, 8: 1}  # quarter turns, counterclockwise, of Exif's orientations; the others are mirrored
 
@@ -85,16 +84,14 @@ class IntrinsicsHint:
 
 def camera_of(hfov: float | None, path: Path | None, eyes: str | None = None) -> Camera:
     """The camera of ``--hfov`` (degrees), ``--camera`` and ``--eyes``. Raises `ImageError`, `FormatError`."""
-    if eyes is not None:
-        if hfov is not None or path is not None:
-            raise ImageError(f"--eyes {eyes} is for panoramas; leave out --hfov and --camera")
-        return Camera(eyes=eyes)
+    if eyes is not None and (hfov is not None or path is not None):
+        raise ImageError(f"--eyes {eyes} is for panoramas; leave out --hfov and --camera")
     if hfov is not None and path is not None:
         raise ImageError(f"--hfov {hfov:g} and --camera {path}: wanted one of them; a calibration has the field")
     if path is not None:
         return Camera(read_camera(path), name=str(path))
     if hfov is None:
-        return Camera()
+        return Camera(eyes=eyes)
     low, high = (math.degrees(limit) for limit in PLAUSIBLE)
     if not low <= hfov <= high:
         raise ImageError(
@@ -148,7 +145,7 @@ def in_words(source: str, grid: PerspectiveGrid | None) -> str:
     return f"an ordinary camera, {math.degrees(grid.hfov):.1f} x {high:.1f} degrees, says {source}"
 
 
-def _alike(one: tuple[int, int], other: tuple[int, int]) -> bool:
+def _alike(one: tuple[float, float], other: tuple[float, float]) -> bool:
     return abs(one[0] * other[1] / (one[1] * other[0]) - 1) <= SHAPE
 
 
@@ -167,19 +164,17 @@ def intrinsics_from_exif(path: str | Path) -> IntrinsicsHint:
             turns = QUARTERS.get(exif.get(ORIENTATION, 1), 0)
     except Exception:  # Pillow may raise anything for damaged metadata
         return IntrinsicsHint()
-    taken = _number(tags.get(EXIF_WIDTH)) or size[0], _number(tags.get(EXIF_HEIGHT)) or size[1]
-    if not (_alike(size, taken) or _alike(size, (taken[1], taken[0]))):  # type: ignore[arg-type]
+    film, length, per_unit, wide, high = (
+        _number(tags.get(tag)) for tag in (FOCAL_35MM, FOCAL_LENGTH, PLANE_X, EXIF_WIDTH, EXIF_HEIGHT)
+    )
+    taken = wide or size[0], high or size[1]
+    if not (_alike(size, taken) or _alike(size, (taken[1], taken[0]))):
         return IntrinsicsHint(turns=turns, facts=("its Exif is that of a picture of another shape: it was cropped",))
-    length, per_unit = _number(tags.get(FOCAL_LENGTH)), _number(tags.get(PLANE_X))
-    unit = UNITS.get(tags.get(PLANE_UNIT, 2))
-    if film := _number(tags.get(FOCAL_35MM)):
-        focal, source = film * math.hypot(*size) / FULL_FRAME, "its Exif (FocalLengthIn35mmFilm)"
-    elif length and per_unit and unit:
-        focal = length * per_unit / unit * max(size) / max(taken)
-        source = "its Exif (FocalLength, FocalPlaneXResolution)"
-    else:
-        return IntrinsicsHint(turns=turns)
-    return _plausible(focal, size[turns % 2], source, turns)
+    if film:
+        return _hint(film * math.hypot(*size) / FULL_FRAME, "its Exif (FocalLengthIn35mmFilm)", size[turns % 2], turns)
+    unit = UNITS.get(tags.get(PLANE_UNIT, 2), 0.0)
+    focal = (length or 0.0) * (per_unit or 0.0) / (unit or math.inf) * max(size) / max(taken)
+    return _hint(focal, "its Exif (FocalLength, FocalPlaneXResolution)", size[turns % 2], turns)
 
 
 def intrinsics_from_tags(tags: Mapping[str, str], size: tuple[int, int], turns: int) -> IntrinsicsHint:
@@ -194,27 +189,24 @@ def intrinsics_from_tags(tags: Mapping[str, str], size: tuple[int, int], turns: 
         for key, value in tags.items()
         if STEADY_KEY.search(key) and value.strip().lower() not in OFF
     )
-    for key, value in tags.items():
-        if FOCAL_KEY.search(key) and (film := _number(value)):
-            focal = film * math.hypot(*size) / FULL_FRAME
-            source = f"its metadata ({key.rsplit('.', 2)[-2]}, 35 mm)"
-            return replace(_plausible(focal, size[0], source, turns), facts=facts)
-    return IntrinsicsHint(turns=turns, facts=facts)
+    films = ((key, film) for key, value in tags.items() if FOCAL_KEY.search(key) and (film := _number(value)))
+    key, film = next(films, ("..", 0.0))
+    source = f"its metadata ({key.rsplit('.', 2)[-2]}, 35 mm)"
+    return replace(_hint(film * math.hypot(*size) / FULL_FRAME, source, size[0], turns), facts=facts)
 
 
-def _plausible(focal: float, width: int, source: str, turns: int) -> IntrinsicsHint:
-    hfov = 2 * math.atan(width / (2 * focal))
-    good = PLAUSIBLE[0] <= hfov <= PLAUSIBLE[1]
+def _hint(focal: float, source: str, width: int, turns: int) -> IntrinsicsHint:
+    """With the focal length, if pictures of this `width` then have a field that can be."""
+    good = focal > 0 and PLAUSIBLE[0] <= 2 * math.atan(width / (2 * focal)) <= PLAUSIBLE[1]
     return IntrinsicsHint(focal, source, turns) if good else IntrinsicsHint(turns=turns)
 
 
 def _number(value: Any) -> float | None:
     """A number above 0 in a tag, or None."""
-    try:
-        found = float(value)
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return found if math.isfinite(found) and found > 0 else None
+    with suppress(TypeError, ValueError, ZeroDivisionError):
+        if math.isfinite(found := float(value)) and found > 0:
+            return found
+    return None
 
 
 def rig_of_info(received: Any, rectified: bool, name: str) -> Rig:
@@ -225,11 +217,9 @@ def rig_of_info(received: Any, rectified: bool, name: str) -> Rig:
     header's frame is taken for that of the pictures, as ``image_geometry`` takes it. Raises `FormatError`.
     """
     roi = received.roi
-    left, top, wide, high = (
-        (0, 0, received.width, received.height)
-        if 0 in (roi.width, roi.height)
-        else (roi.x_offset, roi.y_offset, roi.width, roi.height)
-    )
+    left, top, wide, high = roi.x_offset, roi.y_offset, roi.width, roi.height
+    if 0 in (wide, high):
+        left, top, wide, high = 0, 0, received.width, received.height
     across, down = max(1, received.binning_x), max(1, received.binning_y)
     size = wide // across, high // down
     if min(size) < 1:

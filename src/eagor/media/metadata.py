@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
@@ -81,14 +82,14 @@ class Projection:
     wrong: str = ""
 
     @property
-    def world_R_body(self) -> np.ndarray:
-        """The rotation ``(3, 3)`` from the picture's axes to a level frame; heading 0 is the file's (GPano: north)."""
-        return world_R_body(self.yaw, self.pitch, self.roll)
+    def level_R_body(self) -> np.ndarray | None:
+        """The rotation ``(3, 3)`` from the picture's axes to level ones; forward stays its centre. None if it is."""
+        return world_R_body(0.0, self.pitch, self.roll) if self.pitch or self.roll else None
 
     @property
-    def level_R_body(self) -> np.ndarray:
-        """As `world_R_body`, without the heading: forward stays the picture's centre."""
-        return world_R_body(0.0, self.pitch, self.roll)
+    def world_R_body(self) -> np.ndarray | None:
+        """As `level_R_body`, with the heading: 0 is the file's (GPano: north). None if it says nothing of all that."""
+        return world_R_body(self.yaw, self.pitch, self.roll) if self.yaw or self.pitch or self.roll else None
 
     @classmethod
     def of_eyes(cls, layout: str) -> Projection:
@@ -107,21 +108,19 @@ class Projection:
 
     def facts(self) -> tuple[str, ...]:
         """Sentences for the user."""
-        said = [f"{self.source} says: {self.kind}"]
-        if self.wrong:
-            said.append(f"{self.wrong}; ignored, with all columns for 360 degrees and all rows for 180")
-        if self.stereo != "mono":
-            said.append(f"it holds two eyes ({self.stereo}); the left one is taken")
-        if any((self.yaw, self.pitch, self.roll)):
-            angles = [f"{math.degrees(a) + 0.0:+.1f}" for a in (self.yaw, -self.pitch, self.roll)]
-            said.append(
-                f"{self.source} says how the camera was held: yaw {angles[0]} (left), pitch {angles[1]} (up), roll "
-                f"{angles[2]} (right side down) degrees"
-            )
-        if any(self.cropped):
-            rows, columns = 180 * (1 - sum(self.cropped[:2])), 360 * (1 - sum(self.cropped[2:]))
-            said.append(f"it shows {columns:.0f} x {rows:.0f} degrees of the sphere; the rest counts as not seen")
-        return tuple(said)
+        yaw, pitch, roll = (f"{math.degrees(a) + 0.0:+.1f}" for a in (self.yaw, -self.pitch, self.roll))
+        rows, columns = 180 * (1 - sum(self.cropped[:2])), 360 * (1 - sum(self.cropped[2:]))
+        said = {
+            f"{self.source} says: {self.kind}": True,
+            f"{self.wrong}; ignored, with all columns for 360 degrees and all rows for 180": self.wrong,
+            f"it holds two eyes ({self.stereo}); the left one is taken": self.stereo != "mono",
+            f"{self.source} says how the camera was held: yaw {yaw} (left), pitch {pitch} (up), roll {roll} (right "
+            "side down) degrees": self.yaw or self.pitch or self.roll,
+            f"it shows {columns:.0f} x {rows:.0f} degrees of the sphere; the rest counts as not seen": any(
+                self.cropped
+            ),
+        }
+        return tuple(fact for fact, holds in said.items() if holds)
 
     def layout(self, height: int, width: int, rows: int | None = None) -> Layout:
         """Where a picture of `height` and `width` pixels, all its eyes included, goes in a whole panorama.
@@ -134,9 +133,13 @@ class Projection:
         whole = high / (1 - top - bottom)
         count = max(1, round(whole if rows is None else min(rows, whole)))
         columns = 2 * count if self.kind == "equirectangular" else max(1, round(wide * count / high))
-        first, last = round(top * count), max(round(top * count) + 1, round((1 - bottom) * count))
-        start, stop = round(left * columns), max(round(left * columns) + 1, round((1 - right) * columns))
-        return Layout((count, columns), slice(first, last), slice(start, stop), eye)
+        return Layout((count, columns), _part(top, bottom, count), _part(left, right, columns), eye)
+
+
+def _part(before: float, after: float, count: int) -> slice:
+    """Which of `count` rows or columns remain without these shares of them."""
+    first = round(before * count)
+    return slice(first, max(first + 1, round((1 - after) * count)))
 
 
 @dataclass(frozen=True)
@@ -208,56 +211,47 @@ def of_photograph(said: Mapping[str, str], size: tuple[int, int]) -> Projection 
         return None
 
     def angle(name: str) -> float:
-        try:
-            value = float(said.get(f"Pose{name}Degrees", 0))
-        except ValueError:
-            return 0.0
-        return math.radians(value) if math.isfinite(value) else 0.0
+        with suppress(ValueError):
+            if math.isfinite(value := float(said.get(f"Pose{name}Degrees", 0))):
+                return math.radians(value)
+        return 0.0
 
     kind = said["ProjectionType"].lower()
     found = Projection("its XMP (GPano)", kind, "mono", -angle("Heading"), -angle("Pitch"), angle("Roll"))
-    return _with_area(found, {name: said[name] for name in AREA if name in said}, size)
+    area, shape = {name: said[name] for name in AREA if name in said}, f"the picture is {size[0]} x {size[1]}"
+    if area:
+        cropped = _cropped(area, size)
+        listed = ", ".join(f"{key} {value}" for key, value in area.items())
+        wrong = f"{found.source} says an area that does not add up: {listed}; {shape}"
+        return replace(found, wrong=wrong) if cropped is None else replace(found, cropped=cropped)
+    wrong = f"{found.source} says {kind}, and not which part of the sphere; {shape}, not 2:1"
+    return found if is_twice_as_wide(size[1], size[0]) else replace(found, wrong=wrong)
 
 
-def _with_area(found: Projection, area: Mapping[str, str], size: tuple[int, int]) -> Projection:
-    """With the cropped `area` of a picture of `size`, or with what is wrong about it.
+def _cropped(area: Mapping[str, str], size: tuple[int, int]) -> tuple[float, float, float, float] | None:
+    """What a picture of `size` lacks at the top, bottom, left and right, by its `area`; None if that cannot be.
 
     What is not told follows from the rest where there is one way only: the sphere is twice as wide as high, and a part
     that fills it begins at its border.
     """
-    shape = f"the picture is {size[0]} x {size[1]}"
-    if not area:
-        if is_twice_as_wide(size[1], size[0]):
-            return found
-        what = f"{found.source} says {found.kind}, and not which part of the sphere; {shape}, not 2:1"
-        return replace(found, wrong=what)
-    listed = ", ".join(f"{key} {value}" for key, value in area.items())
-    wrong = replace(found, wrong=f"{found.source} says an area that does not add up: {listed}; {shape}")
     try:
-        width, height, wide, high, left, top = (float(area[name]) if name in area else math.nan for name in AREA)
+        width, height, wide, high, left, top = (float(area.get(name, "nan")) for name in AREA)
     except ValueError:
-        return wrong
+        return None
     wide, high = (own if math.isnan(n) else n for n, own in zip((wide, high), size, strict=True))
     height = width / 2 if math.isnan(height) else height
     width = 2 * height if math.isnan(width) else width
-    slack = max(ROUNDING, 0.002 * width)
-    left, top = (
-        0.0 if math.isnan(start) and abs(full - n) <= slack else start
-        for start, n, full in ((left, wide, width), (top, high, height))
-    )
-    sides = ((top, high, height), (left, wide, width))
-    fits = all(start >= -slack and n >= 1 and start + n <= full + slack < 1e6 and full >= 1 for start, n, full in sides)
+    slack, cropped = max(ROUNDING, 0.002 * width), list[float]()
+    for start, n, full in ((top, high, height), (left, wide, width)):
+        start = 0.0 if math.isnan(start) and abs(full - n) <= slack else start
+        if not (start >= -slack and n >= 1 and start + n <= full + slack < 1e6 and full >= 1):  # or one is missing
+            return None
+        first = min(max(start / full, 0.0), max(1 - n / full, 0.0))  # a part that juts out by rounding is moved in
+        cropped += [first, max(1 - first - n / full, 0.0)]
     square = abs(width - 2 * height) <= 2 * slack  # and the picture is the part that was cut, in any size
     alike = abs(size[0] * high - size[1] * wide) <= 0.02 * size[0] * high + ROUNDING * max(wide, high)
-    if not (fits and square and alike):  # also where a number is missing
-        return wrong
-    if size[0] * size[1] / (wide * high) * width * height > LARGEST:
-        return wrong
-    cropped: list[float] = []
-    for start, n, full in sides:  # a part that juts out by rounding is moved in
-        first = min(max(start / full, 0.0), max(1 - n / full, 0.0))
-        cropped += [first, max(1 - first - n / full, 0.0)]
-    return replace(found, cropped=tuple(cropped))
+    small = size[0] * size[1] / (wide * high) * width * height <= LARGEST
+    return (cropped[0], cropped[1], cropped[2], cropped[3]) if square and alike and small else None
 
 
 def properties(xmp: bytes, namespace: str) -> dict[str, str]:

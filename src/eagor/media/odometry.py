@@ -20,7 +20,7 @@ from eagor._extras import need
 from eagor.errors import DeviceError, PoseError
 from eagor.media import CameraSource, Pose, PoseSource
 from eagor.media.bag_sources import BagPoses, bag_odometry
-from eagor.media.footage import Footage, ImageFrames
+from eagor.media.footage import Footage, ImageFrames, warned
 from eagor.media.panorama import Picture
 from eagor.odometry.axes import settled
 from eagor.odometry.files import BEYOND, FramePose, Poses, interpolated, pair, read_poses, usable
@@ -58,10 +58,8 @@ class MotionPoses:
         self.track = track
 
     def __iter__(self) -> Iterator[Pose]:
-        count = int((self.track.end - self.track.start) * MOTION_RATE) + 1
-        for number in range(count):
-            stamp = self.track.start + number / MOTION_RATE
-            yield self.at(stamp)
+        for number in range(int((self.track.end - self.track.start) * MOTION_RATE) + 1):
+            yield self.at(self.track.start + number / MOTION_RATE)
 
     def at(self, stamp: float) -> Pose:
         """The pose at any time."""
@@ -92,15 +90,14 @@ def open_poses(
     Raises `DeviceError` for live poses of a recording, and the other way round, and what the source raises.
     """
     name, _, topic = text.partition(":")
-    bag = source.bag if isinstance(source, Footage) else None
-    if bag is not None and (text == "auto" or name == "ros"):
-        found = bag_odometry(bag.bag, topic or None, bag.frame)
-        if found is not None:
-            return found
-    motion = source.motion if isinstance(source, Footage) else None
-    if text == "auto" and motion is not None:
-        return MotionPoses(motion)
-    if text == "auto" and (own := getattr(source, "poses", None)) is not None:  # a simulated body knows its own
+    footage, own = source if isinstance(source, Footage) else None, getattr(source, "poses", None)
+    bag = None if footage is None else footage.bag
+    found = bag_odometry(bag.bag, topic or None, bag.frame) if bag and (text == "auto" or name == "ros") else None
+    if found is not None:
+        return found
+    if text == "auto" and footage is not None and footage.motion is not None:
+        return MotionPoses(footage.motion)
+    if text == "auto" and own is not None:  # a simulated body knows its own
         return own
     if text in BY_SIGHT:
         need("the rotation from pictures", "photos", "cv2")
@@ -118,7 +115,7 @@ def open_poses(
     if source is not None and source.live:
         names = ", ".join(f"{each}:..." for each in sorted(known))
         raise DeviceError(f"poses {text!r}: a live camera needs live poses; wanted auto, level, still, {names}")
-    return _of_file(text, axes, source if isinstance(source, Footage) else None, say or _warned)
+    return _of_file(text, axes, footage, say or warned)
 
 
 def poses_for(text: str, source: CameraSource, **how: Any) -> Any:
@@ -188,8 +185,3 @@ def _paired(frames: ImageFrames, poses: Poses, near: Poses, name: str) -> ImageF
 
     paths, stamps = tuple(image for _, image in pairs), tuple(pose.stamp for pose, _ in pairs)
     return replace(frames, paths=paths, stamps=stamps, read=read)
-
-
-def _warned(text: str) -> None:
-    if text.startswith("warning: "):
-        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=4)

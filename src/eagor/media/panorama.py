@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
@@ -24,13 +23,12 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from eagor._checks import checked_picture, is_twice_as_wide
-from eagor._extras import need, opencv
+from eagor._extras import opencv
 from eagor._files import natural
-from eagor._srgb import to_coded
 from eagor.cameras import Sampler
-from eagor.errors import ImageError, MissingExtraError
+from eagor.errors import ImageError
 from eagor.grids import ErpGrid, Grid, PerspectiveGrid, ViewKey, forward_view, view_key
-from eagor.media.metadata import GPANO, Projection, of_photograph, properties
+from eagor.media.metadata import GPANO, of_photograph, properties
 from eagor.sphere import check_rotation
 
 # Pillow starts no other program for any of these; AVIF since its version 11.3.
@@ -43,11 +41,9 @@ _DENSEST = 600  # decoded bytes per byte of the file; blank pictures reach up to
 _PAD = 8  # columns copied from the other side of the seam before a panorama is resized
 
 IMAGES = (
-    ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".hdr", ".avif", ".heic", ".heif", ".hif", ".insp",
+    ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".avif", ".heic", ".heif", ".hif", ".insp",
     ".gif", ".apng", ".jpe", ".jfif", ".ppm", ".pgm", ".pnm",
 )  # fmt: skip
-TONE_MAPPED = "holds radiance (HDR); tone-mapped to 8 bits"
-MIDDLE = 0.18  # what the mean radiance becomes: grey
 
 JPEG_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # how a JPEG's APP1 segment with XMP begins (XMP specification, part 3)
 
@@ -57,41 +53,47 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
 
     Grey, palette and transparent images become RGB (what is transparent is black). It is turned or mirrored as the
     orientation tag of the file (Exif) says, unless that would stand a 2:1 panorama on its side. An image that is not
-    2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Radiance (.hdr) is tone-mapped,
-    with a warning; that needs OpenCV. Raises `ImageError` if there is no readable image.
+    2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Raises `ImageError` if there is
+    no readable image.
     """
     image, _ = _read(name := os.fspath(path))
-    for warning in _oddities(name, image):
-        warnings.warn(warning, UserWarning, stacklevel=2)
+    _warn(name, image)
     return image
 
 
-def _oddities(name: str, image: np.ndarray) -> list[str]:
-    """What has to be said of an image that is taken for a panorama as it is."""
+def _warn(name: str, image: np.ndarray) -> None:
+    """Say of an image that is taken for a panorama as it is that it is not 2:1."""
     height, width = image.shape[:2]
-    odd = [f"{name!r} {TONE_MAPPED}"] if _is_hdr(name) else []
     if width != 2 * height:
-        odd.append(
+        warnings.warn(
             f"{name!r} is {width} x {height}, not 2:1: longitude and latitude are mapped separately (all columns span "
-            "360 degrees, all rows 180). If the image covers less than the whole sphere, pad it first"
+            "360 degrees, all rows 180). If the image covers less than the whole sphere, pad it first",
+            UserWarning,
+            stacklevel=3,
         )
-    return odd
+
+
+def check_file(path: str | os.PathLike[str], wanted: str) -> str:
+    """The name of a file that can be read, and is not empty. Raises `ImageError`, with what is `wanted`."""
+    name = os.fspath(path)
+    if not os.path.exists(name):
+        raise ImageError(f"there is no file {name!r}; give the path of {wanted}")
+    if os.path.isdir(name):
+        raise ImageError(f"{name!r} is a folder; give one file in it, {wanted}")
+    if not os.path.isfile(name):
+        raise ImageError(f"{name!r} is a pipe or a device; give a file, {wanted}")
+    if os.path.getsize(name) == 0:
+        raise ImageError(f"{name!r} is empty (0 bytes); an interrupted copy or download? Fetch it again")
+    if not os.access(name, os.R_OK):
+        raise ImageError(f"{name!r} cannot be read; make it readable (chmod +r), or copy it")
+    return name
 
 
 def _read(name: str) -> tuple[np.ndarray, np.ndarray | None]:
     """The image, and the mask ``(H, W)`` of what is transparent in it, or None; errors as of `read_panorama`."""
-    if not os.path.exists(name):
-        raise ImageError(f"there is no file {name!r}; give the path of an equirectangular image (PNG, JPEG, ...)")
-    if os.path.isdir(name):
-        raise ImageError(f"{name!r} is a folder; give one image file in it")
-    if os.path.getsize(name) == 0:
-        raise ImageError(f"{name!r} is empty (0 bytes); an interrupted copy or download? Fetch the image again")
+    check_file(name, "an equirectangular image (PNG, JPEG, ...)")
     try:
-        if _is_hdr(name):
-            return tone_mapped(_radiance(name)), None
         return _decoded(name, os.path.getsize(name), _upright)
-    except MissingExtraError:
-        raise
     except ImageError as error:
         raise ImageError(f"{name!r} {error}") from error
     except Exception as error:  # Pillow's decoders may raise anything for damaged files
@@ -99,51 +101,6 @@ def _read(name: str) -> tuple[np.ndarray, np.ndarray | None]:
             f"{name!r} cannot be read as an image ({type(error).__name__}: {error}); it is corrupt, truncated or of "
             "another kind. Wanted an image that Pillow reads, such as PNG or JPEG: fetch or export it again"
         ) from error
-
-
-def _is_hdr(name: str) -> bool:
-    return name.lower().endswith(".hdr")
-
-
-def _radiance(name: str) -> np.ndarray:
-    """Linear red, green, blue ``(H, W, 3)`` float32 of a Radiance picture (RGBE, Ward 1991)."""
-    need("a picture with radiance (.hdr)", "photos", "cv2")
-    import cv2
-
-    with open(name, "rb") as file:
-        head = file.read(1 << 16)
-    size = re.search(rb"\n[-+]Y (\d{1,6}) [-+]X (\d{1,6})\n", head)
-    if not head.startswith(b"#?") or size is None:
-        raise ImageError("is no Radiance picture (it has no header of one); export it again, or as PNG or JPEG")
-    height, width = int(size[1]), int(size[2])
-    _check_claim(width, height, 12 * width * height, os.path.getsize(name))
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
-    try:
-        found = cv2.imread(name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    finally:
-        cv2.utils.logging.setLogLevel(level)
-    if found is None or found.dtype != np.float32:
-        raise ImageError("cannot be decoded; it is corrupt or truncated: fetch or export it again")
-    return np.nan_to_num(found[..., ::-1], nan=0.0, posinf=float(np.finfo(np.float32).max), neginf=0.0)
-
-
-def tone_mapped(radiance: np.ndarray) -> np.ndarray:
-    """Linear radiance ``(H, W, 3)``, of any unit, as sRGB uint8.
-
-    Reinhard, Stark, Shirley and Ferwerda, "Photographic tone reproduction for digital images" (2002), equation 4: the
-    logarithmic mean becomes middle grey, the brightest half per cent white.
-    """
-    found = np.maximum(np.asarray(radiance, dtype=np.float64), 0.0)
-    light = found @ np.array([0.2126, 0.7152, 0.0722])
-    bright = light[light > 0]
-    if not bright.size:
-        return np.zeros(found.shape, dtype=np.uint8)
-    scaled = light * (MIDDLE / np.exp(np.log(bright).mean()))
-    white = max(float(np.quantile(scaled, 0.995)), MIDDLE)
-    shown = scaled * (1 + scaled / white**2) / (1 + scaled)
-    share = np.divide(shown, light, out=np.zeros_like(light), where=light > 0)
-    return np.rint(255 * to_coded(found * share[..., None])).astype(np.uint8)
 
 
 def read_image(
@@ -161,14 +118,10 @@ def _decoded(
     file: str | IO[bytes], size: int, turned: Callable[[Image.Image], Image.Image]
 ) -> tuple[np.ndarray, np.ndarray | None]:
     with opened(file) as image:
-        _check_claim(image.width, image.height, decoded_bytes(image), size)
+        if decoded_bytes(image) > max(_SMALL, _DENSEST * size):
+            raise ImageError(f"claims {image.width} x {image.height} pixels in {size} bytes; it is corrupt, or blank")
         image.load()
-        return seen_of(turned(image))
-
-
-def _check_claim(width: int, height: int, decoded: int, size: int) -> None:
-    if decoded > max(_SMALL, _DENSEST * size):
-        raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or blank")
+        return _seen_of(turned(image))
 
 
 def opened(file: str | os.PathLike[str] | IO[bytes]) -> Image.Image:
@@ -189,14 +142,21 @@ def opened(file: str | os.PathLike[str] | IO[bytes]) -> Image.Image:
         raise ImageError(f"is {kind}, which takes {reader} (pip install); or export it as JPEG") from None
 
 
-def seen_of(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
-    """`as_rgb` of a picture, black where it is transparent by more than half; the mask ``(H, W)`` of that, or None."""
-    rgb = as_rgb(image)
-    if image.mode[0] in "IF" or not image.has_transparency_data:
+def _seen_of(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
+    """A picture as ``(H, W, 3)`` uint8, black where it is transparent by more than half; the mask of that, or None."""
+    if image.mode == "F":
+        raise ImageError("holds floating-point grey values of unknown range; tone-map it to 8 bits first")
+    if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip instead of scaling
+        grey = (np.clip(np.asarray(image), 0, 65535).astype(np.uint32) + 128) // 257
+        return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1), None
+    hides = image.has_transparency_data
+    image = image.convert("RGBA") if hides or image.mode == "P" else image
+    rgb = np.array(image.convert("RGB"))
+    unseen = np.asarray(image.getchannel("A")) < 128 if hides else np.zeros(1, bool)
+    if not unseen.any():
         return rgb, None
-    unseen = np.asarray(image.convert("RGBA").getchannel("A")) < 128
     rgb[unseen] = 0
-    return rgb, unseen if unseen.any() else None
+    return rgb, unseen
 
 
 def _upright(image: Image.Image) -> Image.Image:
@@ -212,18 +172,6 @@ def _upright(image: Image.Image) -> Image.Image:
 def decoded_bytes(image: Image.Image) -> int:
     """Memory for the picture while it is read."""
     return image.width * image.height * (8 if image.mode[0] in "IF" else 4)
-
-
-def as_rgb(image: Image.Image) -> np.ndarray:
-    """``(H, W, 3)`` uint8 of any picture with 8 or 16 bits per channel."""
-    if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip instead of scaling
-        grey = (np.clip(np.asarray(image), 0, 65535).astype(np.uint32) + 128) // 257
-        return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
-    if image.mode == "F":
-        raise ImageError("holds floating-point grey values of unknown range; tone-map it to 8 bits first")
-    if image.mode == "P":  # palettes may carry transparency, which only RGBA supports
-        image = image.convert("RGBA")
-    return np.array(image.convert("RGB"))
 
 
 # --- turning, sizes ---
@@ -290,6 +238,18 @@ def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.
 def resized_mask(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """A mask ``(H, W)`` at `size` (height, width)."""
     return resized(np.repeat(np.uint8(255) * mask[..., None], 3, axis=2), size)[..., 0] > 127
+
+
+def shrunk_picture(found: Picture, rows: int | None) -> Picture:
+    """The picture with `rows` at the most."""
+    height, width = found.picture.shape[:2]
+    if rows is None or height <= rows:
+        return found
+    whole = found.grid is None and is_twice_as_wide(height, width)
+    size = (rows, 2 * rows if whole else max(1, round(width * rows / height)))
+    unseen = None if found.unseen is None else resized_mask(found.unseen, size)
+    grid = None if found.grid is None else found.grid.resized(*size)
+    return replace(found, picture=resized(found.picture, size, wrap=whole), unseen=unseen, grid=grid)
 
 
 def by_area(image: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -373,51 +333,41 @@ def in_order(paths: Sequence[Path]) -> tuple[Path, ...]:
 
 
 def read_photograph(path: str | os.PathLike[str], warn: bool = True, force: bool = False) -> Picture:
-    """The photograph in the file at `path` (JPEG, PNG, WebP, ...).
+    """The photograph in the file at `path` (JPEG, PNG, WebP, ...), where its file says that it belongs (GPano).
 
-    As `eagor.media.panorama.read_panorama` where the file says nothing of itself, with its warning about pictures that
-    are not 2:1, unless `warn` is False: for who knows the camera, or says it otherwise. Raises `ImageError` if there is
-    no readable image, or if it says that it is not equirectangular, or (unless `force`) an area that does not add up.
+    As `read_panorama` where the file says nothing, with its warning about pictures that are not 2:1, unless `warn` is
+    False: for who knows the camera, or says it otherwise. Raises `ImageError` if there is no readable image, or if it
+    says that it is not equirectangular, or (unless `force`) an area that does not add up.
     """
     image, unseen = _read(name := os.fspath(path))
-    if _is_hdr(name):
-        found = Picture(image, facts=(TONE_MAPPED,))
-    else:
-        with opened(name) as file:
-            found, count = _placed_by_file(image, unseen, file, name, force), 1
-            with suppress(Exception):  # Pillow may raise anything for a damaged file; an MPO has one that counts
-                count = 1 if file.format == "MPO" else getattr(file, "n_frames", 1)
-        if count > 1:
-            found = replace(found, facts=(*found.facts, f"it holds {count} pictures, of which the first is taken"))
-    for warning in _oddities(name, image) if warn and found.picture is image else ():
-        warnings.warn(warning, UserWarning, stacklevel=2)
+    with opened(name) as file:
+        found, count = _placed_by_file(image, unseen, file, name, force), 1
+        with suppress(Exception):  # Pillow may raise anything for a damaged file; an MPO has one that counts
+            count = 1 if file.format == "MPO" else getattr(file, "n_frames", 1)
+    if count > 1:
+        found = replace(found, facts=(*found.facts, f"it holds {count} pictures, of which the first is taken"))
+    if warn and found.picture is image:
+        _warn(name, image)
     return found
 
 
 def photograph_of(image: Image.Image, name: str) -> Picture:
     """One picture of a file that is open, as `read_photograph` gives it."""
-    return _placed_by_file(*seen_of(image), image, name, False)
+    return _placed_by_file(*_seen_of(image), image, name, False)
 
 
-def _placed_by_file(image: np.ndarray, unseen: np.ndarray | None, file: Image.Image, name: str, force: bool) -> Picture:
-    """`image` as what its file says it is."""
+def _placed_by_file(image: np.ndarray, hidden: np.ndarray | None, file: Image.Image, name: str, force: bool) -> Picture:
+    """`image` as what its file says it is; `hidden`: what of it is not seen, or None."""
     found = of_photograph(properties(_xmp(file), GPANO), image.shape[1::-1])
     if found is None:
-        return Picture(image, unseen)
+        return Picture(image, hidden)
     found.check(name, force)
-    return placed(image, found, unseen)
-
-
-def placed(image: np.ndarray, found: Projection, hidden: np.ndarray | None = None) -> Picture:
-    """A picture where `found` says that it belongs; `hidden`: what of it is not seen, or None."""
     layout = found.layout(*image.shape[:2])
     panorama, unseen = layout.place(resized(image, layout.size)), layout.unseen
     if hidden is not None:
         own = layout.place(resized_mask(hidden, layout.size))
         unseen = own if unseen is None else own | unseen
-    tilted = bool(found.pitch or found.roll)
-    world = found.world_R_body if tilted or found.yaw else None
-    return Picture(panorama, unseen, found.level_R_body if tilted else None, world, found.facts())
+    return Picture(panorama, unseen, found.level_R_body, found.world_R_body, found.facts())
 
 
 def _xmp(image: Image.Image) -> bytes:

@@ -6,11 +6,11 @@ Poses come from odometry (a file, a video's IMU, a bag), or from the pictures th
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from queue import SimpleQueue
-from threading import Event, Semaphore, Thread
 from typing import TypeVar
 
 import numpy as np
@@ -70,16 +70,13 @@ class PosedFrames:
         self.left_out: list[str] = []
 
     def __iter__(self) -> Iterator[PosedFrame]:
-        if self.poses is None:
-            found = (PosedFrame(frame) for frame in self.source)
-        elif isinstance(self.poses, VisualOdometer):
-            found = self._by_sight(self.poses)
-        elif isinstance(self.poses, MotionPoses):
-            at = self.poses.at
-            found = (PosedFrame(frame, at(frame.stamp)) for frame in self.source)
+        poses, last = self.poses, -1
+        if isinstance(poses, VisualOdometer):
+            found = self._by_sight(poses)
+        elif isinstance(poses, MotionPoses):
+            found = (PosedFrame(frame, poses.at(frame.stamp)) for frame in self.source)
         else:
-            found = self._by_odometry(self.poses)
-        last = -1
+            found = map(PosedFrame, self.source) if poses is None else self._by_odometry(poses)
         for each in found:
             if self.looks is None or each.lost:
                 yield each
@@ -93,9 +90,9 @@ class PosedFrames:
 
     def _by_sight(self, odometer: VisualOdometer) -> Iterator[PosedFrame]:
         """With the orientations that the pictures themselves tell; the first one is level if its file says how."""
-        upright = self.source.level_R_body if isinstance(self.source, Footage) else None
-        upright = np.eye(3) if upright is None else upright
-        pose, met = upright, False
+        told = self.source.level_R_body if isinstance(self.source, Footage) else None
+        pose = upright = np.eye(3) if told is None else told
+        met = False
         for frame in self.source:
             lost, spread = False, 0.0
             if frame.picture is not None:
@@ -109,52 +106,46 @@ class PosedFrames:
         """With poses interpolated at the times of the pictures."""
         name = getattr(poses, "topic", "") or getattr(poses, "name", "odometry")
         strict = isinstance(poses, GivenPoses)  # a file that does not fit is the wrong one
-        coming, last, before = iter(poses), None, list[Pose]()
+        coming, last, before, problem = iter(poses), None, list[Pose](), ""
         ahead = next(coming, None)
-        begins = math.nan if ahead is None else ahead.stamp
-        early = late = within = used = 0
-        noted, posed_at = False, -math.inf
+        begins, posed_at, lacking = math.nan if ahead is None else ahead.stamp, -math.inf, [0, 0, 0]
         for frame in self.source:
             stamp = frame.stamp
             while ahead is not None and ahead.stamp < stamp:
-                before += [ahead] if (used or strict) and ahead.stamp > posed_at else []
+                before += [ahead] if (strict or posed_at > -math.inf) and ahead.stamp > posed_at else []
                 last, ahead = ahead, next(coming, None)
-            if (problem := getattr(poses, "problem", None)) and not noted:
-                noted = True
+            if not problem and (problem := getattr(poses, "problem", None) or ""):
                 self._say(f"warning: {problem}")
-            too_early = last is None and (ahead is None or stamp < ahead.stamp - BEYOND)
-            too_late = ahead is None and last is not None and stamp > last.stamp + BEYOND
-            if strict and (too_early or too_late) and not frame.problem:
+            early = last is None and (ahead is None or stamp < ahead.stamp - BEYOND)
+            late = ahead is None and last is not None and stamp > last.stamp + BEYOND
+            hole = 0.0 if strict or last is None or ahead is None else ahead.stamp - last.stamp
+            deep = hole > LONGEST and min(stamp - last.stamp, ahead.stamp - stamp) > BEYOND  # type: ignore[union-attr]
+            if isinstance(poses, GivenPoses) and (early or late) and not frame.problem:
                 raise PoseError(
                     f"{frame.name} has no pose: {name} tells those from {begins:.10g} to {poses.ends:.10g} s. The "
                     "clock of a video begins at 0, that of a bag is in its headers. Shift the stamps of the file, or "
                     "cut with --start, --end"
                 )
-            early, late = early + too_early, late + too_late
-            if not strict and (too_early or too_late):
+            if not strict and (early or late or deep):
+                lacking = [count + is_so for count, is_so in zip(lacking, (early, late, deep), strict=True)]
                 continue
-            if not strict and last is not None and ahead is not None and (hole := ahead.stamp - last.stamp) > HOLE:
-                if hole > LONGEST and min(stamp - last.stamp, ahead.stamp - stamp) > BEYOND:
-                    within += 1
-                    continue
-                if hole <= LONGEST:
-                    self._say(f"warning: {frame.name}: {name} has no pose for {hole:.2f} s about it")
-            used, posed_at = used + 1, stamp
-            at = interpolated([each for each in (last, ahead) if each is not None])
+            if HOLE < hole <= LONGEST:
+                self._say(f"warning: {frame.name}: {name} has no pose for {hole:.2f} s about it")
+            posed_at, at = stamp, interpolated([each for each in (last, ahead) if each is not None])
             yield PosedFrame(frame, Pose(stamp, *at(stamp)), tuple(before))
             before.clear()
-        if within and used:
-            self.left_out.append(
-                f"{within} pictures are left out: {name} has no pose for more than {LONGEST:g} s about them"
-            )
-        if not used and early + late + within:
-            *_, last = *([last] if last else []), *([ahead] if ahead else []), *coming
+        early, late, within = lacking
+        if posed_at == -math.inf and any(lacking):
+            ends = max((each.stamp for each in (last, ahead, *coming) if each is not None), default=math.nan)
             holes = f" with a hole of more than {LONGEST:g} s about {within} of the pictures" if within else ""
             raise PoseError(
-                f"no picture has a pose of {name}, which tells those from {begins:.3f} to "
-                f"{last.stamp:.3f} s{holes}; the pictures begin at {self._begins:.3f} s. "
-                "Are both stamped by one clock? Or --poses level: headings from the pictures themselves"
+                f"no picture has a pose of {name}, which tells those from {begins:.3f} to {ends:.3f} s{holes}; the "
+                f"pictures begin at {self._begins:.3f} s. Are both stamped by one clock? Or --poses level: headings "
+                "from the pictures themselves"
             )
+        if within:
+            about = f"{name} has no pose for more than {LONGEST:g} s about them"
+            self.left_out.append(f"{within} pictures are left out: {about}")
         for count, side in ((early, "before the first"), (late, "after the last")):
             if count:
                 self._say(f"{count} pictures {side} pose of {name} are left out")
@@ -169,34 +160,18 @@ def prefetched(items: Iterable[T], most: int = 2) -> Generator[T, None, None]:
     Decoding and finding the camera's rotation let go of Python's lock. What making them raises is raised here, at its
     place. The thread ends with the iterator.
     """
-    made: SimpleQueue[T | BaseException | None] = SimpleQueue()
-    room, stop = Semaphore(most), Event()
-
-    def make() -> None:
-        source = iter(items)
+    source, ahead = iter(items), deque[Future[T | None]]()
+    with ThreadPoolExecutor(1, "eagor-frames") as pool:
         try:
-            for each in source:
-                while not room.acquire(timeout=0.1):
-                    if stop.is_set():
-                        return
-                if stop.is_set():
+            while True:
+                while len(ahead) <= most:
+                    ahead.append(pool.submit(next, source, None))
+                each = ahead.popleft().result()
+                if each is None:
                     return
-                made.put(each)
-            made.put(None)
-        except BaseException as error:
-            made.put(error)
+                yield each
         finally:
+            for waiting in ahead:
+                waiting.cancel()
             if isinstance(source, Generator):
-                source.close()
-
-    thread = Thread(target=make, name="eagor-frames", daemon=True)
-    thread.start()
-    try:
-        while (each := made.get()) is not None:
-            if isinstance(each, BaseException):
-                raise each
-            room.release()
-            yield each
-    finally:
-        stop.set()
-        thread.join()
+                pool.submit(source.close).result()

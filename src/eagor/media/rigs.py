@@ -58,17 +58,11 @@ MODELS = {
 }  # fmt: skip
 # Names of the parameters of COLMAP's models, in order (COLMAP, src/colmap/sensor/models.h).
 COLMAP_MODELS = {
-    "SIMPLE_PINHOLE": "f cx cy",
-    "PINHOLE": "fx fy cx cy",
-    "SIMPLE_RADIAL": "f cx cy k1",
-    "RADIAL": "f cx cy k1 k2",
-    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
-    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
-    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
-    "RADIAL_FISHEYE": "f cx cy k1 k2",
-    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
-    "THIN_PRISM_FISHEYE": "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1",
-}
+    "SIMPLE_PINHOLE": "f cx cy", "PINHOLE": "fx fy cx cy", "SIMPLE_RADIAL": "f cx cy k1", "RADIAL": "f cx cy k1 k2",
+    "OPENCV": "fx fy cx cy k1 k2 p1 p2", "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1", "RADIAL_FISHEYE": "f cx cy k1 k2",
+    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4", "THIN_PRISM_FISHEYE": "fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1",
+}  # fmt: skip
 COLMAP_ORDER = {"pinhole": "k1 k2 p1 p2 k3 k4 k5 k6", "fisheye": "k1 k2 k3 k4 p1 p2 sx1 sy1"}
 
 Kind = TypeVar("Kind")
@@ -82,30 +76,23 @@ class _Size(msgspec.Struct, forbid_unknown_fields=True):
 
 class _Lens(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
     name: str = ""
-    kind: str = ""
+    kind: str = "fisheye"
     picture: int = 0
     centre: Pair
+    focal: float | Pair | None = None
+    field_deg: float | None = None
+    radius: float = 0.0
+    distortion: list[float] = []
+    polynomial: list[float] = []  # the distortion of a fisheye
+    mirror: float = 0.0
     rotation: dict[str, float] | list[float] = {}
     optical: bool | None = None
     position: tuple[float, float, float] | None = None
 
 
-class _Plane(_Lens, kw_only=True):
-    focal: float | Pair
-    distortion: list[float] = []
-    mirror: float = 0.0
-
-
-class _Round(_Lens, kw_only=True):
-    focal: float | Pair | None = None
-    field_deg: float | None = None
-    radius: float
-    polynomial: list[float] = []
-
-
 class _Rig(msgspec.Struct, forbid_unknown_fields=True):
     pictures: list[_Size]
-    lenses: list[dict[str, Any]]
+    lenses: list[_Lens]
 
 
 class _Calibration(msgspec.Struct):  # of ROS and OpenCV
@@ -136,24 +123,12 @@ def read_rig(path: str | os.PathLike[str]) -> Rig:
         if os.path.getsize(name) > LARGEST:
             raise FormatError(f"it is larger than {LARGEST} bytes; wanted {WANTED}")
         text = read_file(name).decode("utf-8-sig")
-        if name.lower().endswith(".txt"):
-            return _of_colmap(text)
-        entries = _parsed(text)
-        if not isinstance(entries, dict):
-            raise FormatError(f"it holds {'nothing' if entries is None else 'no names with values'}; wanted {WANTED}")
-        if "lenses" in entries or "pictures" in entries:
-            return _of_rig(_converted(entries, _Rig))
-        cameras = sorted((key for key in entries if re.fullmatch(r"cam\d+", str(key))), key=lambda key: int(key[3:]))
-        if cameras or "intrinsics" in entries:
-            return _of_kalibr([entries[key] for key in cameras] or [entries])
-        return _of_opencv(entries)
-    except FormatError as error:
+        return _of_colmap(text) if name.lower().endswith(".txt") else _of_entries(_parsed(text))
+    except EagorError as error:  # also for numbers that no lens has
         raise FormatError(f"{name}: {error}") from error
     except (OSError, UnicodeDecodeError, RecursionError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise FormatError(f"{name} cannot be read as a calibration ({why}); wanted {WANTED}") from error
-    except EagorError as error:  # numbers that no lens has
-        raise FormatError(f"{name}: {error}") from error
 
 
 def _parsed(text: str) -> Any:
@@ -195,64 +170,64 @@ def _of_element(element: ElementTree.Element) -> Any:
     return text.strip('"')
 
 
-def _converted(value: Any, kind: type[Kind], where: str = "") -> Kind:
+def _converted(value: Any, kind: type[Kind], where: str = "$") -> Kind:
     """`value` as `kind`; texts may stand for numbers. Raises `FormatError` with the place."""
     try:
         return msgspec.convert(value, kind, strict=False)
     except msgspec.ValidationError as error:
-        text, where = str(error), where or "$"
+        text = str(error)
         raise FormatError(text.replace("`$", f"`{where}") if "`$" in text else f"{text} - at `{where}`") from error
+
+
+def _of_entries(entries: Any) -> Rig:
+    if not isinstance(entries, dict):
+        raise FormatError(f"it holds {'nothing' if entries is None else 'no names with values'}; wanted {WANTED}")
+    if "lenses" in entries or "pictures" in entries:
+        return _of_rig(_converted(entries, _Rig))
+    cameras = sorted((key for key in entries if re.fullmatch(r"cam\d+", str(key))), key=lambda key: int(key[3:]))
+    if cameras or "intrinsics" in entries:
+        return _of_kalibr([entries[key] for key in cameras] or [entries])
+    return _of_opencv({ALIASES.get(str(key), str(key)): value for key, value in entries.items()})
 
 
 # --- rigs of ours ---
 
 
-def _of_rig(found: _Rig) -> Rig:
-    sizes, lenses = [(each.width, each.height) for each in found.pictures], []
-    for number, entry in enumerate(found.lenses):
-        where = f"$.lenses[{number}]"
-        kind = entry.get("kind", "fisheye")
-        if kind not in ("fisheye", "pinhole", "omni"):
-            raise FormatError(f"{where}.kind is {kind!r}; wanted fisheye, pinhole or omni")
-        told = _converted(entry, _Round if kind == "fisheye" else _Plane, where)
-        if not 0 <= told.picture < len(sizes):
+def _of_rig(told: _Rig) -> Rig:
+    sizes, lenses = [(each.width, each.height) for each in told.pictures], []
+    for number, entry in enumerate(told.lenses):
+        where = f"lenses[{number}]"
+        if entry.kind not in ("fisheye", "pinhole", "omni"):
+            raise FormatError(f"{where}.kind is {entry.kind!r}; wanted fisheye, pinhole or omni")
+        if not 0 <= entry.picture < len(sizes):
             raise FormatError(
-                f"{where}.picture is {told.picture}; wanted 0 to {len(sizes) - 1}, as pictures lists them"
+                f"{where}.picture is {entry.picture}; wanted 0 to {len(sizes) - 1}, as pictures lists them"
             )
+        if entry.position is not None:
+            warnings.warn(f"{where}.position is ignored: lenses count as in one place", UserWarning, stacklevel=4)
         try:
-            lenses.append(_lens(told, kind, sizes[told.picture], where))
+            lenses.append(_lens(entry, sizes[entry.picture], entry.name or where))
         except EagorError as error:
             raise FormatError(f"{where}: {error}") from error
     return Rig(tuple(sizes), tuple(lenses))
 
 
-def _lens(told: _Lens, kind: str, size: tuple[int, int], where: str) -> Lens:
-    name = told.name or where.removeprefix("$.")
+def _lens(told: _Lens, size: tuple[int, int], name: str) -> Lens:
     turn = _rotation(told.rotation)
     if is_optical(name) if told.optical is None else told.optical:
         if not told.rotation:
             raise FormatError("there is no rotation; wanted that of its optical frame (x right, y down, z forward)")
         turn = turn @ OPTICAL_R_BODY
-    if told.position is not None:
-        warnings.warn(f"{where[2:]}.position is ignored: lenses count as in one place", UserWarning, stacklevel=2)
-    common: dict[str, Any] = {"body_R_lens": turn, "picture": told.picture}
-    if isinstance(told, _Plane):
-        focal = _pair(told.focal)
-        return Lens(name, size, focal, told.centre, tuple(told.distortion), kind=kind, mirror=told.mirror, **common)
-    assert isinstance(told, _Round)
-    if (told.focal is None) == (told.field_deg is None):
+    if (told.focal is None) == (told.field_deg is None) or (told.focal is None and told.kind != "fisheye"):
         raise FormatError(
-            "wanted either field_deg (degrees from rim to rim) or focal (pixels per radian at the centre)"
+            "wanted either field_deg (of a fisheye: degrees from rim to rim) or focal (pixels; its: per radian)"
         )
-    common["distortion"] = tuple(told.polynomial)
+    common: dict[str, Any] = {"body_R_lens": turn, "picture": told.picture}
+    common["distortion"] = (*told.distortion, *told.polynomial)
     if told.field_deg is not None:
         return Lens.fisheye(name, size, told.centre, told.radius, math.radians(told.field_deg), **common)
-    assert told.focal is not None
-    return Lens(name, size, _pair(told.focal), told.centre, kind=kind, radius=told.radius, **common)
-
-
-def _pair(value: float | Pair) -> Pair:
-    return value if isinstance(value, tuple) else (value, value)
+    focal = told.focal if isinstance(told.focal, tuple) else (told.focal, told.focal)
+    return Lens(name, size, focal, told.centre, kind=told.kind, radius=told.radius, mirror=told.mirror, **common)  # type: ignore[arg-type]
 
 
 def _rotation(told: Mapping[str, float] | Sequence[float]) -> np.ndarray:
@@ -279,11 +254,9 @@ def write_rig(rig: Rig, path: str | os.PathLike[str], notes: Sequence[str] = ())
         fields: dict[str, Any] = {
             "name": lens.name, "kind": lens.kind, "picture": lens.picture, "centre": lens.centre, "focal": lens.focal,
             "rotation": {key: round(float(angle), 6) for key, angle in zip(ANGLES, angles, strict=True)},
+            "polynomial" if lens.kind == "fisheye" else "distortion": lens.distortion,
         }  # fmt: skip
-        if lens.kind == "fisheye":
-            fields |= {"radius": lens.radius, "polynomial": lens.distortion}
-        else:
-            fields |= {"distortion": lens.distortion} | ({"mirror": lens.mirror} if lens.mirror else {})
+        fields |= {key: value for key, value in (("radius", lens.radius), ("mirror", lens.mirror)) if value}
         first, *others = (f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in fields.items())
         lines += [f"  - {first}", *(f"    {each}" for each in others)]  # JSON's values are YAML's
     written(Path(path), "\n".join(lines) + "\n")
@@ -292,61 +265,47 @@ def write_rig(rig: Rig, path: str | os.PathLike[str], notes: Sequence[str] = ())
 # --- those of other programs ---
 
 
-def _of_opencv(entries: Mapping[Any, Any]) -> Rig:
-    lowered = {str(key): value for key, value in entries.items()}
-    named = {ALIASES.get(key, key): value for key, value in lowered.items()}
+def _of_opencv(named: dict[str, Any]) -> Rig:
     if "camera_matrix" not in named:
-        raise FormatError(f"it holds {', '.join([*lowered][:8]) or 'nothing'}, and no camera_matrix; wanted {WANTED}")
-    matrices = ("camera_matrix", "distortion_coefficients")
-    told = _converted(named | {key: _flat(named[key]) for key in matrices if key in named}, _Calibration)
-    k, values = told.camera_matrix, told.distortion_coefficients
+        raise FormatError(f"it holds {', '.join([*named][:8]) or 'nothing'}, and no camera_matrix; wanted {WANTED}")
+    for key in {"camera_matrix", "distortion_coefficients"} & named.keys():
+        rows = named[key].get("data") if isinstance(named[key], dict) else named[key]  # ROS and OpenCV, or bare rows
+        if isinstance(rows, list):
+            rows = [value for row in rows for value in (row if isinstance(row, list) else [row])]
+        named[key] = rows
+    told = _converted(named, _Calibration)
+    k, size = told.camera_matrix, (told.image_width, told.image_height)
     if len(k) != 9 or (k[3], *k[6:]) != (0, 0, 0, 1) or abs(k[1]) > 1e-6 * k[0]:
         raise FormatError(f"camera_matrix is {k}; wanted 9 numbers, row by row, without skew: fx 0 cx 0 fy cy 0 0 1")
-    model = told.distortion_model.lower() or (
-        "equidistant" if told.fisheye_model not in ("0", "false", "False") else ""
-    )
-    size = (told.image_width, told.image_height)
-    return Rig((size,), (lens_of_model(model, size, (k[0], k[4]), (k[2] + 0.5, k[5] + 0.5), values),))
-
-
-def _flat(matrix: Any) -> Any:
-    """The numbers of a matrix: with ``data`` (ROS, OpenCV), a list, or a list of rows."""
-    rows = matrix.get("data") if isinstance(matrix, dict) else matrix
-    if not isinstance(rows, list):
-        return rows
-    return [value for row in rows for value in (row if isinstance(row, list) else [row])]
+    model = told.distortion_model.lower()
+    model = model or ("" if told.fisheye_model in ("0", "false", "False") else "equidistant")
+    centre = k[2] + 0.5, k[5] + 0.5
+    return Rig((size,), (lens_of_model(model, size, (k[0], k[4]), centre, told.distortion_coefficients),))
 
 
 def _of_kalibr(cameras: Sequence[Any]) -> Rig:
     """The cameras of a camchain, in the axes of the first: x ahead along its optical axis."""
-    found, lenses, last_R_first = [], [], np.eye(3)
+    lenses, last_R_first = list[Lens](), np.eye(3)
     for number, entries in enumerate(cameras):
+        where = f"cam{number}"
         if isinstance(entries, dict):
             entries = {ALIASES.get(key, key): value for key, value in entries.items()}
-        told = _converted(entries, _Kalibr, f"$.cam{number}")
-        where = f"cam{number}"
+        told = _converted(entries, _Kalibr, f"$.{where}")
         mirror, *others = told.intrinsics if told.camera_model == "omni" else (0.0, *told.intrinsics)
         if len(others) != 4:
             raise FormatError(
                 f"{where}.intrinsics has {len(told.intrinsics)} numbers; wanted fu, fv, pu, pv, and for omni xi first"
             )
         fx, fy, cx, cy = others
-        if number and told.T_cn_cnm1 is not None:
-            last_R_first = _turn_of(told.T_cn_cnm1, where) @ last_R_first
-        elif number:
+        if number and told.T_cn_cnm1 is None:
             raise FormatError(f"{where} has no T_cn_cnm1; wanted the place of each camera beside the one before")
-        found.append(told)
-        lens = lens_of_model(
-            told.distortion_model.lower(),
-            told.resolution,
-            (fx, fy),
-            (cx + 0.5, cy + 0.5),
-            told.distortion_coefficients,
-            mirror,
-        )
+        if number:
+            last_R_first = _turn_of(told.T_cn_cnm1 or [], where) @ last_R_first
+        model, centre = told.distortion_model.lower(), (cx + 0.5, cy + 0.5)
+        lens = lens_of_model(model, told.resolution, (fx, fy), centre, told.distortion_coefficients, mirror)
         turn = OPTICAL_R_BODY.T @ last_R_first.T @ OPTICAL_R_BODY
         lenses.append(replace(lens, name=where, body_R_lens=turn, picture=number))
-    return Rig(tuple(each.resolution for each in found), tuple(lenses))
+    return Rig(tuple(lens.size for lens in lenses), tuple(lenses))
 
 
 def _turn_of(transform: Sequence[Sequence[float]], where: str) -> np.ndarray:

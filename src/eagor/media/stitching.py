@@ -14,15 +14,15 @@ from eagor._checks import is_twice_as_wide
 from eagor.cameras import Rig, Sampler
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.media.defects import TWICE, fisheye_circles, two_eyes
+from eagor.media.defects import MAKE, STITCH, TWICE, circles_in_words, two_eyes
 from eagor.media.intrinsics import ASK, Camera, IntrinsicsHint, ShapeError, ordinary_grid
 from eagor.media.metadata import Projection
 from eagor.media.panorama import by_area, checked_picture, resized, resized_mask
 
 __all__ = ["PanoramaBuilder", "Stitcher", "seen_by", "sizes_of"]
 
+STRETCHED = "all columns for 360 degrees, all rows for 180"
 MOST_ROWS = 1 << 14  # of a panorama: the directions of its pixels take 13 GB
-MAKE = "Give its lenses with --rig FILE.yaml (eagor camera calibrate makes one)"
 NO_HINT = IntrinsicsHint()
 
 
@@ -117,9 +117,9 @@ class PanoramaBuilder:
         if len(sizes) > 1:
             raise ImageError(f"{name} gives {len(sizes)} pictures at a time, one for each lens. {MAKE}")
         (width, height), *_ = sizes
-        whole = is_twice_as_wide(height, width)
-        if camera.eyes not in (None, "mono"):
-            self._layout = Projection.of_eyes(camera.eyes).layout(height, width, rows)  # type: ignore[arg-type]
+        whole, eyes = is_twice_as_wide(height, width), camera.eyes or "mono"
+        if eyes != "mono":
+            self._layout = Projection.of_eyes(eyes).layout(height, width, rows)
             self.grid, self.unseen = ErpGrid(*self._layout.shape), self._layout.unseen
             self.wanted = (self._layout.size,)
             return
@@ -130,8 +130,7 @@ class PanoramaBuilder:
             why = f" ({'; '.join(hint.facts)})" if hint.facts else ""
             raise ShapeError(
                 f"{name} is {width} x {height}, not 2:1 as a whole panorama is, and does not tell its lens{why}. {ASK}"
-                f". Are these the pictures of lenses? {MAKE}. A panorama all the same: --force (all columns for 360 "
-                "degrees, all rows for 180)"
+                f". Are these the pictures of lenses? {MAKE}. A panorama all the same: --force ({STRETCHED})"
             )
         by = 1.0 if rows is None else min(1.0, rows / height)
         self._settled |= view is not None
@@ -157,12 +156,9 @@ class PanoramaBuilder:
         """Look at the first pictures ``(H, W, 3)`` uint8. Raises `ShapeError` for fisheye circles, or two eyes."""
         if self._settled:
             return
-        if circles := fisheye_circles(pictures[0]):
-            what = "the two circles of a dual fisheye camera, side by side" if circles == 2 else "a fisheye's circle"
-            raise ShapeError(
-                f"{self.name} shows {what}, and no panorama: directions would be wrong. {MAKE}, or stitch it first, in "
-                "the camera's own app or with FFmpeg's filter v360=dfisheye:e. To look at it all the same: --force"
-            )
+        if circles := circles_in_words(pictures[0]):
+            advice = f"{MAKE}, or stitch it first, {STITCH}. To look at it all the same: --force"
+            raise ShapeError(f"{self.name} shows {circles}, and no panorama: directions would be wrong. {advice}")
         if eyes := two_eyes(pictures[0]):
             raise ShapeError(f"{self.name} {TWICE[eyes]}")
 

@@ -21,8 +21,10 @@ from eagor._extras import need
 from eagor.cameras import SHAPE
 from eagor.errors import EagorError, FormatError, ImageError, TimeError
 from eagor.media import Frame
+from eagor.media.defects import MAKE
 from eagor.media.intrinsics import intrinsics_from_tags
 from eagor.media.metadata import EXPORT, Projection, of_video
+from eagor.media.panorama import check_file
 from eagor.odometry.imu import MotionTrack, read_insta360
 
 if TYPE_CHECKING:
@@ -43,11 +45,7 @@ HD = 720  # rows from which on colours are ITU-R BT.709 where the file says noth
 UNSPECIFIED, BT709 = 2, "ITU709"
 SHORT = 0.5  # seconds that may be missing at the end of a file that tells its length, and not how many pictures
 CONVERT = "convert it, for example: ffmpeg -i {} -c:v libx264 -pix_fmt yuv420p converted.mp4"
-UNSTITCHED = (".insv", ".360")  # as Insta360 and GoPro name recordings whose lenses are not put together yet
-LENSES = (
-    "{0} holds {1} tracks of pictures, one for each lens. Give the lenses with --rig FILE.yaml (eagor camera calibrate "
-    "makes one). Or: " + EXPORT
-)
+LENSES = "{0} holds {1} tracks of pictures, one for each lens. " + f"{MAKE}. Or: {EXPORT}"
 GOPRO = (
     "{0} is a GoPro recording that is not put together yet: its two tracks are the two strips of an equi-angular "
     "cubemap (EAC), which no rig of lenses describes. Export it as an equirectangular MP4 with GoPro's Player or Quik. "
@@ -75,20 +73,18 @@ class Video:
     tracks of pictures, from 0.
 
     Stamps are the presentation times in seconds from the start of the file, and increase: a picture whose time is
-    missing, or not after that of the one before, gets that time plus the mean interval. If only some lack it, a
-    `UserWarning` at the end says how many. Pictures are turned upright. Where the file says that they show a part of
-    the sphere, they are put on a whole one that is black elsewhere.
+    missing, or not after that of the one before, gets that time plus the mean interval; a `UserWarning` at the end says
+    how many. Pictures are turned upright. Those of a part of the sphere are put on a whole one, black elsewhere.
 
-    `path`; `shape`: rows and columns of the pictures; `duration`: seconds, or None; `frame_rate`: mean, or None;
-    `count`: about how many pictures will come, or None; `facts`: sentences about what the file says of itself;
-    `motion`: None, or the rotations that its motion track tells (`eagor.odometry.imu.MotionTrack`); `level_R_body`:
-    None, or the rotation ``(3, 3)`` that makes its pictures level, as the file says; `unseen`: None, or the mask of
-    `shape` of what no picture shows; `hint`: what the file says of an ordinary lens, for pictures of `shape`.
+    `shape`: rows and columns of the pictures; `duration`: seconds, or None; `frame_rate`: mean, or None; `count`: about
+    how many pictures will come, or None; `facts`: sentences about what the file says of itself; `motion`: None, or the
+    rotations that its motion track tells (`eagor.odometry.imu.MotionTrack`); `level_R_body`: None, or the rotation
+    ``(3, 3)`` that makes its pictures level, as the file says; `unseen`: None, or the mask of `shape` of what no
+    picture shows; `hint`: what the file says of an ordinary lens, for pictures of `shape`.
 
     Raises `ImageError` for a file that cannot be read as a video, `TimeError` for impossible times,
-    `MissingExtraError`. Iterating raises `ImageError` after the last picture if some could not be decoded, or if the
-    file is cut off, or its pictures change their shape: what could be read has been delivered by then. Pictures of
-    another size, but the same shape, are brought to `shape`.
+    `MissingExtraError`. Iterating raises `ImageError` after the last picture if some could not be decoded, if the file
+    is cut off, or where its pictures change their shape.
     """
 
     def __init__(
@@ -104,41 +100,49 @@ class Video:
     ) -> None:
         need("reading a video", "photos", "av")
         _check(rate, start, end, rows)
-        self.path = _checked_path(os.fspath(path))
+        self.path = check_file(path, "a video (MP4, MOV, MKV, WebM, INSV)")
         self.rate, self.start, self.end, self._track = rate, start, end, track
         camera, self.motion, facts = _camera_track(self.path)
         container, stream = open_video(self.path, track)
         with container:
             tracks = _check_tracks(container, self.path, bool(camera), lenses)
-            picture = _first_picture(container, stream, self.path)
+            damage = Damage()
+            picture = next(pictures(container, stream, damage), None)
+            if picture is None:
+                why = f"none of its {damage.packets} packets can be decoded" if damage.packets else "it is empty"
+                advice = f"Copy it again from the camera, or {CONVERT.format(path)}"
+                raise ImageError(f"{path} holds no picture: {why}. {advice}")
             unit, begins = float(stream.time_base or 0), (container.start_time or 0) / 1e6  # seconds
-            self.duration: float | None = stream.duration * unit if stream.duration else None
-            self._frames = stream.frames
-            if self.duration is None and container.duration:
-                self.duration = container.duration / 1e6
+            lasts = stream.duration * unit if stream.duration else (container.duration or 0) / 1e6
+            self.duration, self._frames = lasts or None, stream.frames
             self.frame_rate = float(stream.average_rate or stream.guessed_rate or 0) or None
             aspect, codec = float(stream.sample_aspect_ratio or 1) or 1.0, stream.codec_context.name
             tags = container.metadata | stream.metadata
         if self.duration is not None and start >= self.duration:
             raise TimeError(f"start = {start:g} s is beyond the end of {self.path}, which lasts {self.duration:.2f} s")
-        side_data = _side_data(picture)
+        told = cast("dict[str, bytes | None]", picture.side_data)
+        names = ("SPHERICAL", "STEREO3D", "DISPLAYMATRIX")
+        side_data = {name: bytes(data) for name in names if (data := told.get(name)) is not None}
         found = None if lenses else of_video(side_data)
         projection = found or Projection("nothing", "rectangular")
         projection.check(self.path)
         self._timed = picture.pts is not None
         self._zero = round(begins / unit) * unit if unit else begins
         self._clock, self._interval = min(CLOCK, unit / 2) + 1e-9, 1 / (self.frame_rate or PLAIN)
-        self._size, (self._turns, mirrored) = (picture.height, picture.width), _turns(picture, side_data)
-        high, wide = picture.height, max(1, round(picture.width * aspect))
-        self._layout = projection.layout(*((wide, high) if self._turns % 2 else (high, wide)), rows)
-        self.shape, self.unseen = self._layout.shape, self._layout.unseen
-        self.level_R_body = projection.level_R_body if projection.pitch or projection.roll else None
+        self._size, self._turns, mirrored = (picture.height, picture.width), 0, False
+        if len(matrix := side_data.get("DISPLAYMATRIX", b"")) == 36:
+            self._turns = round(picture.rotation / 90) % 4
+            mirrored = np.linalg.det(np.frombuffer(matrix, "i4").reshape(3, 3)[:2, :2].astype(float)) < 0
+        shown = picture.height, max(1, round(picture.width * aspect))
+        high, wide = shown[::-1] if self._turns % 2 else shown
+        self._layout = projection.layout(high, wide, rows)
+        self.shape, self.unseen, self.level_R_body = self._layout.shape, self._layout.unseen, projection.level_R_body
         self.hint = intrinsics_from_tags(tags, (self.shape[1], self.shape[0]), self._turns)
-        quarters, bright = self._turns, HDR.get(picture.color_trc)
+        degrees, bright = 90 * self._turns, HDR.get(picture.color_trc)
         own = {
             f"{codec}, {picture.width} x {picture.height} pixels": True,
             f"the camera is {camera}": camera,
-            f"its pictures are turned by {90 * quarters} degrees counterclockwise, as it wants to be shown": quarters,
+            f"its pictures are turned by {degrees} degrees counterclockwise, as it wants to be shown": degrees,
             "it wants to be shown mirrored, which is not done": mirrored,
             f"its colours are HDR ({bright}) and taken as they are: they look pale": bright,
             f"its pictures have no times; {self.frame_rate or PLAIN:g} a second are assumed": not self._timed,
@@ -147,7 +151,10 @@ class Video:
         }
         said = () if found is None else found.facts()
         self.facts = (*(fact for fact, holds in own.items() if holds), *said, *facts)
-        self.count = self._count()
+        self.count: int | None = None
+        if self.duration is not None and (rates := [each for each in (rate, self.frame_rate) if each]):
+            seconds = min(self.duration, math.inf if end is None else end) - start
+            self.count = max(1, math.ceil(seconds * min(rates) - 1e-6))
 
     def __iter__(self) -> Iterator[Frame]:
         name, damage, taken = os.path.basename(self.path), Damage(), 0
@@ -162,32 +169,25 @@ class Video:
                 UserWarning,
                 stacklevel=2,
             )
-        reached = (
-            "none of its pictures could be read" if self._last is None else f"it was read up to {self._last:.2f} s"
-        )
+        last, missing = self._last, ""
+        reached = "none of its pictures could be read" if last is None else f"it was read up to {last:.2f} s"
+        if last is not None and (self.end is None or last < self.end - self._clock):
+            if self._frames and damage.of < self._frames and not self.start:
+                missing = f"of {self._frames} pictures {damage.of} are there"
+            elif not self._frames and self.duration and last < self.duration - SHORT - 2 * self._interval:
+                missing = f"it should last {self.duration:.2f} s"
         end = f"{reached}, and {taken} pictures were taken. Copy it again from the camera"
-        if missing := self._missing(damage):
+        if missing:
             raise ImageError(f"{self.path} is cut off: {missing}; {end} for the rest")
         if damage.packets:
-            raise ImageError(
-                f"{self.path} is damaged: {damage.packets} of its packets could not be decoded, the first near "
-                f"{damage.first - self._zero:.2f} s; {end}"
-            )
+            first = damage.first - self._zero
+            what = f"{damage.packets} of its packets could not be decoded, the first near {first:.2f} s"
+            raise ImageError(f"{self.path} is damaged: {what}; {end}")
         if not taken:
             until = "its end" if self.end is None else f"end = {self.end:g} s"
             raise TimeError(
                 f"{self.path} has no picture from start = {self.start:g} s to {until}; {reached}. Choose other times"
             )
-
-    def _missing(self, damage: Damage) -> str:
-        """What a file says that it holds, and does not; empty where nothing is missing."""
-        if self._last is None or (self.end is not None and self._last >= self.end - self._clock):
-            return ""
-        if self._frames:
-            there = damage.of < self._frames and not self.start
-            return f"of {self._frames} pictures {damage.of} are there" if there else ""
-        short = self.duration is not None and self._last < self.duration - SHORT - 2 * self._interval
-        return f"it should last {self.duration:.2f} s" if short else ""
 
     def _stamped(self, damage: Damage) -> Iterator[tuple[float, VideoFrame]]:
         """All pictures that can be decoded, from the key picture before `start` on, with stamps that increase."""
@@ -208,20 +208,14 @@ class Video:
 
     def _panorama(self, picture: VideoFrame) -> np.ndarray:
         """The whole panorama ``(*shape, 3)`` of a decoded picture."""
-        (high, wide), own = self._layout.size, self._size
+        size, own = self._layout.size, self._size
         if abs(picture.width * own[0] / (picture.height * own[1]) - 1) > SHAPE:
             raise ImageError(
                 f"{self.path}: its pictures change from {own[1]} x {own[0]} to {picture.width} x {picture.height}, "
                 "another shape, so another part of what the camera sees; cut the video there (--start, --end)"
             )
-        rgb = to_rgb(picture, *((wide, high) if self._turns % 2 else (high, wide)))
+        rgb = to_rgb(picture, *(size[::-1] if self._turns % 2 else size))
         return self._layout.place(np.rot90(rgb, self._turns) if self._turns else rgb)
-
-    def _count(self) -> int | None:
-        if self.duration is None or not (self.rate or self.frame_rate):
-            return None
-        seconds = min(self.duration, math.inf if self.end is None else self.end) - self.start
-        return max(1, math.ceil(seconds * min(rate for rate in (self.rate, self.frame_rate) if rate) - 1e-6))
 
 
 def selected(
@@ -253,21 +247,6 @@ def _check(rate: float | None, start: float, end: float | None, rows: int | None
         raise ImageError(f"rows = {rows!r}; wanted a whole number of at least 1, or None for the rows of the video")
 
 
-def _checked_path(path: str) -> str:
-    """`path` of a file that can be read. Raises `ImageError`."""
-    if not os.path.exists(path):
-        raise ImageError(f"there is no file {path!r}; give the path of a video (MP4, MOV, MKV, WebM, INSV)")
-    if os.path.isdir(path):
-        raise ImageError(f"{path!r} is a folder; give one video file in it")
-    if not os.path.isfile(path):
-        raise ImageError(f"{path!r} is a pipe or a device; give a video file")
-    if os.path.getsize(path) == 0:
-        raise ImageError(f"{path!r} is empty (0 bytes); an interrupted copy? Copy it again from the camera")
-    if not os.access(path, os.R_OK):
-        raise ImageError(f"{path!r} cannot be read; make it readable (chmod +r), or copy it")
-    return path
-
-
 # --- what the file says ---
 
 
@@ -291,7 +270,7 @@ def _camera_track(path: str) -> tuple[str, MotionTrack | None, tuple[str, ...]]:
 
 def tracks_of(path: str | os.PathLike[str]) -> int:
     """How many tracks of pictures a video has. Raises `ImageError`."""
-    container, _ = open_video(_checked_path(os.fspath(path)))
+    container, _ = open_video(check_file(path, "a video"))
     with container:
         return len(_tracks(container))
 
@@ -304,28 +283,12 @@ def _check_tracks(container: InputContainer, path: str, insta360: bool, lenses: 
     """How many tracks of pictures it has. Raises `ImageError` for those of lenses, unless `lenses` are wanted."""
     count, name = len(_tracks(container)), os.path.basename(path)
     if count > 1 and not lenses:
-        makers = [str(each.metadata.get("handler_name", "")) for each in container.streams]
-        if path.lower().endswith(".360") or any("GoPro" in each for each in makers):
+        gopro = any("GoPro" in str(each.metadata.get("handler_name", "")) for each in container.streams)
+        if gopro or path.lower().endswith(".360"):
             raise ImageError(GOPRO.format(name))
-        if insta360 or path.lower().endswith(UNSTITCHED):
+        if insta360 or path.lower().endswith(".insv"):
             raise ImageError(LENSES.format(name, count))
     return count
-
-
-def _side_data(picture: VideoFrame) -> dict[str, bytes]:
-    """What FFmpeg tells beside a picture, by its names of it."""
-    told = cast("dict[str, bytes]", picture.side_data)
-    return {
-        name: bytes(told[name]) for name in ("SPHERICAL", "STEREO3D", "DISPLAYMATRIX") if told.get(name) is not None
-    }
-
-
-def _turns(picture: VideoFrame, side_data: dict[str, bytes]) -> tuple[int, bool]:
-    """Quarter turns (counterclockwise) with which a picture is to be shown, and whether mirrored, too."""
-    with suppress(KeyError, ValueError):
-        matrix = np.frombuffer(side_data["DISPLAYMATRIX"], "i4").reshape(3, 3)[:2, :2].astype(float)
-        return round(picture.rotation / 90) % 4, bool(np.linalg.det(matrix) < 0)
-    return 0, False
 
 
 # --- decoding ---
@@ -387,16 +350,6 @@ def _stream(container: InputContainer, path: str, track: int) -> VideoStream:
     if streams[track].codec_context is None:
         raise ImageError(f"{path} is in a codec that this FFmpeg cannot decode; {CONVERT.format(path)}")
     return streams[track]
-
-
-def _first_picture(container: InputContainer, stream: VideoStream, path: str) -> VideoFrame:
-    """The first picture that can be decoded. Raises `ImageError` if there is none."""
-    damage = Damage()
-    picture = next(pictures(container, stream, damage), None)
-    if picture is None:
-        why = f"none of its {damage.packets} packets can be decoded" if damage.packets else "it is empty"
-        raise ImageError(f"{path} holds no picture: {why}. Copy it again from the camera, or {CONVERT.format(path)}")
-    return picture
 
 
 def pictures(container: InputContainer, stream: VideoStream, damage: Damage) -> Iterator[VideoFrame]:

@@ -1,32 +1,42 @@
-"""Fit the lenses of a dual fisheye camera from its pictures: `calibrate`; and how well lenses agree: `overlap_of`.
+"""What a camera's pictures tell of it: the lenses of a dual fisheye camera, how well these agree, how late it stamps.
 
-What both lenses see at once, the overlap, ties them to each other, and fixes their curves there. It tells nothing about
-the inside of the pictures: that part then rests on the assumption that the lenses are nearly equidistant. Pictures of a
-camera that turned in place fix all of it, since the same things pass through all parts of the lenses, and a whole turn
-is 360 degrees. Robust least squares with weak priors; nothing tells how the rig as a whole sits on the body.
+**Lenses.** What both see at once, the overlap, ties them to each other, and fixes their curves there. It tells nothing
+about the inside of the pictures: that part then rests on the assumption that the lenses are nearly equidistant.
+Pictures of a camera that turned in place fix all of it, since the same things pass through all parts of the lenses, and
+a whole turn is 360 degrees. Robust least squares with weak priors; nothing tells how the rig as a whole sits on the
+body.
+
+**Latency.** A camera that stamps its pictures `latency` seconds late shows at the stamp t what odometry told for t -
+latency. For each step between two pictures both tell how far the body turned about its vertical axis; the latency is
+the shift at which the two series have the highest correlation. Its interval is from a moving-block bootstrap (H.
+Kunsch, Annals of Statistics 17, 1989): neighbouring steps are not independent.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.cameras import Lens, Rig
-from eagor.errors import ImageError
+from eagor.errors import ImageError, PoseError
+from eagor.media import Frame, Pose
 from eagor.media.defects import BLACK
 from eagor.media.panorama import checked_picture
 from eagor.media.stitching import Stitcher, sizes_of
 from eagor.odometry.features import FIELD, Features, Views, match
 from eagor.odometry.two_views import bin_index, estimate_relative_rotation
+from eagor.odometry.visual import VisualOdometer
 from eagor.sphere import world_R_body
 
-__all__ = ["Calibrated", "calibrate", "first_rig", "overlap_of"]
+__all__ = [
+    "Calibrated", "Latency", "calibrate", "check_turning", "first_rig", "latency_between", "overlap_of", "steps_of",
+]  # fmt: skip
 
 FIELDS = np.radians([180, 185, 190, 195, 200, 205, 210, 220])  # of which one is taken to begin with
 GATES = np.radians([6.0, 1.5])  # between the rays of a pair, in each round of finding points
@@ -34,8 +44,7 @@ FEWEST = 20  # pairs in all; less are no basis
 RIM = math.radians(1.5)  # from the rim, where the border of the circle makes points of its own
 LEAST_PIXELS, MOST_PIXELS, ROWS = 320, 1024, 2048  # of a view in which points are looked for; of the panorama for it
 NEXT = 3  # a moment is compared with so many next ones
-FOR_TURNS = 400  # pairs that tell a turn; more only take longer
-MOST = 2000  # pairs that are fitted; of more, every second, third, ...
+FOR_TURNS, MOST = 400, 2000  # pairs that tell a turn, and that are fitted: of more, every second, third, ...
 
 OWN = 10  # parameters of a lens: centre (radii), logarithm of the focal length, polynomial, rotation (radians)
 CENTRE, FOCAL, TILT, TURN = 0.03, 0.05, math.radians(3.0), math.radians(90.0)  # prior deviations
@@ -45,35 +54,21 @@ CURVE, ALIKE = 0.10, 0.3  # of each term of the polynomial at the rim; share of 
 FINEST, PARALLAX = math.radians(0.05), math.radians(0.3)
 ROUNDS, HEAVY = 4, 2.4  # of estimating the noise; noises at which Cauchy's loss begins to level off
 
+Sightings = Features  # with moment, lens, x, y (pixels) of each point, ``(n, 4)``, in place of its direction
+
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
     """A fitted `rig` and how well it fits.
 
     `pairs` between the lenses, and between moments (0 unless the camera turned); `gap`: the median angle between the
-    two rays of a pair, radians; `before`: the same with the rig to begin with. `angles` ``(k,)`` off the axis, and
-    `spreads` ``(lenses, k)``: the standard deviation of directions there, radians.
+    two rays of a pair, radians; `before`: the same with the rig to begin with.
     """
 
     rig: Rig
     pairs: tuple[int, int]
     gap: float
     before: float
-    angles: np.ndarray
-    spreads: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Sightings:
-    """Points ``(n, 4)``: moment, lens, x, y (pixels); and their `descriptors` ``(n, 128)``."""
-
-    points: np.ndarray
-    descriptors: np.ndarray
-
-    def matched(self, other: Sightings) -> np.ndarray:
-        """Points that look alike, ``(m, 2, 4)``."""
-        first, second = match(*(Features(each.points[:, :3], each.descriptors) for each in (self, other)))
-        return np.stack([self.points[first], other.points[second]], axis=1)
 
 
 def calibrate(
@@ -95,18 +90,13 @@ def calibrate(
     start = start.scaled(start.factor_of(sizes_of(moments[0]), "the first picture"))
     if [lens.kind for lens in start.lenses] != ["fisheye"] * 2:
         raise ImageError("the rig has other lenses than two fisheyes; this fits dual fisheye cameras")
-    turns = np.eye(3)[None].repeat(len(moments), axis=0)
     seen = _sightings(start, moments, on_step)
-    if rig is None:
-        start = _placed(start, seen)
-    if turned:
-        turns = _chained(start, seen)
-    fit: _Fit | None = None
-    before = 0.0
+    start = start if rig else _placed(start, seen)
+    turns = _chained(start, seen) if turned else np.eye(3)[None].repeat(len(moments), axis=0)
+    fitted, before, x, pairs = start, 0.0, None, np.empty((0, 2, 4))
     for gate in GATES:  # the second time on views that the first fit has straightened
-        current = start if fit is None else fit.rig
-        seen = seen if fit is None else _sightings(current, moments, on_step)
-        pairs = _pairs(current, seen, turns, float(gate), turned)
+        seen = seen if x is None else _sightings(fitted, moments, on_step)
+        pairs = _pairs(fitted, seen, turns, float(gate), turned)
         if len(pairs) < FEWEST:
             where = "between the pictures" if turned else "in the overlap of the lenses"
             raise ImageError(
@@ -115,15 +105,9 @@ def calibrate(
                 "the lenses do not overlap, nothing can be fitted"
             )
         before = before or float(np.median(_gaps(start, pairs, turns)))
-        fit = _Fit(start, pairs, turns, turned, None if fit is None else fit.x)
-        turns = fit.turns
-    assert fit is not None
-    angles = np.linspace(0, min(lens.reach for lens in fit.rig.lenses), 7)
-    within, gap = (
-        int((fit.pairs[:, 0, 0] == fit.pairs[:, 1, 0]).sum()),
-        float(np.median(_gaps(fit.rig, fit.pairs, turns))),
-    )
-    return Calibrated(fit.rig, (within, len(fit.pairs) - within), gap, before, angles, fit.spreads(angles))
+        fitted, turns, x = _fitted(start, pairs, turns, turned, x)
+    within = int((pairs[:, 0, 0] == pairs[:, 1, 0]).sum())
+    return Calibrated(fitted, (within, len(pairs) - within), float(np.median(_gaps(fitted, pairs, turns))), before)
 
 
 # --- a start ---
@@ -158,7 +142,7 @@ def first_rig(moments: Sequence[Sequence[np.ndarray]], fov: float = math.radians
     return Rig(size, tuple(lenses))
 
 
-def _circle(brightest: np.ndarray) -> tuple[float, float, float]:
+def _circle(brightest: np.ndarray) -> np.ndarray:
     """Centre x, y and radius (pixels) of the bright circle in ``(H, W)``: the brightest that each pixel ever was."""
     lit, points = brightest > BLACK, list[np.ndarray]()
     for turned in (lit, lit.T):  # both ends of each row, and of each column
@@ -169,14 +153,15 @@ def _circle(brightest: np.ndarray) -> tuple[float, float, float]:
             points.append(found if turned is lit else found[:, ::-1])
     rim, (height, width) = np.concatenate(points), brightest.shape
     circle = np.array([width / 2, height / 2, min(width, height) / 2])
-    if len(rim) >= FEWEST:  # else it fills the picture. Dark places at the rim lie inside: the loss levels off
-        circle = least_squares(lambda c: np.hypot(*(rim - c[:2]).T) - c[2], circle, loss="cauchy").x
-    return float(circle[0]), float(circle[1]), float(circle[2])
+    if len(rim) < FEWEST:  # it fills the picture
+        return circle
+    # Dark places at the rim lie inside: the loss levels off.
+    return least_squares(lambda c: np.hypot(*(rim - c[:2]).T) - c[2], circle, loss="cauchy").x
 
 
 def _placed(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> Rig:
     """`rig` with the field that fits best, and its second lens turned as the points say."""
-    pairs, best, most = np.concatenate([front.matched(back) for front, back in seen]), rig, 0
+    pairs, best, most = np.concatenate([_matched(front, back) for front, back in seen]), rig, 0
     for fov in FIELDS:
         lenses = [replace(lens, focal=(lens.radius / (fov / 2),) * 2) for lens in rig.lenses]
         rays = [lens.unproject(*pairs[:, side, 2:].T) for side, lens in enumerate(lenses)]
@@ -191,10 +176,10 @@ def _chained(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> np.ndarray:
     """Rotations ``(m, 3, 3)`` of the moments, in the axes of the first, each by way of the one before."""
     joined, turns, still = [_joined(rig, each) for each in seen], [np.eye(3)], np.eye(3)[None].repeat(len(seen), 0)
     for number, (one, other) in enumerate(pairwise(joined), 2):
-        pairs = one.matched(other)
+        pairs = _matched(one, other)
         pairs = pairs[:: max(1, math.ceil(len(pairs) / FOR_TURNS))]
-        rays = [_rays(rig, pairs[:, side], still) for side in (0, 1)] if len(pairs) else []
-        turn = estimate_relative_rotation(*rays, moves=False) if rays else None
+        rays = [_rays(rig, pairs[:, side], still) for side in (0, 1)]
+        turn = estimate_relative_rotation(*rays, moves=False) if len(pairs) else None
         if turn is None:
             raise ImageError(
                 f"picture {number} cannot be related to the one before: were they taken at the same place, in the "
@@ -218,19 +203,23 @@ def _sightings(rig: Rig, moments: Sequence[Sequence[np.ndarray]], on_step: Calla
             features = Views.of(stitcher.alone(index, *pictures)[0], size=size).features
             x, y, depth = lens.project(features.directions)
             points = np.stack([np.full(len(x), moment), np.full(len(x), index), x, y], axis=1)
-            found[-1].append(Sightings(points[depth > RIM], features.descriptors[depth > RIM]))
+            found[-1].append(Sightings(points, features.descriptors)[depth > RIM])
         on_step()
     return found
 
 
+def _matched(one: Sightings, other: Sightings) -> np.ndarray:
+    """Points that look alike, ``(m, 2, 4)``."""
+    first, second = match(one, other)
+    return np.stack([one.directions[first], other.directions[second]], axis=1)
+
+
 def _joined(rig: Rig, lenses: Sequence[Sightings]) -> Sightings:
     """All points of a moment, each thing by the lens that sees it deepest: twins would fail the ratio test."""
-    points, descriptors = (
-        np.concatenate([getattr(each, name) for each in lenses]) for name in ("points", "descriptors")
-    )
+    points = np.concatenate([each.directions for each in lenses])
     rays = _rays(rig, points * [0, 1, 1, 1], np.eye(3)[None])
     deepest = np.array([lens.project(rays)[2] for lens in rig.lenses]).argmax(axis=0) == points[:, 1]
-    return Sightings(points[deepest], descriptors[deepest])
+    return Sightings(points, np.concatenate([each.descriptors for each in lenses]))[deepest]
 
 
 def _pairs(rig: Rig, seen: Sequence[Sequence[Sightings]], turns: np.ndarray, gate: float, turned: bool) -> np.ndarray:
@@ -239,10 +228,10 @@ def _pairs(rig: Rig, seen: Sequence[Sequence[Sightings]], turns: np.ndarray, gat
     By two lenses at each moment, and if the camera `turned` in place, at two moments.
     """
     n = len(seen)
-    found = [a.matched(b) for lenses in seen for a, b in combinations(lenses, 2)]
+    found = [_matched(a, b) for lenses in seen for a, b in combinations(lenses, 2)]
     if turned:
         joined = [_joined(rig, each) for each in seen]
-        found += [joined[i].matched(joined[j]) for i, j in combinations(range(n), 2) if min(j - i, n - j + i) <= NEXT]
+        found += [_matched(joined[i], joined[j]) for i, j in combinations(range(n), 2) if min(j - i, n - j + i) <= NEXT]
     pairs = np.concatenate([*found, np.empty((0, 2, 4))])
     return pairs[_gaps(rig, pairs, turns) < gate]
 
@@ -264,78 +253,51 @@ def _gaps(rig: Rig, pairs: np.ndarray, turns: np.ndarray) -> np.ndarray:
 # --- the fit ---
 
 
-class _Fit:
-    """The most likely lenses near those of `start` that make the rays of `pairs` meet, and the camera's `turns`.
+def _fitted(
+    start: Rig, pairs: np.ndarray, turns: np.ndarray, turned: bool, before: np.ndarray | None
+) -> tuple[Rig, np.ndarray, np.ndarray]:
+    """The most likely lenses near those of `start` that make the rays of `pairs` meet, and the camera's turns.
 
-    `x`: differences from the start: of each lens, then the rotations of the moments but the first. `covariance` of
-    them, with one independent point in each part of a lens and moment: neighbours share their errors.
+    The third are the differences from the start: of each lens, then the rotations of the moments but the first;
+    `before`: those of the fit before. There is one independent point in each part of a lens and moment: neighbours
+    share their errors.
     """
+    used, own = pairs[:: max(1, math.ceil(len(pairs) / MOST))], OWN * len(start.lenses)
+    size = own + (3 * (len(turns) - 1) if turned else 0)
+    curves = [CURVE / lens.reach ** (2 * np.arange(1, 5)) for lens in start.lenses]
+    priors = [(CENTRE, CENTRE, FOCAL, *curve, TILT, TILT, TILT) for curve in curves]
+    deviations = np.concatenate([*priors, np.full(size - own, TURN)])
+    still = np.eye(3)[None].repeat(len(turns), 0)
+    parts = np.unique(bin_index(_rays(start, used.reshape(-1, 4), still))).size * len(start.lenses)
+    share = min(1.0, parts * (len(turns) if turned else 1) / len(used))
 
-    def __init__(
-        self, start: Rig, pairs: np.ndarray, turns: np.ndarray, turned: bool, x: np.ndarray | None = None
-    ) -> None:
-        self.pairs, self._start, self._turns = pairs, start, turns
-        used, own = pairs[:: max(1, math.ceil(len(pairs) / MOST))], OWN * len(start.lenses)
-        size = own + (3 * (len(turns) - 1) if turned else 0)
-        curves = [CURVE / lens.reach ** (2 * np.arange(1, 5)) for lens in start.lenses]
-        priors = [(CENTRE, CENTRE, FOCAL, *curve, TILT, TILT, TILT) for curve in curves]
-        deviations = np.concatenate([*priors, np.full(size - own, TURN)])
-        still = np.eye(3)[None].repeat(len(turns), 0)
-        parts = np.unique(bin_index(_rays(start, used.reshape(-1, 4), still))).size * len(start.lenses)
-        share = min(1.0, parts * (len(turns) if turned else 1) / len(used))
-
-        def residuals(x: np.ndarray, scale: np.ndarray) -> np.ndarray:
-            rig, rotations = self._at(x)
-            apart = _rays(rig, used[:, 0], rotations) - _rays(rig, used[:, 1], rotations)
-            alike = (x[2:7] - x[OWN + 2 : OWN + 7]) / (ALIKE * deviations[2:7])  # the lenses' curves
-            return np.concatenate([(apart * scale[:, None]).ravel(), x / deviations, alike])
-
-        self.x, self.covariance = np.zeros(size), np.zeros((size, size))
-        if x is not None:
-            self.x[:own] = x[:own]
-        for _ in range(ROUNDS):  # weights of Cauchy's law for the pairs; priors are Gaussian
-            rig, rotations = self._at(self.x)
-            gaps = _gaps(rig, used, rotations)
-            noise = max(FINEST if turned else PARALLAX, float(np.median(gaps)) / math.sqrt(2 * math.log(2)))
-            scale = np.sqrt(share / (1 + (gaps / (HEAVY * noise)) ** 2)) / noise
-            found = least_squares(residuals, self.x, args=(scale,), max_nfev=8, x_scale=deviations)
-            self.x, self.covariance = found.x, np.linalg.inv(found.jac.T @ found.jac)
-        self.rig, self.turns = self._at(self.x)
-
-    def _at(self, x: np.ndarray) -> tuple[Rig, np.ndarray]:
+    def at(x: np.ndarray) -> tuple[Rig, np.ndarray]:
         """Lenses and rotations ``(m, 3, 3)`` of the moments."""
         lenses = []
-        for part, lens in zip(x.reshape(-1)[: OWN * 2].reshape(-1, OWN), self._start.lenses, strict=True):
+        for part, lens in zip(x[:own].reshape(-1, OWN), start.lenses, strict=True):
             terms = np.pad(lens.distortion, (0, 8 - len(lens.distortion))) + np.pad(part[3:7], (0, 4))
             centre = (lens.centre[0] + part[0] * lens.radius, lens.centre[1] + part[1] * lens.radius)
             focal = (lens.focal[0] * math.exp(part[2]), lens.focal[1] * math.exp(part[2]))
             pose = lens.body_R_lens @ Rotation.from_rotvec(part[7:]).as_matrix()
             lenses.append(replace(lens, centre=centre, focal=focal, distortion=tuple(terms), body_R_lens=pose))
-        steps = np.concatenate([np.zeros(3), x[OWN * len(lenses) :]]).reshape(-1, 3)
-        turns = self._turns @ Rotation.from_rotvec(steps).as_matrix() if len(steps) > 1 else self._turns
-        return Rig(self._start.sizes, tuple(lenses)), turns
+        steps = np.concatenate([np.zeros(3), x[own:]]).reshape(-1, 3)
+        return Rig(start.sizes, tuple(lenses)), turns @ Rotation.from_rotvec(steps).as_matrix() if turned else turns
 
-    def spreads(self, angles: np.ndarray) -> np.ndarray:
-        """By how much directions at `angles` ``(k,)`` off the axis of each lens may be off: radians, ``(lenses, k)``.
+    def residuals(x: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        rig, rotations = at(x)
+        apart = _rays(rig, used[:, 0], rotations) - _rays(rig, used[:, 1], rotations)
+        alike = (x[2:7] - x[OWN + 2 : OWN + 7]) / (ALIKE * deviations[2:7])  # the lenses' curves
+        return np.concatenate([(apart * scale[:, None]).ravel(), x / deviations, alike])
 
-        The root mean square, over all sides, of the standard deviation, with the rig as a whole turned so that all its
-        lenses fit best: how it sits on the body is not part of it.
-        """
-        around = np.linspace(0, 2 * math.pi, 8, endpoint=False)[:, None]
-        ahead, aside = np.cos(angles) + 0 * around, np.sin(angles)
-        rays = np.stack([ahead, aside * np.cos(around), aside * np.sin(around)], -1)
-        pixels = [lens.project(rays @ lens.body_R_lens.T)[:2] for lens in self.rig.lenses]
-
-        def seen(x: np.ndarray) -> np.ndarray:
-            return np.stack([lens.unproject(*at) for lens, at in zip(self._at(x)[0].lenses, pixels, strict=True)])
-
-        now, size = seen(self.x), OWN * len(pixels)
-        steps = 1e-6 * np.eye(len(self.x))[:size]
-        change = np.stack([(seen(self.x + step) - now) / 1e-6 for step in steps], -1).reshape(-1, size)
-        turns = np.cross(np.eye(3), now.reshape(-1, 1, 3)).swapaxes(1, 2).reshape(-1, 3)
-        change = change - turns @ np.linalg.lstsq(turns, change, rcond=None)[0]
-        variance = np.einsum("ip,pq,iq->i", change, self.covariance[:size, :size], change)
-        return np.sqrt(variance.reshape(now.shape).sum(-1).mean(axis=1))
+    x = np.zeros(size)
+    if before is not None:
+        x[:own] = before[:own]
+    for _ in range(ROUNDS):  # weights of Cauchy's law for the pairs; priors are Gaussian
+        gaps = _gaps(at(x)[0], used, at(x)[1])
+        noise = max(FINEST if turned else PARALLAX, float(np.median(gaps)) / math.sqrt(2 * math.log(2)))
+        scale = np.sqrt(share / (1 + (gaps / (HEAVY * noise)) ** 2)) / noise
+        x = least_squares(residuals, x, args=(scale,), max_nfev=8, x_scale=deviations).x
+    return *at(x), x
 
 
 # --- how well lenses agree ---
@@ -363,3 +325,125 @@ def overlap_of(rig: Rig, pictures: Sequence[np.ndarray]) -> tuple[float, np.ndar
     still = np.eye(3)[None]
     pairs = _pairs(rig, _sightings(rig, [pictures], lambda: None), still, float(GATES[0]), turned=False)
     return area / (4 * math.pi), _gaps(rig, pairs, still), grey, np.concatenate([shown, below])
+
+
+# --- how late a camera's stamps are ---
+
+GRID = 0.005  # seconds between the shifts that are tried; the peak is found between them
+FEWEST_STEPS = 20
+LEAST_CHANGE = math.radians(3.0)  # per second: by how much the turning rate has to vary to tell anything
+LEAST_MATCH = 0.5  # correlation below which the two do not show the same motion
+BLOCK, DRAWS = 1.0, 400  # seconds of neighbouring steps that are drawn together, and how often
+LONGEST = 1.0  # seconds between two pictures that make a step
+
+
+@dataclass(frozen=True)
+class Latency:
+    """`seconds` from capture to stamp, the `interval` that holds it with 95 %, and the correlation there.
+
+    `steps`: how many were compared. `mirrored`: whether the pictures turn the other way than odometry does.
+    """
+
+    seconds: float
+    interval: tuple[float, float]
+    correlation: float
+    steps: int
+    mirrored: bool = False
+
+
+def steps_of(frames: Iterable[Frame]) -> np.ndarray:
+    """How a camera turned from picture to picture: start, end (seconds), turn to the left about body z (radians).
+
+    ``(n, 3)``, from its pictures; where it got lost, there is no step.
+    """
+    odometer, before, rows = VisualOdometer(), None, []
+    for frame in frames:
+        if frame.picture is None:
+            continue
+        turned = odometer.add(frame.picture)
+        if before is not None and not turned.lost and turned.matches and frame.stamp - before[0] <= LONGEST:
+            turn = Rotation.from_matrix(before[1].T @ turned.world_R_body).as_rotvec()
+            rows.append((before[0], frame.stamp, float(turn[2])))
+        before = frame.stamp, turned.world_R_body
+    return np.array(rows).reshape(-1, 3)
+
+
+def latency_between(steps: np.ndarray, poses: Sequence[Pose], *, most: float = 1.0, seed: int = 0) -> Latency:
+    """The latency of `steps` (`steps_of`) against `poses` in order of time, from -`most` to `most` seconds.
+
+    Negative: odometry is the later one. Raises `PoseError` where the motion does not tell it: too few steps that both
+    cover, too little change of the turning rate, no correlation, or a peak at the end of what is searched.
+    """
+    slerp = check_turning(poses)
+    first, last = poses[0].stamp, poses[-1].stamp
+    start, end, turned = steps[(steps[:, 0] - most >= first) & (steps[:, 1] + most <= last)].T
+    n = len(start)
+    if n < FEWEST_STEPS:
+        span = f"{steps[0, 0]:.2f} to {steps[-1, 1]:.2f} s" if len(steps) else "none that could be compared"
+        raise PoseError(
+            f"{n} steps between pictures lie within the odometry, {most:g} s off its ends; wanted {FEWEST_STEPS} or "
+            f"more. Pictures: {span}; odometry: {first:.2f} to {last:.2f} s. Both need one clock: shift one of them, "
+            "or record longer"
+        )
+    shifts = np.arange(-most, most + GRID / 2, GRID)
+    rates = np.stack([_turned(slerp, start - shift, end - shift) for shift in shifts]) / (end - start)  # (shifts, n)
+    seen = turned / (end - start)
+    values = _correlation(rates, seen)
+    mirrored = bool(values.max() < -values.min() - 0.2)
+    if mirrored:
+        values, seen = -values, -seen
+    at = int(values.argmax())
+    if values[at] < LEAST_MATCH:
+        raise PoseError(
+            f"what the pictures show and what odometry tells do not agree at any shift up to {most:g} s (highest "
+            f"correlation {values[at]:.2f}; wanted {LEAST_MATCH:g} or more). Are they of the same time and body, and "
+            "is the shift larger (--most SECONDS)?"
+        )
+    if at in (0, len(shifts) - 1):
+        raise PoseError(
+            f"the best shift is {shifts[at]:+.2f} s, the end of what was searched; search farther: --most {2 * most:g}"
+        )
+    random, peaks = np.random.default_rng(seed), []
+    block = min(max(1, round(BLOCK / float(np.median(end - start)))), max(1, n // 4))
+    for _ in range(DRAWS):
+        begins = random.integers(0, n - block + 1, math.ceil(n / block))
+        drawn = (begins[:, None] + np.arange(block)).ravel()[:n]
+        peaks.append(_peak(shifts, _correlation(rates[:, drawn], seen[drawn])))
+    low, high = map(float, np.quantile(peaks, [0.025, 0.975]))
+    return Latency(_peak(shifts, values), (low, high), float(values[at]), n, mirrored)
+
+
+def check_turning(poses: Sequence[Pose]) -> Slerp:
+    """The orientations in between. Raises `PoseError` if these turn too evenly to tell a latency."""
+    if len(poses) < 2:
+        raise PoseError(f"odometry has {len(poses)} poses; wanted those of the time in which the pictures were taken")
+    stamps = [pose.stamp for pose in poses]
+    slerp = Slerp(stamps, Rotation.from_matrix(np.stack([pose.world_R_body for pose in poses])))
+    ticks = np.linspace(stamps[0], stamps[-1], max(2, math.ceil((stamps[-1] - stamps[0]) / 0.1)))
+    change = float(np.std(_turned(slerp, ticks[:-1], ticks[1:]) / np.diff(ticks)))
+    if change < LEAST_CHANGE:
+        raise PoseError(
+            f"the turning rate varies by {math.degrees(change):.1f} degrees per second (standard deviation); wanted "
+            f"{math.degrees(LEAST_CHANGE):g} or more. Turn the camera left and right about its vertical axis, briskly, "
+            "for half a minute"
+        )
+    return slerp
+
+
+def _turned(slerp: Slerp, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """How far odometry turned about body z between these times, radians ``(n,)``."""
+    return (slerp(start).inv() * slerp(end)).as_rotvec()[:, 2]
+
+
+def _correlation(rates: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Pearson's, of each row of `rates` ``(s, n)`` with `seen` ``(n,)``."""
+    rates, seen = rates - rates.mean(axis=1, keepdims=True), seen - seen.mean()
+    return (rates @ seen) / np.maximum(np.linalg.norm(rates, axis=1) * np.linalg.norm(seen), 1e-12)
+
+
+def _peak(shifts: np.ndarray, values: np.ndarray) -> float:
+    """Where the parabola through the highest value and its neighbours is highest."""
+    at = min(max(int(values.argmax()), 1), len(shifts) - 2)
+    a, b, c = values[at - 1 : at + 2]
+    bend = a - 2 * b + c
+    return float(shifts[at] + (GRID * 0.5 * (a - c) / bend if bend < -1e-12 else 0.0))
