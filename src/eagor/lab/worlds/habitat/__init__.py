@@ -35,6 +35,11 @@ from eagor.lab.worlds.render import Frame, checked_pose
 from eagor.lab.worlds.scene import Instance
 from eagor.queries import SYNONYMS
 
+__all__ = [
+    "Frames", "HabitatView", "Session", "close_all", "device_for", "import_habitat", "read_category", "simulator_of",
+    "try_to_open",
+]  # fmt: skip
+
 HOW_TO_GET = (
     "it is on no package registry: conda install -c conda-forge -c aihabitat habitat-sim headless, or build it from "
     "the sources of facebookresearch/habitat-sim (pip install . there)"
