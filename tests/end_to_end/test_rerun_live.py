@@ -11,7 +11,7 @@ from rerunreading import read
 from eagor import DirectionTracker, Evidence
 from eagor.drawing import rerun_log
 from eagor.lab.worlds.painted import painted_room
-from eagor.live.events import Answer, Asked, Fault, FrameCame, PoseCame
+from eagor.live.events import Answer, Fault, ImageReceived, PoseReceived, Tick
 from eagor.live.rerun import LiveLog
 from eagor.media import Pose
 from eagor.sphere import world_R_body
@@ -45,10 +45,10 @@ def test_pictures_answers_positions_and_faults_are_logged(tmp_path):
     gone = Fault("camera", "no picture for 2.0 s", BEGIN + 1)
     for k in range(8):
         now = BEGIN + k
-        log.take(FrameCame(now, now, "x", painted_room(32, 64)), [])
-        log.take(PoseCame(now, Pose(now, np.eye(3), np.array([float(k), 0.0, 0.0]))), [])
-        log.take(Asked(now), answers(now, *([gone] if k in (2, 3) else [])))
-        log.take(Asked(now + 0.01), answers(now + 0.01))  # too soon after the last one
+        log.take(ImageReceived(now, now, "x", painted_room(32, 64)), [])
+        log.take(PoseReceived(now, Pose(now, np.eye(3), np.array([float(k), 0.0, 0.0]))), [])
+        log.take(Tick(now), answers(now, *([gone] if k in (2, 3) else [])))
+        log.take(Tick(now + 0.01), answers(now + 0.01))  # too soon after the last one
         wait_until_drawn(log)
     log.close()
     assert log.problem is None
@@ -75,7 +75,7 @@ def test_a_log_that_cannot_be_written_ends_alone(tmp_path, monkeypatch):
 
     monkeypatch.setattr(rerun_log.RerunLog, "add", full)
     for k in range(3):
-        log.take(Asked(BEGIN + k), answers(BEGIN + k))
+        log.take(Tick(BEGIN + k), answers(BEGIN + k))
         wait_until_drawn(log)
     log.close()
     assert log.problem is not None

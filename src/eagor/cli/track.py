@@ -142,9 +142,9 @@ class Notes:
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
-        from eagor.live.events import Trouble
+        from eagor.live.events import Diagnostic
 
-        if isinstance(event, Trouble) and event.passing and event.text not in self._said:
+        if isinstance(event, Diagnostic) and event.passing and event.text not in self._said:
             self._said.add(event.text)
             terminal.log(event.text)
 

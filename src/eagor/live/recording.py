@@ -20,7 +20,7 @@ import numpy as np
 
 from eagor.errors import EagorError, FormatError
 from eagor.live.core import LiveCore, LoopSettings
-from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, ImageReceived, ObservationReceived, PoseReceived
 from eagor.media import Pose
 from eagor.media.bags import BagWriter, bag_topics, read_bag
 from eagor.media.ros_messages import (
@@ -47,7 +47,7 @@ FLUSHED = 0.5  # seconds between two flushes: as much may be lost
 WAITING = 16  # pictures that may wait to be written; further ones are left out
 QUALITY = 92  # of JPEG
 BODY = "base_link"  # REP-105
-VERSION = 6  # of the events
+VERSION = 7  # of the events
 KINDS: dict[str, type] = {kind.__name__: kind for kind in (*get_args(Event), LoopSettings)}
 
 Pictures = Literal["jpeg", "png", "none"]
@@ -56,12 +56,12 @@ Pictures = Literal["jpeg", "png", "none"]
 def event_in_bytes(event: Event | LoopSettings) -> bytes:
     """An event without its picture, or the settings of the core, exactly: bytes of `eagor.tracking.checkpoint`."""
     values = {each.name: getattr(event, each.name) for each in fields(event) if each.name != "picture"}
-    if isinstance(event, PoseCame):
+    if isinstance(event, PoseReceived):
         values["pose"] = [getattr(event.pose, each.name) for each in fields(Pose)]
     try:
         return packed((VERSION, type(event).__name__, values))
     except FormatError:  # what a look says of its source may be anything
-        if not isinstance(event, EvidenceCame):
+        if not isinstance(event, ObservationReceived):
             raise
         return event_in_bytes(replace(event, looks=tuple(replace(look, source=None) for look in event.looks)))
 
@@ -76,7 +76,7 @@ def event_from(content: bytes) -> Event | LoopSettings:
         )
     _, name, values = found
     try:
-        if name == PoseCame.__name__:
+        if name == PoseReceived.__name__:
             values["pose"] = Pose(*values["pose"])
         return KINDS[name](**values)
     except (KeyError, TypeError, ValueError) as error:
@@ -99,7 +99,7 @@ class Recorder:
         self.problem: str | None = None
         self._trouble = trouble
         self._bag = BagWriter(self.path, at_risk=FLUSHED)
-        self._last = -math.inf
+        self._last = 0.0  # bags know no time before 1970
         self._waiting = 0
         self._queue: SimpleQueue[tuple[Event, Sequence[Answer]] | None] = SimpleQueue()
         self._settings: LoopSettings | None = settings
@@ -109,7 +109,7 @@ class Recorder:
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """Write down an event and the answers to it, soon."""
         if self.problem is None:
-            self._waiting += isinstance(event, FrameCame)
+            self._waiting += isinstance(event, ImageReceived)
             self._queue.put((event, answers))
 
     def close(self) -> None:
@@ -142,10 +142,10 @@ class Recorder:
             self._put(event.arrival, event_in_bytes(self._settings))
             self._settings = None
         self._put(event.arrival, event_in_bytes(event))
-        if isinstance(event, FrameCame):
+        if isinstance(event, ImageReceived):
             self._waiting -= 1
             self._picture(event)
-        elif isinstance(event, PoseCame):
+        elif isinstance(event, PoseReceived):
             pose = event.pose
             flat = Pose(max(0.0, pose.stamp), pose.world_R_body, pose.position)
             self._bag.write(ODOM, ODOMETRY, odometry_message(flat), event.arrival)
@@ -159,7 +159,7 @@ class Recorder:
         found = message(BYTES, layout=layout, data=np.frombuffer(content, dtype=np.uint8))
         self._bag.write(EVENTS, BYTES, found, self._last)
 
-    def _picture(self, event: FrameCame) -> None:
+    def _picture(self, event: ImageReceived) -> None:
         if event.picture is None or self.pictures == "none":
             return
         if self._waiting > WAITING:
@@ -213,7 +213,7 @@ class Replay:
 
     def events(self, pictures: bool) -> Iterator[Event]:
         """The recorded events in order, with their pictures if wanted (where they were recorded)."""
-        held: FrameCame | None = None  # its picture comes next
+        held: ImageReceived | None = None  # its picture comes next
         for _, topic, _, found in read_bag(self.path, [EVENTS, IMAGES] if pictures else [EVENTS]):
             if held is not None:
                 yield replace(held, picture=panorama_of(found)) if topic == IMAGES else held
@@ -221,7 +221,7 @@ class Replay:
             if topic == IMAGES:
                 continue
             event = event_from(found.data.tobytes())
-            if pictures and isinstance(event, FrameCame):
+            if pictures and isinstance(event, ImageReceived):
                 held = event
             elif not isinstance(event, LoopSettings):
                 yield event

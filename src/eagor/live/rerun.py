@@ -12,7 +12,7 @@ import numpy as np
 from eagor.drawing.rerun_log import RerunLog
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
-from eagor.live.events import Answer, Event, FaultLog, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, FaultLog, ImageReceived, PoseReceived
 
 __all__ = ["LiveLog"]
 
@@ -44,9 +44,9 @@ class LiveLog:
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop, and the answers to it."""
         with self._turn:
-            if isinstance(event, FrameCame):
+            if isinstance(event, ImageReceived):
                 self._picture, self._grid = event.picture, event.grid
-            elif isinstance(event, PoseCame):
+            elif isinstance(event, PoseReceived):
                 self._position = event.pose.position
             if answers and answers[0].stamp - self._taken >= INTERVAL:
                 self._taken, self._answers = answers[0].stamp, tuple(answers)

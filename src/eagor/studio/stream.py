@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
+from eagor.live.events import Answer, Diagnostic, Event, ImageReceived, ObservationReceived, PoseReceived
 from eagor.live.loop import LOADING, Loop
 from eagor.live.threads import already_open
 from eagor.media import CameraSource, Frame
@@ -116,11 +116,11 @@ class StudioSink:
         self._asked: tuple[str, int] = opening.query or getattr(source, "query", ""), opening.question
         self.next: tuple[str, int] | None = None  # what is looked for in its place
         self._begun, self._ended, self._fresh = False, False, False
-        self._frames: deque[FrameCame] = deque(maxlen=WAITING)  # those that wait for their pose
+        self._frames: deque[ImageReceived] = deque(maxlen=WAITING)  # those that wait for their pose
         self._lens: dict[str, Any] | None = None  # of an ordinary camera
         self._position: np.ndarray | None = None
         self._answer: Answer | None = None  # the newest
-        self._look: EvidenceCame | None = None  # the newest that has not been sent
+        self._look: ObservationReceived | None = None  # the newest that has not been sent
         self._shown: Any = None  # the belief that was sent last,
         self._picture: np.ndarray | None = None  # the picture,
         self._sent = -math.inf  # and when
@@ -156,10 +156,10 @@ class StudioSink:
             return
         query = self.next[0]
         seen = any(each.query == query and math.isfinite(each.look_age) for each in answers)
-        if seen or (isinstance(event, EvidenceCame) and event.query == query):
+        if seen or (isinstance(event, ObservationReceived) and event.query == query):
             self._asked, self.next = self.next, None
             self._scene()
-        elif isinstance(event, Trouble) and event.part == "perception" and event.about == query and event.text:
+        elif isinstance(event, Diagnostic) and event.part == "perception" and event.about == query and event.text:
             self._refused(event.text)
         else:
             return
@@ -169,11 +169,11 @@ class StudioSink:
         """An event of the loop, and the answers to it."""
         with self._lock:
             self._tried(event, answers)
-        if isinstance(event, FrameCame) and event.picture is not None:
+        if isinstance(event, ImageReceived) and event.picture is not None:
             self._frame(event)
-        elif isinstance(event, PoseCame):
+        elif isinstance(event, PoseReceived):
             self._position = event.pose.position
-        elif isinstance(event, EvidenceCame) and event.looks and event.query == self.query:
+        elif isinstance(event, ObservationReceived) and event.looks and event.query == self.query:
             self._fresh, self._look = True, event
         for answer in answers:
             placed = not self._opening.simulated or self._position is not None
@@ -186,7 +186,7 @@ class StudioSink:
             self._ended = True
             self._refused(f"{self._opening.title} has ended")
 
-    def _frame(self, frame: FrameCame) -> None:
+    def _frame(self, frame: ImageReceived) -> None:
         if (lens := lens_of(frame.grid)) != self._lens:
             self._lens, self._begun = lens, False
         if self._paused or not self._frames or frame.arrival - self._frames[-1].arrival >= PICTURES / 2:
@@ -199,7 +199,7 @@ class StudioSink:
         """Whether time stands still."""
         return bool(getattr(getattr(self._source, "clock", None), "paused", False))
 
-    def _taken(self, now: float) -> FrameCame | None:
+    def _taken(self, now: float) -> ImageReceived | None:
         """The newest picture whose pose is known; after `LATE` seconds, or while all stands still, the newest.
 
         One that is shown before its pose is known would be drawn where the camera pointed before.

@@ -45,7 +45,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from eagor.conventions import xyzw_from_rotation
 from eagor.errors import DeviceError, EagorError, FormatError, QueryError
 from eagor.live.core import deviation
-from eagor.live.events import Answer, Event, Fault, FaultLog, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, Fault, FaultLog, ImageReceived, PoseReceived
 from eagor.live.loop import Loop
 from eagor.live.threads import already_open
 from eagor.media.ros_frames import optical
@@ -287,9 +287,9 @@ class EagorNode(LifecycleNode):
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """As a sink of the loop."""
-        if isinstance(event, PoseCame):
+        if isinstance(event, PoseReceived):
             self.pose = event.pose
-        elif isinstance(event, FrameCame):
+        elif isinstance(event, ImageReceived):
             self.picture = event.stamp
 
     def close(self) -> None:
