@@ -266,7 +266,7 @@ def test_queries_come_and_go():
 times = st.one_of(st.floats(0, 20), st.sampled_from([-1e9, 1e9, float("nan"), 5e13]))
 EVENTS = st.one_of(
     st.builds(lambda a, s: ImageReceived(a, s, "x"), st.floats(0, 20), times),
-    st.builds(lambda a, s, y, p: PoseReceived(a, Pose(s, yawed(y), p), False), st.floats(0, 20), times, st.floats(-3, 3),
+    st.builds(lambda a, s, y, p: PoseReceived(a, Pose(s, yawed(y), p)), st.floats(0, 20), times, st.floats(-3, 3),
               st.sampled_from([None, np.zeros(3), np.ones(3)])),
     st.builds(lambda a, s: ObservationReceived(a, s, s, "chair", (seen(1.0, 0.0),)), st.floats(0, 20), times),
     st.builds(lambda a, t: Diagnostic(a, "camera", t), st.floats(0, 20), st.sampled_from(["", "gone"])),

@@ -324,7 +324,7 @@ class LiveCore:
                 self._say("poses", text, now)
                 continue
             stamp = self._first if 0 < before < math.inf else stamp
-            spread = min(self._spreads, key=lambda each: abs(each[0] - stamp), default=(stamp, 0.0))[1]
+            spread = min(self._spreads, key=lambda each, stamp=stamp: abs(each[0] - stamp), default=(stamp, 0.0))[1]
             if spread >= UNSURE:
                 text = f"a look is left out: its pose may be off by {math.degrees(spread):.0f} degrees"
                 self._say("poses", text, now)

@@ -143,7 +143,7 @@ class InferenceWorker:
             yield Inferred(None, problem=problem)
         elif self._model is not None:
             yield from self._model.infer(frame, queries, world_R_body)
-        elif self._worker is not None:
+        elif self._worker is not None and picture is not None:
             where = self._share(picture), picture.shape
             with suppress(WorkerEnded):  # to receive meets that again
                 self._worker.send((replace(frame, picture=None), where, tuple(queries), world_R_body))
@@ -237,7 +237,7 @@ class _Model:
         one_pass = self.knows_classes and picture is not None
         for group in [queries] if one_pass else [[query] for query in queries]:
             began = time.perf_counter()
-            found: Sequence[Any]
+            found: Sequence[tuple[Any, ...]]
             try:
                 if one_pass:
                     found = [(each,) for each in self._perception.answers(picture, group, stamp, pose, grid)]
@@ -248,7 +248,8 @@ class _Model:
                 found = [(error,)] * len(group)
             seconds = (time.perf_counter() - began) / len(group)
             for query, looks in zip(group, found, strict=True):
-                if looks and isinstance(error := looks[0], Exception):
+                error = looks[0] if looks else None
+                if isinstance(error, Exception):
                     kind = isinstance(error, QueryError), isinstance(error, NoEvidenceError)
                     yield Inferred(query, (), seconds, error_text(error), *kind)
                 else:
@@ -257,8 +258,9 @@ class _Model:
 
 def _masked(look: Any, masks: Sequence[BodyMask]) -> Any:
     """A look that says nothing where the masks are; an error in its place as it is."""
-    for mask in () if isinstance(look, QueryError) else masks:
-        look = look.covered(mask)
+    if not isinstance(look, QueryError):
+        for mask in masks:
+            look = look.covered(mask)
     return look
 
 

@@ -55,9 +55,9 @@ class Reader:
         ended: Callable[[str], Any],
     ) -> None:
         self.name = name
-        self.source, self._open = (
-            (source, None) if hasattr(source, "close") else (None, source)
-        )  # None while it is gone
+        opened = hasattr(source, "close")
+        self.source: Any = source if opened else None  # None while it is gone
+        self._open = None if opened else source
         self._give, self._trouble, self._ended = give, trouble, ended
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
