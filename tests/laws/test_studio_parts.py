@@ -292,7 +292,7 @@ def test_what_a_recording_shows_last_stays_and_is_given_again_to_whoever_asks(tm
         Image.fromarray(np.zeros((16, 32, 3), np.uint8)).save(tmp_path / f"{name}.png")
     frames = iter(played := Played(open_footage([tmp_path], rate=100.0)))
     assert [next(frames).name for _ in range(2)] == ["a.png", "b.png"]
-    played.again()
+    played.pause(False)
     shown = next(frames)
     assert shown.name == "b.png"
     assert shown.stamp > 0.01

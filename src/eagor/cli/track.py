@@ -26,7 +26,7 @@ from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer, Event
-    from eagor.live.in_turn import Followed, Method
+    from eagor.live.in_turn import Followed
     from eagor.live.loop import Loop, Sink
     from eagor.perception import Perception
     from eagor.perception.recordings import RecordedLooks
@@ -159,7 +159,7 @@ def _rival_names() -> tuple[str, ...]:
     return tuple(name for name in NAMES if name != "eagor")
 
 
-def _rivals(perception: str) -> dict[str, Method]:
+def _rivals(perception: str) -> dict[str, Any]:
     """Every other method by name, with its settings for `perception`."""
     import numpy as np
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from eagor.media.posed_frames import PosedFrame
 from eagor.perception import NoEvidenceError
 from eagor.tracking.estimate import Estimate
 
-__all__ = ["ByFrame", "Followed", "Method", "answers_in_turn"]
+__all__ = ["ByFrame", "Followed", "answers_in_turn"]
 
 LOST = "it does not fit to the frames before it: the belief starts anew"
 
@@ -119,22 +119,6 @@ def _with_next(items: Iterable[T]) -> Iterator[tuple[T, T | None]]:
 # --- what belongs to one picture ---
 
 
-class Method(Protocol):
-    """Another method to compare with, as `eagor.lab.agents.methods` makes them."""
-
-    def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
-        """The camera's pose, before the evidence of its time."""
-        ...
-
-    def see(self, evidence: Evidence) -> None:
-        """A look at the last pose."""
-        ...
-
-    def direction(self) -> np.ndarray:
-        """The answer ``(3,)``, body frame."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Followed:
     """The answer to one query at one frame.
@@ -166,12 +150,13 @@ class Followed:
 class ByFrame:
     """A sink of a loop in turn: `take` is called for each query at each frame, in their order.
 
-    `rivals`: makes the methods to compare with, for each query anew, and again where the poses are lost.
+    `rivals`: makes the methods to compare with (`eagor.lab.agents.methods`), for each query anew, and again where the
+    poses are lost.
     """
 
-    def __init__(self, each: Callable[[Followed], object], rivals: Callable[[], Mapping[str, Method]] = dict) -> None:
+    def __init__(self, each: Callable[[Followed], object], rivals: Callable[[], Mapping[str, Any]] = dict) -> None:
         self._each, self._rivals = each, rivals
-        self._others: dict[str, Mapping[str, Method]] = {}
+        self._others: dict[str, Mapping[str, Any]] = {}
         self._poses: list[Pose] = []  # the last one that is not later than the frame, and those after it
         self._frame: ImageReceived | None = None
         self._problems: dict[str, str] = {}

@@ -170,7 +170,7 @@ class InferenceWorker:
         except WorkerSilent:
             self._end()
             problem = f"the perception did not {what} within {patience:g} s; it was ended, and starts anew"
-        except (WorkerEnded, ValueError):
+        except WorkerEnded:
             code, pause = self._end(), self._pause
             self._rest_until, self._pause = time.monotonic() + pause, min(2 * pause, PAUSES[1])
             how = f"exit code {code}"
@@ -237,7 +237,7 @@ class _Model:
         one_pass = self.knows_classes and picture is not None
         for group in [queries] if one_pass else [[query] for query in queries]:
             began = time.perf_counter()
-            found: Sequence[tuple[Any, ...]]
+            found: list[tuple[Any, ...]]
             try:
                 if one_pass:
                     found = [(each,) for each in self._perception.answers(picture, group, stamp, pose, grid)]
@@ -245,7 +245,7 @@ class _Model:
                     found = [look_if_recorded(self._perception, picture, group[0], stamp, pose, grid)]
                 found = [tuple(_masked(each, masks) for each in looks) for looks in found]
             except Exception as error:  # whatever the perception raises
-                found = [(error,)] * len(group)
+                found = [(error,) for _ in group]
             seconds = (time.perf_counter() - began) / len(group)
             for query, looks in zip(group, found, strict=True):
                 error = looks[0] if looks else None

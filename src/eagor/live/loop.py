@@ -76,7 +76,7 @@ class Counts:
     """What has happened so far.
 
     `frames`, `poses` came; `looks`: at a picture for one query; `skipped`: pictures that the perception did not come
-    to, or the camera dropped; `answers` given; `late`: ticks that were missed.
+    to, or the camera dropped; `answers` given.
     """
 
     frames: int = 0
@@ -84,7 +84,6 @@ class Counts:
     looks: int = 0
     skipped: int = 0
     answers: int = 0
-    late: int = 0
 
 
 class Loop:
@@ -285,9 +284,7 @@ class Loop:
                 yield from self._taken(Tick(now))
             if over:
                 return
-            missed = max(0, math.floor((now - next_tick) * self.rate))
-            self.counts.late += missed
-            next_tick += (missed + 1) / self.rate
+            next_tick += (max(0, math.floor((now - next_tick) * self.rate)) + 1) / self.rate  # without those missed
 
     def _in_turn(self) -> Iterator[Answer]:
         """As fast as the perception looks at every picture; time is that of the recording."""

@@ -14,12 +14,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from eagor.errors import EagorError
 from eagor.live.events import Answer, Diagnostic, Event, ImageReceived, ObservationReceived, PoseReceived
 from eagor.live.loop import LOADING, Loop
 from eagor.live.threads import already_open
-from eagor.media import CameraSource, Frame
+from eagor.media import Frame
 from eagor.media.camera_sources import open_source
 from eagor.media.footage import Footage
 from eagor.media.intrinsics import ShapeError
@@ -50,7 +50,7 @@ AGAIN = 0.5  # seconds of the recording from its last picture to the same one ag
 
 
 class Played(Footage):
-    """A recording for people: no faster than it was taken. It can pause, and gives its last picture again, if asked."""
+    """A recording for people: no faster than it was taken. It can pause, and its last picture comes again if wanted."""
 
     waits = True
 
@@ -82,21 +82,16 @@ class Played(Footage):
             self._wanted = False
             return not self._closed
 
-    def _set(self, **state: bool) -> None:
+    def pause(self, on: bool) -> None:
+        """Stand still, or go on, with a picture at once: somebody wants to see."""
         with self._changed:
-            self.__dict__.update(state)
+            self._paused, self._wanted = on, not on
             self._changed.notify_all()
 
-    def pause(self, on: bool) -> None:
-        """Stand still, or go on."""
-        self._set(_paused=on)
-
-    def again(self) -> None:
-        """Give a picture at once: something else is looked for."""
-        self._set(_wanted=True)
-
     def close(self) -> None:
-        self._set(_closed=True)
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
 
 
 class StudioSink:
@@ -141,8 +136,6 @@ class StudioSink:
         self.loop.follow([*dict.fromkeys((self.query, query))])
         if hasattr(self._source, "pause"):  # who asks wants to see
             self._source.pause(False)
-        if isinstance(self._source, Played):
-            self._source.again()
 
     def _refused(self, problem: str) -> None:
         """Say why the newest question is not answered; the one before goes on."""
@@ -257,14 +250,6 @@ class StudioSink:
         self._say(Message({"type": "scene", **scene_of(opening.title, query, **about)}))
 
 
-def open_for(opening: Opening) -> CameraSource:
-    """The source of an opening. Raises as `open_source`."""
-    if opening.simulated:
-        return open_source(opening.source)
-    rate = LOOKS if os.path.isfile(opening.source) else None
-    return open_source(opening.source, rows=ROWS, rig=opening.rig, rate=rate, camera=opening.camera)
-
-
 class Stream:
     """The life of a process that shows one source after the other: what it is told, and what it says."""
 
@@ -294,24 +279,25 @@ class Stream:
 
     def _play(self, opening: Opening) -> None:
         """Follow a source until it ends, or something else is to be shown."""
-        again = partial(open_for, opening)
-        source: Any = again()
-        try:
+        how: dict[str, Any] = {}
+        if not opening.simulated:
+            rate = LOOKS if os.path.isfile(opening.source) else None
+            how = {"rows": ROWS, "rig": opening.rig, "rate": rate, "camera": opening.camera}
+        again = partial(open_source, opening.source, **how)
+        with closing(again()) as source:
             if not self._openings.empty():
                 return
             poses, live = poses_for(opening.poses, source), source.live
-            self._source = source if live else Played(source)
+            self._source = source if live else Played(cast(Footage, source))
             sink = StudioSink(self._say, opening, self._source)
             shown = already_open(source, again) if live and not opening.simulated else self._source
             config = TrackerConfig(floor_height=FLOOR if opening.simulated else None)
-            clock = getattr(source, "clock", None)
             sink.loop = loop = Loop(
-                shown, poses, opening.perception, sink.query, live, [sink], rate=RATE, config=config, clock=clock
-            )
+                shown, poses, opening.perception, sink.query, live, [sink], rate=RATE, config=config,
+                clock=getattr(source, "clock", None),
+            )  # fmt: skip
             self._sink = sink
             loop.run(lambda _: None)
-        finally:
-            source.close()
 
     def _listen(self) -> None:
         with suppress(EOFError, OSError):
