@@ -319,22 +319,20 @@ class LiveCore:
                 self._early.append((query, look, arrival))
                 continue
             before = self._first - stamp
+            stamp = self._first if 0 < before < math.inf else stamp
+            spread = min(self._spreads, key=lambda each, stamp=stamp: abs(each[0] - stamp), default=(stamp, 0.0))[1]
             if HELD < before < math.inf:
                 text = f"a look is left out: its picture was taken {before:.2f} s before the first pose"
                 self._say("poses", text, now)
-                continue
-            stamp = self._first if 0 < before < math.inf else stamp
-            spread = min(self._spreads, key=lambda each, stamp=stamp: abs(each[0] - stamp), default=(stamp, 0.0))[1]
-            if spread >= UNSURE:
+            elif spread >= UNSURE:
                 text = f"a look is left out: its pose may be off by {math.degrees(spread):.0f} degrees"
                 self._say("poses", text, now)
-                continue
-            try:
-                self._tracker.observe(replace(look, stamp=stamp).widened(spread), query)
-            except EagorError as error:
-                self._say("perception", f"a look at {query!r} is left out: {error}", now)
-                continue
-            target.looked, target.fresh = max(target.looked, stamp), True
+            else:
+                try:
+                    self._tracker.observe(replace(look, stamp=stamp).widened(spread), query)
+                    target.looked, target.fresh = max(target.looked, stamp), True
+                except EagorError as error:
+                    self._say("perception", f"a look at {query!r} is left out: {error}", now)
 
     def _of_picture(self, stamp: float) -> float | None:
         """The stamp of a picture on our clock, as it was related when the picture came."""

@@ -173,10 +173,7 @@ class InferenceWorker:
         except WorkerEnded:
             code, pause = self._end(), self._pause
             self._rest_until, self._pause = time.monotonic() + pause, min(2 * pause, PAUSES[1])
-            how = f"exit code {code}"
-            if code is not None and code < 0:
-                with suppress(ValueError):
-                    how = signal.Signals(-code).name
+            how = f"exit code {code}" if code >= 0 else signal.strsignal(-code)
             problem = f"the perception's process died ({how}); it starts anew after {pause:g} s"
         else:
             if isinstance(found, Inferred):
@@ -199,11 +196,11 @@ class InferenceWorker:
             with suppress(FileNotFoundError):
                 memory.unlink()
 
-    def _end(self) -> int | None:
-        """The exit code of the process, which is gone then."""
+    def _end(self) -> int:
+        """End the process, and let go of the memory; its exit code, 0 if there was none."""
         with self._lock:
             worker, self._worker = self._worker, None
-        code = None if worker is None else worker.close(ENDING)
+        code = 0 if worker is None else worker.close(ENDING)
         self._free()
         return code
 

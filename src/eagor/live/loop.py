@@ -34,7 +34,7 @@ from eagor.live.events import (
 from eagor.live.in_turn import answers_in_turn
 from eagor.live.inference import PATIENCE, InferenceWorker, why_here
 from eagor.live.recording import Pictures, Recorder
-from eagor.live.threads import FrozenCamera, LatestWorker, LoopClock, Pace, Reader
+from eagor.live.threads import FrozenCamera, LatestWorker, LoopClock, Reader
 from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.media.camera_sources import open_source
 from eagor.media.odometry import poses_for
@@ -148,7 +148,7 @@ class Loop:
         self.clock, self.counts = clock or LoopClock(), Counts()
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._stopped = threading.Event()
-        self._pace = Pace(self.clock, self._stopped)
+        self._shift = 0.0  # seconds from the clock of a recording to the loop's; 0 for live sources
         self._frames = Reader(
             "camera",
             partial(open_source, source) if isinstance(source, str) else source,
@@ -177,11 +177,13 @@ class Loop:
             extrapolate, exact=not self.realtime,
         )  # fmt: skip
         self.core = LiveCore(self._settings)
-        self.frames: PosedFrames | None = None  # of a recording that is looked at in turn
-        if not (self.realtime or recorded):
+        self.frames: PosedFrames | None = None  # of a recording
+        if not (self.live or recorded):
             odometry = None if self._odometry is None else self._odometry.opened()
             say = partial(self._trouble, "poses", passing=True)
-            self.frames = PosedFrames(self._camera, self._odometer or odometry, looks, say)
+            sight = None if self.realtime else self._odometer  # in real time the newest pictures tell, if not all
+            self.frames = PosedFrames(self._camera, sight or odometry, None if self.realtime else looks, say)
+        self._recorded = self._camera.posed if isinstance(self._camera, RecordedLooks) else self.frames
         unseen = getattr(self._camera, "unseen", None)  # what no picture of it shows
         masks = [] if mask is None else [mask]
         masks += [] if unseen is None or not unseen.any() else [BodyMask(~unseen)]
@@ -288,7 +290,7 @@ class Loop:
 
     def _in_turn(self) -> Iterator[Answer]:
         """As fast as the perception looks at every picture; time is that of the recording."""
-        frames = self._camera.posed if isinstance(self._camera, RecordedLooks) else self.frames
+        frames = self._recorded
         assert frames is not None
         waits = getattr(self._camera, "waits", False)  # for what is said of its pictures: none is read ahead
         try:
@@ -366,13 +368,28 @@ class Loop:
 
     def _start_reading(self) -> None:
         self._last_frame = self.clock.now()
-        self._frames.start(None if self.live else self._pace.frames)
-        if self._odometry is not None:
-            self._odometry.start(None if self.live else self._pace.poses)
+        self._frames.start(None if self.live else self._played)
+        if self.live and self._odometry is not None:
+            self._odometry.start()
+
+    def _played(self, _: CameraSource) -> Iterator[Frame]:
+        """The frames of a recording, and its poses, when they are due: the first frame at once, all else by stamps."""
+        begins: float | None = None
+        for posed in self._recorded or ():
+            frame = posed.frame
+            if begins is None:
+                begins, self._shift = frame.stamp, self.clock.now() - frame.stamp
+            for pose in (*(each for each in posed.poses if each.stamp >= begins), None):
+                stamp = frame.stamp if pose is None else pose.stamp
+                if self._stopped.wait(max(0.0, stamp + self._shift - self.clock.now())):
+                    return
+                if pose is not None:
+                    self._pose(pose)
+            yield frame
 
     def _frame(self, frame: Frame) -> None:
         now = self._last_frame = self.clock.now()
-        stamp, shown = frame.stamp + self._pace.shift, frame.picture if self._sinks else None  # who else would hold it?
+        stamp, shown = frame.stamp + self._shift, frame.picture if self._sinks else None  # who else would hold it?
         self._events.put(ImageReceived(now, stamp, frame.name, shown, frame.grid, frame.problem))
         if frame.picture is None:
             return
@@ -394,11 +411,11 @@ class Loop:
         self._over, self._ended = True, self._last_frame
 
     def _pose(self, pose: Pose) -> None:
-        self._events.put(PoseReceived(self.clock.now(), replace(pose, stamp=pose.stamp + self._pace.shift)))
+        self._events.put(PoseReceived(self.clock.now(), replace(pose, stamp=pose.stamp + self._shift)))
 
     def _see(self, odometer: VisualOdometer, frame: Frame) -> None:
         """Find how the camera has turned until a frame."""
-        stamp, now = frame.stamp + self._pace.shift, self.clock.now
+        stamp, now = frame.stamp + self._shift, self.clock.now
         try:
             turned = odometer.add(frame.picture, stamp, frame.grid)
         except EagorError as error:
@@ -412,7 +429,7 @@ class Loop:
 
     def _infer(self, frame: Frame) -> None:
         """Look at a frame for what the perception has not refused to look for."""
-        stamp = frame.stamp + self._pace.shift
+        stamp = frame.stamp + self._shift
         queries = [] if self.stopped else [query for query in self.core.queries if query not in self._refused]
         for found in self._inference.infer(frame, queries, self.core.orientation(stamp)) if queries else ():
             if self._stopped.is_set():

@@ -193,8 +193,8 @@ class Replay:
         first = next((event_from(found.data.tobytes()) for *_, found in read_bag(self.path, [EVENTS])), None)
         if not (isinstance(first, LoopSettings) and isinstance(first.config, TrackerConfig)):
             raise FormatError(
-                f"{path} has no events on {EVENTS}, its settings first: it is no recording of eagor live --record, or was "
-                f"ended before its first; it has {', '.join(topics)}"
+                f"{path} does not begin with settings on {EVENTS}: it is no recording of eagor live --record, or was "
+                f"ended at once; it has {', '.join(topics)}"
             )
         self.settings = first
 

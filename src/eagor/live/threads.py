@@ -1,6 +1,6 @@
 """The threads of a live loop: readers of its sources, and workers that take the newest item.
 
-A recording is read at its own speed. Live poses of robots are in `eagor.robots`.
+Live poses of robots are in `eagor.robots`.
 """
 
 from __future__ import annotations
@@ -9,19 +9,17 @@ import math
 import threading
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from eagor.errors import EagorError
 from eagor.live.inference import error_text
-from eagor.media import Frame, Pose
 from eagor.sphere import heading
 
-__all__ = ["FrozenCamera", "LatestWorker", "LoopClock", "Pace", "Reader", "already_open"]
+__all__ = ["FrozenCamera", "LatestWorker", "LoopClock", "Reader", "already_open"]
 
 REOPENED = (0.5, 10.0)  # seconds before a source that is gone is opened again: at first, and at most; doubled each time
 TURNED = math.radians(3.0)  # by which the camera may turn without its picture changing at all
@@ -130,49 +128,6 @@ class LoopClock:
     def slip(self) -> float:
         """Seconds by which the machine's time has been set since the start."""
         return time.time() - self.now()
-
-
-class Pace:
-    """Gives the items of a recording when they are due: its first frame at once, all else by their stamps.
-
-    `shift`: seconds from the recording's clock to the loop's; 0 before the first frame, and for live sources.
-    """
-
-    def __init__(self, clock: LoopClock, stopped: threading.Event) -> None:
-        self.shift = 0.0
-        self._clock, self._stopped, self._begun, self._zero = clock, stopped, threading.Event(), 0.0
-
-    def frames(self, source: Iterable[Frame]) -> Iterator[Frame]:
-        for frame in source:
-            if not self._begun.is_set():
-                self._zero, self.shift = frame.stamp, self._clock.now() - frame.stamp
-                self._begun.set()
-            if not self._due(frame.stamp):
-                return
-            yield frame
-
-    def poses(self, source: Iterable[Pose]) -> Iterator[Pose]:
-        """Of those before the first frame, the last one, as of just before it."""
-        while not self._begun.wait(0.1):
-            if self._stopped.is_set():
-                return
-        early: Pose | None = None
-        for pose in source:
-            if pose.stamp < self._zero:
-                early = pose
-                continue
-            if early is not None:
-                yield replace(early, stamp=self._zero - 1e-6)
-                early = None
-            if not self._due(pose.stamp):
-                return
-            yield pose
-        if early is not None:
-            yield replace(early, stamp=self._zero)
-
-    def _due(self, stamp: float) -> bool:
-        """Wait until a stamp is due. False if the loop stops before."""
-        return not self._stopped.wait(max(0.0, stamp + self.shift - self._clock.now()))
 
 
 class FrozenCamera:
