@@ -16,6 +16,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from eagor.errors import EagorError
+from eagor.live.events import Part
 from eagor.live.inference import error_text
 from eagor.sphere import heading
 
@@ -45,14 +46,14 @@ class Reader:
 
     def __init__(
         self,
-        name: str,
+        name: Part,
         source: Any,
         *,
         give: Callable[[Any], Any],
         trouble: Callable[[str], Any],
         ended: Callable[[str], Any],
     ) -> None:
-        self.name = name
+        self.name: Part = name
         opened = hasattr(source, "close")
         self.source: Any = source if opened else None  # None while it is gone
         self._open = None if opened else source
