@@ -18,7 +18,7 @@ import numpy as np
 
 from eagor import DetectorModel, Evidence
 from eagor.live.core import LiveCore, LoopSettings
-from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
+from eagor.live.events import ImageReceived, ObservationReceived, PoseReceived, Tick
 from eagor.media import Frame, Pose
 from eagor.media.panorama import read_panorama
 from eagor.sphere import angular_distance, unit, world_R_body
@@ -70,22 +70,22 @@ class Run:
         angles = 2 * np.pi * np.arange(TARGETS) / TARGETS
         self.world = np.stack([4 * np.cos(angles), 4 * np.sin(angles), 0.2 * np.ones(TARGETS)], axis=-1)
         self.made = 0.0  # seconds of CPU that making the events took, which is not the loop's
-        self.waiting: list[EvidenceCame] = []
+        self.waiting: list[ObservationReceived] = []
 
     def one_second(self) -> None:
         """Take in a second of events."""
         events, began = [], time.process_time()
         for number in range(POSES):
             now = self.second + number / POSES
-            events.append(PoseCame(now, pose(now, self.positions)))
+            events.append(PoseReceived(now, pose(now, self.positions)))
         for number in range(LOOKS):
             now = self.second + number / LOOKS
-            events.append(FrameCame(now, now, ""))
+            events.append(ImageReceived(now, now, ""))
             seen = looks(self.draw, self.world, pose(now, self.positions))
             come = list(zip(QUERIES, seen, strict=True))
             come = come[number % TARGETS :][:1] if self.in_turn else come
-            self.waiting += [EvidenceCame(now + LATENCY, now, now, query, (look,)) for query, look in come]
-        events += [Asked(self.second + number / ANSWERS) for number in range(ANSWERS)]
+            self.waiting += [ObservationReceived(now + LATENCY, now, now, query, (look,)) for query, look in come]
+        events += [Tick(self.second + number / ANSWERS) for number in range(ANSWERS)]
         end = self.second + 1
         events += [event for event in self.waiting if event.arrival < end]
         self.waiting = [event for event in self.waiting if event.arrival >= end]

@@ -10,7 +10,7 @@ from eagor import DirectionTracker, Evidence
 from eagor.errors import EagorError, StorageError
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.live.events import Answer, Asked, Fault, FrameCame, PoseCame
+from eagor.live.events import Answer, Fault, ImageReceived, PoseReceived, Tick
 from eagor.live.rerun import RerunLog
 from eagor.media import Pose
 from eagor.sphere import world_R_body
@@ -37,11 +37,11 @@ def test_pictures_answers_positions_and_faults_are_logged(tmp_path, realtime):
     for k in range(8):
         now = BEGIN + k
         picture, grid = (painted_room(32, 64), None) if k else (np.zeros((32, 48, 3), np.uint8), view)
-        log.take(FrameCame(now, now, "x", picture, grid, "it is dark" if k == 5 else ""), [])
-        log.take(PoseCame(now, Pose(now, np.eye(3), np.array([float(k), 0.0, 0.0]))), [])
-        log.take(Asked(now), answers(now, *([gone] if k in (2, 3) else [])))
+        log.take(ImageReceived(now, now, "x", picture, grid, "it is dark" if k == 5 else ""), [])
+        log.take(PoseReceived(now, Pose(now, np.eye(3), np.array([float(k), 0.0, 0.0]))), [])
+        log.take(Tick(now), answers(now, *([gone] if k in (2, 3) else [])))
         if realtime:
-            log.take(Asked(now + 0.01), answers(now + 0.01))  # too soon after the last one
+            log.take(Tick(now + 0.01), answers(now + 0.01))  # too soon after the last one
             log._ended()  # else answers that come faster than they are drawn are left out
     log.close()
     assert log.problem is None
@@ -68,7 +68,7 @@ def test_a_log_that_cannot_be_written_ends_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(RerunLog, "_write", full)
     log = RerunLog(tmp_path / "live.rrd")
     for k in range(3):
-        log.take(Asked(BEGIN + k), answers(BEGIN + k))
+        log.take(Tick(BEGIN + k), answers(BEGIN + k))
     log.close()
     assert log.problem is not None
     assert "No space left" in log.problem

@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 from eagor import ErpGrid, Evidence, angular_distance
 from eagor.errors import FormatError
 from eagor.live.core import LiveCore, LoopSettings
-from eagor.live.events import Asked, EvidenceCame, FaultLog, Following, FrameCame, PoseCame, PosesLost, Trouble
+from eagor.live.events import (
+    Diagnostic,
+    FaultLog,
+    ImageReceived,
+    ObservationReceived,
+    OdometryReset,
+    PoseReceived,
+    QueriesChanged,
+    Tick,
+)
 from eagor.live.recording import event_from, event_in_bytes
 from eagor.media import Pose
 from eagor.sphere import world_R_body
@@ -37,12 +46,12 @@ def run_of(turn, latency, until=8.0, rate=5.0, poses=100.0, robot=0.0, query="ch
     events = []
     for number in range(int(until * poses) + 1):
         stamp = number / poses
-        events.append((stamp, 0, PoseCame(stamp, Pose(stamp - robot, yawed(turn * stamp)))))
+        events.append((stamp, 0, PoseReceived(stamp, Pose(stamp - robot, yawed(turn * stamp)))))
     for number in range(int(until * rate) + 1):
         stamp = number / rate
-        events.append((stamp, 1, FrameCame(stamp, stamp, f"{number}")))
+        events.append((stamp, 1, ImageReceived(stamp, stamp, f"{number}")))
         if stamp + latency <= until:
-            look = EvidenceCame(stamp + latency, stamp, stamp, query, (seen(stamp, turn, 0.02),), latency)
+            look = ObservationReceived(stamp + latency, stamp, stamp, query, (seen(stamp, turn, 0.02),), latency)
             events.append((stamp + latency, 2, look))
     return [event for _, _, event in sorted(events, key=lambda each: each[:2])]
 
@@ -51,7 +60,7 @@ def played(events, asked, poses=True, queries=("chair",), extrapolate=True):
     """The last answer, after events and questions in order of time."""
     core = LiveCore(LoopSettings(tuple(queries), CONFIG, poses, extrapolate=extrapolate))
     answers = []
-    for event in sorted([*events, *map(Asked, asked)], key=lambda each: each.arrival):
+    for event in sorted([*events, *map(Tick, asked)], key=lambda each: each.arrival):
         answers += core.take(event)
     return answers
 
@@ -61,8 +70,8 @@ def test_an_answer_with_a_latency_of_1600_ms_is_the_one_without(turn):
     """Issue: within 0.5 degrees while rotating at 0.5 rad/s. The same looks are in when it is asked."""
     events = run_of(turn, 0.0, until=8.0)
     late = [event for event in run_of(turn, 1.6, until=9.6) if event.arrival <= 9.6]
-    late = [e for e in late if not (isinstance(e, EvidenceCame) and e.stamp > 8.0)]
-    poses = [e for e in late if isinstance(e, PoseCame) and e.arrival > 8.0]
+    late = [e for e in late if not (isinstance(e, ObservationReceived) and e.stamp > 8.0)]
+    poses = [e for e in late if isinstance(e, PoseReceived) and e.arrival > 8.0]
     ticks = np.arange(0.1, 9.65, 0.05)
     on_time = played([*events, *poses], ticks)[-1]
     behind = played(late, ticks)[-1]
@@ -90,7 +99,7 @@ def test_a_turned_estimate_shares_everything_but_the_frame():
     core = LiveCore(LoopSettings(("chair",), CONFIG))
     for event in run_of(0.0, 0.0, until=1.0):
         core.take(event)
-    (first,) = core.take(Asked(1.0))
+    (first,) = core.take(Tick(1.0))
     turned = first.estimate.turned(1.04, yawed(0.3))
     assert turned.age == pytest.approx(first.estimate.age + 0.04)
     assert np.allclose(turned.direction, first.direction @ yawed(0.3))
@@ -106,15 +115,15 @@ def test_a_turned_estimate_shares_everything_but_the_frame():
 def test_evidence_that_comes_before_its_pose_waits_for_it():
     """Poses that are 0.3 s late do no harm once they are there."""
     core = LiveCore(LoopSettings(("chair",), CONFIG))
-    core.take(PoseCame(0.0, Pose(0.0, yawed(0.0))))
-    core.take(FrameCame(0.2, 0.2, "1"))
-    core.take(EvidenceCame(0.2, 0.2, 0.2, "chair", (seen(0.2, 2.0),)))
-    (before,) = core.take(Asked(0.21))
+    core.take(PoseReceived(0.0, Pose(0.0, yawed(0.0))))
+    core.take(ImageReceived(0.2, 0.2, "1"))
+    core.take(ObservationReceived(0.2, 0.2, 0.2, "chair", (seen(0.2, 2.0),)))
+    (before,) = core.take(Tick(0.21))
     assert math.degrees(angular_distance(before.direction, THING @ yawed(2.0 * 0.2))) < 1.0  # placed by the old pose
     for number in range(1, 60):
         stamp = number / 200
-        core.take(PoseCame(0.3 + stamp * 0.01, Pose(stamp, yawed(2.0 * stamp))))  # and the turn goes on
-    (after,) = core.take(Asked(0.4))
+        core.take(PoseReceived(0.3 + stamp * 0.01, Pose(stamp, yawed(2.0 * stamp))))  # and the turn goes on
+    (after,) = core.take(Tick(0.4))
     now = yawed(2.0 * 0.4)
     assert math.degrees(angular_distance(after.direction, THING @ now)) < 1.0
     assert math.degrees(angular_distance(before.direction, THING @ now)) > 10
@@ -123,10 +132,10 @@ def test_evidence_that_comes_before_its_pose_waits_for_it():
 @pytest.mark.parametrize(("before", "kept"), [(0.04, True), (0.2, False)])
 def test_evidence_older_than_the_first_pose_is_kept_for_50_ms_and_else_left_out_in_words(before, kept):
     core = LiveCore(LoopSettings(("chair",), CONFIG))
-    core.take(FrameCame(1.0, 1.0, "1"))
-    core.take(PoseCame(1.0 + before, Pose(1.0 + before, yawed(0.0))))
-    core.take(EvidenceCame(1.5, 1.0, 1.0, "chair", (seen(1.0, 0.0),)))
-    (answer,) = core.take(Asked(1.6))
+    core.take(ImageReceived(1.0, 1.0, "1"))
+    core.take(PoseReceived(1.0 + before, Pose(1.0 + before, yawed(0.0))))
+    core.take(ObservationReceived(1.5, 1.0, 1.0, "chair", (seen(1.0, 0.0),)))
+    (answer,) = core.take(Tick(1.6))
     assert (answer.direction is not None) == kept
     assert any("before the first pose" in fault.text for fault in answer.faults) != kept
 
@@ -134,10 +143,10 @@ def test_evidence_older_than_the_first_pose_is_kept_for_50_ms_and_else_left_out_
 def test_a_look_that_waited_for_a_first_pose_of_a_later_time_is_left_out_in_the_same_words():
     core = LiveCore(LoopSettings(("chair",), CONFIG))
     for stamp in (1.0, 1.1):
-        core.take(FrameCame(stamp, stamp, f"{stamp}"))
-        core.take(EvidenceCame(stamp + 0.05, stamp, stamp, "chair", (seen(stamp, 0.0),)))
-    core.take(PoseCame(1.3, Pose(1.3, yawed(0.0))))
-    (answer,) = core.take(Asked(1.7))
+        core.take(ImageReceived(stamp, stamp, f"{stamp}"))
+        core.take(ObservationReceived(stamp + 0.05, stamp, stamp, "chair", (seen(stamp, 0.0),)))
+    core.take(PoseReceived(1.3, Pose(1.3, yawed(0.0))))
+    (answer,) = core.take(Tick(1.7))
     said = "a look is left out: its picture was taken 0.20 s before the first pose"
     assert said in [fault.text for fault in answer.faults]
     assert not any("add_pose" in fault.text for fault in answer.faults)
@@ -145,10 +154,10 @@ def test_a_look_that_waited_for_a_first_pose_of_a_later_time_is_left_out_in_the_
 
 def test_evidence_without_any_pose_yet_waits_for_the_first():
     core = LiveCore(LoopSettings(("chair",), CONFIG))
-    core.take(FrameCame(1.0, 1.0, "1"))
-    core.take(EvidenceCame(1.2, 1.0, 1.0, "chair", (seen(1.0, 0.0),)))
-    core.take(PoseCame(1.3, Pose(1.01, yawed(0.9))))
-    (answer,) = core.take(Asked(1.3))
+    core.take(ImageReceived(1.0, 1.0, "1"))
+    core.take(ObservationReceived(1.2, 1.0, 1.0, "chair", (seen(1.0, 0.0),)))
+    core.take(PoseReceived(1.3, Pose(1.01, yawed(0.9))))
+    (answer,) = core.take(Tick(1.3))
     assert math.degrees(angular_distance(answer.direction, THING)) < 1.0
 
 
@@ -156,8 +165,8 @@ def test_evidence_without_any_pose_yet_waits_for_the_first():
 @settings(max_examples=30)
 def test_the_age_of_the_pose_is_told_and_said_beyond_50_ms(age):
     core = LiveCore(LoopSettings(("chair",), CONFIG))
-    core.take(PoseCame(10.0, Pose(10.0, yawed(0.0))))
-    (answer,) = core.take(Asked(10.0 + age))
+    core.take(PoseReceived(10.0, Pose(10.0, yawed(0.0))))
+    (answer,) = core.take(Tick(10.0 + age))
     assert answer.pose_age == pytest.approx(age)
     said = [fault for fault in answer.faults if fault.part == "poses"]
     assert len(said) == (answer.pose_age > 0.05)
@@ -172,10 +181,10 @@ def test_what_stops_is_said_and_what_comes_back_is_not():
     for tick in range(400):
         now = tick / 20
         if not 5 <= now < 10:
-            core.take(FrameCame(now, now, f"{tick}"))
+            core.take(ImageReceived(now, now, f"{tick}"))
         if not 12 <= now < 14:
-            core.take(PoseCame(now, Pose(now, yawed(0.0))))
-        (answer,) = core.take(Asked(now))
+            core.take(PoseReceived(now, Pose(now, yawed(0.0))))
+        (answer,) = core.take(Tick(now))
         parts[now] = {fault.part: fault.text for fault in answer.faults}
     assert parts[4.0] == {}
     assert "camera" not in parts[5.5]
@@ -193,11 +202,11 @@ def test_a_robots_clock_that_is_off_and_jumps_turns_nothing_and_is_said():
     for tick in range(1600):
         now = tick / 100
         robot = -17.0 if now < 8 else 1000.0
-        core.take(PoseCame(now + 0.002, Pose(now + robot, yawed(0.5 * now))))
+        core.take(PoseReceived(now + 0.002, Pose(now + robot, yawed(0.5 * now))))
         if tick % 20 == 0:
-            core.take(FrameCame(now + 0.002, now, f"{tick}"))
-            core.take(EvidenceCame(now + 0.003, now, now, "chair", (seen(now, 0.5),)))
-        (answer,) = core.take(Asked(now + 0.004))
+            core.take(ImageReceived(now + 0.002, now, f"{tick}"))
+            core.take(ObservationReceived(now + 0.003, now, now, "chair", (seen(now, 0.5),)))
+        (answer,) = core.take(Tick(now + 0.004))
         said |= {fault.text for fault in answer.faults if fault.part == "clock"}
         if now > 1:
             truth = THING @ yawed(0.5 * now)
@@ -214,12 +223,12 @@ def test_a_picture_that_travels_longer_than_the_poses_keeps_its_time(robot):
     core, worst, events = LiveCore(LoopSettings(("chair",), CONFIG)), 0.0, []
     for tick in range(800):
         now = tick / 100
-        events.append(PoseCame(now + 0.002, Pose(now + robot, yawed(now))))
-        events.append(Asked(now + 0.003))
+        events.append(PoseReceived(now + 0.002, Pose(now + robot, yawed(now))))
+        events.append(Tick(now + 0.003))
         if tick % 20 == 0:
             look = replace(seen(now, 1.0), stamp=now + robot)
-            events.append(FrameCame(now + 0.12, now + robot, f"{tick}"))
-            events.append(EvidenceCame(now + 0.15, now + robot, now + robot, "chair", (look,)))
+            events.append(ImageReceived(now + 0.12, now + robot, f"{tick}"))
+            events.append(ObservationReceived(now + 0.15, now + robot, now + robot, "chair", (look,)))
     for event in sorted(events, key=lambda each: each.arrival):
         for answer in core.take(event):
             if answer.stamp > 2:
@@ -232,9 +241,9 @@ def test_poses_that_are_lost_let_the_belief_start_anew():
     core = LiveCore(LoopSettings(("chair",), CONFIG))
     for event in run_of(0.0, 0.0, until=1.0):
         core.take(event)
-    assert core.take(Asked(1.0))[0].direction is not None
-    core.take(PosesLost(1.0, "the pictures do not fit"))
-    (answer,) = core.take(Asked(1.0))
+    assert core.take(Tick(1.0))[0].direction is not None
+    core.take(OdometryReset(1.0, "the pictures do not fit"))
+    (answer,) = core.take(Tick(1.0))
     assert answer.direction is None
     assert "the pictures do not fit" in answer.status_words
 
@@ -243,25 +252,25 @@ def test_queries_come_and_go():
     core = LiveCore(LoopSettings(("chair",), CONFIG))
     for event in run_of(0.0, 0.0, until=1.0):
         core.take(event)
-    core.take(Following(1.0, ("chair", "ball")))
-    chair, ball = core.take(Asked(1.0))
+    core.take(QueriesChanged(1.0, ("chair", "ball")))
+    chair, ball = core.take(Tick(1.0))
     assert (chair.query, ball.query) == ("chair", "ball")
     assert chair.direction is not None
     assert ball.direction is None
-    core.take(Following(1.0, ("ball",)))
-    assert [answer.query for answer in core.take(Asked(1.1))] == ["ball"]
-    core.take(Following(1.0, ("chair",)))
-    assert core.take(Asked(1.2))[0].direction is None  # it was forgotten
+    core.take(QueriesChanged(1.0, ("ball",)))
+    assert [answer.query for answer in core.take(Tick(1.1))] == ["ball"]
+    core.take(QueriesChanged(1.0, ("chair",)))
+    assert core.take(Tick(1.2))[0].direction is None  # it was forgotten
 
 
 times = st.one_of(st.floats(0, 20), st.sampled_from([-1e9, 1e9, float("nan"), 5e13]))
 EVENTS = st.one_of(
-    st.builds(lambda a, s: FrameCame(a, s, "x"), st.floats(0, 20), times),
-    st.builds(lambda a, s, y, p: PoseCame(a, Pose(s, yawed(y), p), False), st.floats(0, 20), times, st.floats(-3, 3),
+    st.builds(lambda a, s: ImageReceived(a, s, "x"), st.floats(0, 20), times),
+    st.builds(lambda a, s, y, p: PoseReceived(a, Pose(s, yawed(y), p)), st.floats(0, 20), times, st.floats(-3, 3),
               st.sampled_from([None, np.zeros(3), np.ones(3)])),
-    st.builds(lambda a, s: EvidenceCame(a, s, s, "chair", (seen(1.0, 0.0),)), st.floats(0, 20), times),
-    st.builds(lambda a, t: Trouble(a, "camera", t), st.floats(0, 20), st.sampled_from(["", "gone"])),
-    st.builds(lambda a: PosesLost(a, "lost"), st.floats(0, 20)),
+    st.builds(lambda a, s: ObservationReceived(a, s, s, "chair", (seen(1.0, 0.0),)), st.floats(0, 20), times),
+    st.builds(lambda a, t: Diagnostic(a, "camera", t), st.floats(0, 20), st.sampled_from(["", "gone"])),
+    st.builds(lambda a: OdometryReset(a, "lost"), st.floats(0, 20)),
 )  # fmt: skip
 
 
@@ -280,26 +289,26 @@ def test_nothing_that_comes_in_can_stop_the_answers_and_the_same_gives_the_same(
     """Also after the way into a recording and back: bit for bit."""
     start = LoopSettings(("chair",), CONFIG, poses, 0.1, extrapolate=extrapolate)
     events = sorted(events, key=lambda event: event.arrival)
-    asked = [each for event in events for each in (event, Asked(event.arrival))]
+    asked = [each for event in events for each in (event, Tick(event.arrival))]
     first, second = LiveCore(start), LiveCore(event_from(event_in_bytes(start)))
     for event in asked:
         answers = [answer.as_dict() for answer in first.take(event)]
         again = second.take(event_from(event_in_bytes(event)))
         assert answers == [answer.as_dict() for answer in again]
-        assert len(answers) == isinstance(event, Asked)
+        assert len(answers) == isinstance(event, Tick)
 
 
 def test_every_event_comes_back_from_its_bytes():
     looks = (seen(1.0, 0.3), Evidence.from_response(np.full((8, 16), 0.3), ErpGrid(8, 16), stamp=1.0))
     for event in (
-        FrameCame(1.5, 1.25, "ü.png"),
-        PoseCame(1.5, Pose(1.25, yawed(0.1), np.array([1.0, 2.0, 3.0])), True),
-        PoseCame(1.5, Pose(1.25, yawed(0.1))),
-        EvidenceCame(1.5, 1.25, 7.0, "rote Tür", looks, 0.2),
-        Asked(1.5),
-        Trouble(1.5, "perception", "unknown", "rote Tür"),
-        PosesLost(1.5, "lost"),
-        Following(1.5, ("a", "b")),
+        ImageReceived(1.5, 1.25, "ü.png"),
+        PoseReceived(1.5, Pose(1.25, yawed(0.1), np.array([1.0, 2.0, 3.0])), True),
+        PoseReceived(1.5, Pose(1.25, yawed(0.1))),
+        ObservationReceived(1.5, 1.25, 7.0, "rote Tür", looks, 0.2),
+        Tick(1.5),
+        Diagnostic(1.5, "perception", "unknown", "rote Tür"),
+        OdometryReset(1.5, "lost"),
+        QueriesChanged(1.5, ("a", "b")),
     ):
         again = event_from(event_in_bytes(event))
         assert type(again) is type(event)
@@ -307,7 +316,7 @@ def test_every_event_comes_back_from_its_bytes():
 
 
 @pytest.mark.parametrize(
-    "wrong", [b"", b"X123", b"\xff" * 60, packed(3), packed((6, "Pose", {})), packed((6, "Asked", {"stamp": 1.0}))]
+    "wrong", [b"", b"X123", b"\xff" * 60, packed(3), packed((7, "Pose", {})), packed((7, "Tick", {"stamp": 1.0}))]
 )
 def test_bytes_that_are_no_event_are_refused(wrong):
     with pytest.raises(FormatError):
@@ -320,17 +329,17 @@ def test_a_camera_that_moves_on_gets_its_belief_anew_without_a_look():
     thing = np.array([2.0, 0.5, 0.0])
     for number in range(17):  # past the thing, so that its distance becomes known
         stamp, place = 0.25 * number, np.array([0.1 * number - 1.6, 0.0, 0.0])
-        core.take(PoseCame(stamp, Pose(stamp, np.eye(3), place)))
-        core.take(FrameCame(stamp, stamp, f"{number}"))
+        core.take(PoseReceived(stamp, Pose(stamp, np.eye(3), place)))
+        core.take(ImageReceived(stamp, stamp, f"{number}"))
         seen_at = (thing - place) / np.linalg.norm(thing - place)
         look = Evidence.from_points(seen_at[None], scores=np.array([0.9]), stamp=stamp)
-        core.take(EvidenceCame(stamp, stamp, stamp, "chair", (look,)))
-        (answer,) = core.take(Asked(stamp))
+        core.take(ObservationReceived(stamp, stamp, stamp, "chair", (look,)))
+        (answer,) = core.take(Tick(stamp))
     moments = {}
     for step in (0.05, 0.5):  # metres since then, within 0.1 s
         now, place = 4.0 + 0.1 * step, np.array([step, 0.0, 0.0])
-        core.take(PoseCame(now, Pose(now, np.eye(3), place)))
-        (moments[step],) = core.take(Asked(now))
+        core.take(PoseReceived(now, Pose(now, np.eye(3), place)))
+        (moments[step],) = core.take(Tick(now))
     before = answer.direction
     assert angular_distance(moments[0.05].direction, before) == 0.0  # turned alone: it would be a degree at most
     moved = np.array([2.0 - 0.5, 0.5, 0.0]) / math.hypot(1.5, 0.5)
@@ -338,7 +347,7 @@ def test_a_camera_that_moves_on_gets_its_belief_anew_without_a_look():
 
 
 def test_odometry_that_ends_is_told_though_small_gaps_were_told_just_before():
-    poses = [PoseCame(0.02 * k, Pose(0.02 * k, yawed(0.0))) for k in range(100) if k % 50 not in range(40, 50)]
+    poses = [PoseReceived(0.02 * k, Pose(0.02 * k, yawed(0.0))) for k in range(100) if k % 50 not in range(40, 50)]
     news = FaultLog()
     lines = [
         line
@@ -352,11 +361,11 @@ def test_odometry_that_ends_is_told_though_small_gaps_were_told_just_before():
 def test_odometry_at_its_own_rate_is_no_fault_and_its_silence_is(rate, held):
     """Answers at 50 per second for ten seconds, one pose lost on the way; then the odometry ends."""
     poses = [
-        PoseCame(k / rate + 0.004 * (k % 3), Pose(k / rate, yawed(0.1 * k / rate)))  # the way takes 0, 4 or 8 ms
+        PoseReceived(k / rate + 0.004 * (k % 3), Pose(k / rate, yawed(0.1 * k / rate)))  # the way takes 0, 4 or 8 ms
         for k in range(int(10 * rate))
         if k != int(6 * rate)
     ]
-    answers = played([*poses, FrameCame(0.0, 0.0, "")], [0.51 + 0.02 * k for k in range(550)])
+    answers = played([*poses, ImageReceived(0.0, 0.0, "")], [0.51 + 0.02 * k for k in range(550)])
     told = [answer.stamp for answer in answers if any(fault.part == "poses" for fault in answer.faults)]
     last = poses[-1].pose.stamp
     assert told[0] == pytest.approx(last + held, abs=0.021 + 0.01)

@@ -1,11 +1,12 @@
 """Lines about faults: told when they begin and end, and now and then, however often they come and go."""
 
-import numpy as np
+import threading
+
 from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor.live.events import AGAIN, CALM, Fault, FaultLog
-from eagor.live.threads import NewestPicture, Picture
+from eagor.live.threads import LatestWorker
 
 
 def poses(age: float) -> Fault:
@@ -71,13 +72,20 @@ def test_no_fault_is_hidden(there):
         assert open_ or not wrong
 
 
-def test_only_the_newest_picture_waits():
-    waiting, taken = NewestPicture(), []
-    for stamps in ((1.0, 1.1, 1.2), (1.3,)):
-        for stamp in stamps:
-            waiting.give(Picture(stamp, stamp, np.zeros((1, 1, 3), np.uint8)))
-        taken.append(waiting.take())
-    waiting.end()
-    assert [each.stamp for each in taken] == [1.2, 1.3]
-    assert waiting.take() is None
-    assert waiting.skipped == 2
+def test_only_the_newest_item_waits():
+    taken, free = [], threading.Semaphore(0)
+
+    def work(item):
+        taken.append(item)
+        free.acquire()
+
+    worker = LatestWorker("test", work)
+    worker.give(1)
+    while not taken:
+        pass
+    for item in (2, 3, 4):
+        worker.give(item)
+    free.release(2)
+    worker.close()
+    assert taken == [1, 4]
+    assert (worker.skipped, worker.idle) == (2, True)

@@ -7,7 +7,7 @@ import pytest
 
 from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence, angular_distance
 from eagor.live.core import LiveCore, LoopSettings, RecentPoses
-from eagor.live.events import Asked, EvidenceCame, FrameCame, PoseCame
+from eagor.live.events import ImageReceived, ObservationReceived, PoseReceived, Tick
 from eagor.media import Pose
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tracking import TrackerConfig
@@ -34,11 +34,14 @@ class Ride:
         """The answers after the first two seconds, each with the true direction."""
         events, delays = [], np.random.default_rng(0)  # the looks of a seed err alike with all poses
         for stamp in np.arange(0, SECONDS, 1 / self.poses):
-            events.append(PoseCame(stamp + self.late * delays.uniform(0.5, 1.0), Pose(stamp, self.pose(stamp))))
+            events.append(PoseReceived(stamp + self.late * delays.uniform(0.5, 1.0), Pose(stamp, self.pose(stamp))))
         for stamp in np.arange(0, SECONDS, 0.5):
             look = self.look(stamp)
-            events += [FrameCame(stamp, stamp, ""), EvidenceCame(stamp + 0.3, stamp, stamp, "thing", (look,))]
-        events += [Asked(now) for now in np.arange(2.0, SECONDS, 0.17)]
+            events += [
+                ImageReceived(stamp, stamp, ""),
+                ObservationReceived(stamp + 0.3, stamp, stamp, "thing", (look,)),
+            ]
+        events += [Tick(now) for now in np.arange(2.0, SECONDS, 0.17)]
         for event in sorted(events, key=lambda each: each.arrival):
             for answer in self.core.take(event):
                 yield answer, self.thing @ self.pose(answer.stamp)

@@ -11,7 +11,7 @@ import eagor
 from eagor import Evidence
 from eagor.errors import GridError
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.live.events import Answer, FrameCame, NextLooks
+from eagor.live.events import Answer, ImageReceived, NextLooks
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.tracking import Heights, TurningCamera, TurningRig
 from eagor.tracking.looking import tell, views_of
@@ -168,8 +168,8 @@ def test_a_rig_that_sees_all_around_need_not_turn():
 def test_a_live_loop_tells_where_an_ordinary_camera_should_turn():
     looks, estimate, (view,) = NextLooks(), looked(np.eye(3)), side(0)
     answer = Answer(0.0, "ball", estimate, 0.0, 0.0, 0.0)
-    looks.take(FrameCame(0.0, 0.0, "", None, view), [])
+    looks.take(ImageReceived(0.0, 0.0, "", None, view), [])
     wanted = estimate.next_look(TurningCamera.of_view(view)).direction
     np.testing.assert_allclose(looks.of(answer), wanted, atol=1e-9)
-    looks.take(FrameCame(0.1, 0.1, "", None, None), [])
+    looks.take(ImageReceived(0.1, 0.1, "", None, None), [])
     assert looks.of(answer) is None, "a panorama sees all"

@@ -14,7 +14,7 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.in_turn import ByFrame, answers_in_turn
-from eagor.live.inference import Inference
+from eagor.live.inference import InferenceWorker
 from eagor.media import Frame, Pose
 from eagor.media.camera_sources import open_source
 from eagor.media.footage import FrameCheck, ShapeError
@@ -63,7 +63,7 @@ def follow(frames, perception, query):
         by_frame.take(event, answers)
         return answers
 
-    list(answers_in_turn(frames, core, Inference(perception), take))
+    list(answers_in_turn(frames, core, InferenceWorker(perception), take))
     return found
 
 

@@ -23,7 +23,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.lab.eval.results import Run
 from eagor.live.core import LiveCore, LoopSettings
-from eagor.live.events import Answer, Asked, EvidenceCame, FrameCame, PoseCame, Trouble
+from eagor.live.events import Answer, Diagnostic, ImageReceived, ObservationReceived, PoseReceived, Tick
 from eagor.live.loop import Loop
 from eagor.media import Pose
 from eagor.media.camera_sources import open_footage
@@ -250,18 +250,18 @@ def test_a_stream_goes_on_with_the_question_before_one_that_is_refused():
     def said(kind):
         return [each.header for each in messages if each.header["type"] == kind]
 
-    sink.take(Asked(1.0), answers("ball"))
+    sink.take(Tick(1.0), answers("ball"))
     sink.ask("zzz", 7)
     assert sink.loop.followed[-1] == ["ball", "zzz"]
-    sink.take(Asked(1.0), [*answers("ball"), *answers("zzz", look_age=math.inf)])
-    sink.take(Trouble(1.0, "perception", "no such word", "zzz"), [])
+    sink.take(Tick(1.0), [*answers("ball"), *answers("zzz", look_age=math.inf)])
+    sink.take(Diagnostic(1.0, "perception", "no such word", "zzz"), [])
     assert sink.loop.followed[-1] == ["ball"]
     assert [(one["problem"], one["question"]) for one in said("problem")] == [("No such word.", 7)]
     assert {one["question"] for one in said("step")} == {0}
     sink.ask("cup", 8)
-    sink.take(EvidenceCame(1.0, 1.0, 1.0, "cup", (ball(),), 0.1), [])
+    sink.take(ObservationReceived(1.0, 1.0, 1.0, "cup", (ball(),), 0.1), [])
     assert sink.loop.followed[-1] == ["cup"]
-    sink.take(Asked(1.0), answers("ball", "cup"))
+    sink.take(Tick(1.0), answers("ball", "cup"))
     assert [(one.header["type"], one.header["question"]) for one in messages[-2:]] == [("scene", 8), ("step", 8)]
     sink.close()
     sink.ask("ball", 9)
@@ -273,15 +273,15 @@ def test_a_picture_waits_for_its_pose_but_not_for_ever():
     sink = sink_of(messages, core=core)
 
     def pictures(now):
-        sink.take(Asked(now), [Answer(now, "ball", estimate, None, 0.1, 0.1)])
+        sink.take(Tick(now), [Answer(now, "ball", estimate, None, 0.1, 0.1)])
         return [each.header["panorama"]["stamp"] for each in messages if "panorama" in each.header]
 
     for number in range(4):
-        frame = FrameCame(1.0 + number / 10, 1.0 + number / 10, "", np.full((64, 128, 3), number, np.uint8))
+        frame = ImageReceived(1.0 + number / 10, 1.0 + number / 10, "", np.full((64, 128, 3), number, np.uint8))
         core.take(frame)
         sink.take(frame, [])
     assert pictures(1.4) == []
-    core.take(PoseCame(1.4, Pose(1.1, np.eye(3)), of_picture=True))
+    core.take(PoseReceived(1.4, Pose(1.1, np.eye(3)), of_picture=True))
     assert pictures(1.4) == [1.1]
     assert pictures(1.7) == [1.1]
     assert pictures(2.5) == [1.1, 1.3]
@@ -292,7 +292,7 @@ def test_what_a_recording_shows_last_stays_and_is_given_again_to_whoever_asks(tm
         Image.fromarray(np.zeros((16, 32, 3), np.uint8)).save(tmp_path / f"{name}.png")
     frames = iter(played := Played(open_footage([tmp_path], rate=100.0)))
     assert [next(frames).name for _ in range(2)] == ["a.png", "b.png"]
-    played.again()
+    played.pause(False)
     shown = next(frames)
     assert shown.name == "b.png"
     assert shown.stamp > 0.01

@@ -13,7 +13,7 @@ pytest.importorskip("cyclonedds")
 
 from eagor.errors import EagorError
 from eagor.lab.worlds.painted import painted_room
-from eagor.live.events import Answer, Fault, PoseCame
+from eagor.live.events import Answer, Fault, PoseReceived
 from eagor.media import Pose
 from eagor.perception.colour import ColourPerception
 from eagor.robots.safety import walking as policy
@@ -205,6 +205,6 @@ def test_ages_grow_by_what_the_answer_took_and_faults_of_devices_are_handed_on()
 def test_the_odometer_tells_of_poses_as_they_come():
     guard = Guarded()
     odometer = Odometer(guard, lambda: 10.02)
-    odometer.take(PoseCame(10.01, Pose(10.0, np.eye(3), np.array([1.99, 0.0, 0.3]))), ())
+    odometer.take(PoseReceived(10.01, Pose(10.0, np.eye(3), np.array([1.99, 0.0, 0.3]))), ())
     assert guard == {"pose": pytest.approx(0.02)}
     assert odometer.xy == pytest.approx((1.99, 0.0))

@@ -330,7 +330,7 @@ def test_a_watcher_sees_all_that_happens():
 
     loop = loop_of(Camera(), Seeing(), poses=Odometry(), sinks=[Watcher()])
     answers = followed(loop, well)
-    assert {"FrameCame", "PoseCame", "EvidenceCame", "Trouble", "Asked"} == {name for name, _ in seen}
+    assert {"ImageReceived", "PoseReceived", "ObservationReceived", "Diagnostic", "Tick"} == {name for name, _ in seen}
     assert sum(count for _, count in seen) == len(answers)
     assert closed == [True]
 

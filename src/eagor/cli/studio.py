@@ -146,10 +146,11 @@ def export(options: Studio) -> int:
         raise terminal.UsageError(f"--out {out or '...'}; wanted where to write the page, such as --out page.html")
     checked_out(out)
     need("an exported episode", "sim", "gymnasium", "trimesh")
-    from eagor.studio.runs import export as write
+    from eagor.studio.runs import again, write
 
     with terminal.progress("playing the episode again", None) as advance:
-        found = write(folder, out, options.episode, lambda _: advance())
+        found = again(folder, options.episode, lambda _: advance())
+    write(found, out)
     size = out.stat().st_size
     if options.json:
         terminal.emit({"page": str(out), "bytes": size, "title": found.scene["title"], "steps": len(found.steps)})

@@ -26,7 +26,7 @@ from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer, Event
-    from eagor.live.in_turn import Followed, Method
+    from eagor.live.in_turn import Followed
     from eagor.live.loop import Loop, Sink
     from eagor.live.rerun import RerunLog
     from eagor.perception import Perception
@@ -152,9 +152,9 @@ class Notes:
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
-        from eagor.live.events import Trouble
+        from eagor.live.events import Diagnostic
 
-        if isinstance(event, Trouble) and event.passing and event.text not in self._said:
+        if isinstance(event, Diagnostic) and event.passing and event.text not in self._said:
             self._said.add(event.text)
             terminal.log(event.text)
 
@@ -169,7 +169,7 @@ def _rival_names() -> tuple[str, ...]:
     return tuple(name for name in NAMES if name != "eagor")
 
 
-def _rivals(perception: str) -> dict[str, Method]:
+def _rivals(perception: str) -> dict[str, Any]:
     """Every other method by name, with its settings for `perception`."""
     import numpy as np
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import bisect
 import math
 import warnings
-from collections import deque
+from collections import defaultdict, deque
 from dataclasses import dataclass, field, replace
 from statistics import median
 
@@ -20,20 +20,21 @@ from eagor.errors import EagorError, TimeError
 from eagor.evidence import Evidence
 from eagor.live.events import (
     Answer,
-    Asked,
+    Diagnostic,
     Event,
-    EvidenceCame,
     Fault,
-    Following,
-    FrameCame,
+    ImageReceived,
+    ObservationReceived,
+    OdometryReset,
     Part,
-    PoseCame,
-    PosesLost,
-    Trouble,
+    PoseReceived,
+    QueriesChanged,
+    Tick,
 )
 from eagor.media import Pose
 from eagor.odometry.clocks import ClockSync
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
+from eagor.tracking.tracks import State
 
 __all__ = ["LiveCore", "LoopSettings", "RecentPoses", "deviation", "warm"]
 
@@ -48,11 +49,10 @@ UNKNOWN_TURN = math.pi / 2  # radians: nothing is known of the direction any mor
 UNSURE = math.radians(10)  # of a pose: a look from there says nothing of directions
 HELD = 0.05  # seconds that the newest pose may be old without a word
 STARTING = 1.0  # seconds that the first pose may take
-STALE_POSE = 1.0  # ... and without words of their own: those for a moment are heard often, and told seldom
-STALE_IMAGE = 1.0  # seconds without a picture that are worth a word
+STALE_POSE = STALE_IMAGE = 1.0  # seconds without one that are worth words of their own
+STALE_LOOK = 5.0  # seconds since the newest look
 INTERVALS = 2.5  # between pictures, or poses, if that is longer: slow ones are not stale
 BEATS = 9  # intervals between poses of which the middle one counts
-STALE_LOOK = 5.0  # seconds since the newest look that are worth a word
 TOGETHER = 0.2  # seconds: looks that come faster are taken in together
 REFRESHED = 0.4  # seconds for which a belief may only be turned with the camera before it is computed anew,
 MOVED = 0.1  # ... unless the camera has gone so many metres meanwhile: near things are elsewhere by then
@@ -76,7 +76,7 @@ class RecentPoses:
         self.acceleration = acceleration
         self._stamps: list[float] = []
         self._poses: list[np.ndarray] = []
-        self._known: tuple[float, np.ndarray, float] | None = None  # what was asked last
+        self._known: tuple[float, tuple[np.ndarray, float]] | None = None  # what was asked last
 
     def add(self, stamp: float, world_R_body: np.ndarray) -> None:
         """The next pose; stamps rise."""
@@ -100,8 +100,8 @@ class RecentPoses:
         is the deviation. It is taken for that of a turn across the line of sight, which moves what is seen the most.
         """
         if self._known is None or self._known[0] != seconds:
-            self._known = seconds, *self._after(seconds)
-        return self._known[1:]
+            self._known = seconds, self._after(seconds)
+        return self._known[1]
 
     def _after(self, seconds: float) -> tuple[np.ndarray, float]:
         if not self._poses:
@@ -162,6 +162,17 @@ class LoopSettings:
     exact: bool = False
 
 
+@dataclass(eq=False)
+class _Target:
+    """What is known of a query: the stamp of its newest look, the last answer that was `computed`, and from where."""
+
+    looked: float = -math.inf
+    fresh: bool = False  # whether there are looks that are not in `computed`
+    taken: float = -math.inf  # when looks were taken in last
+    computed: Estimate | None = None
+    position: np.ndarray | None = None
+
+
 class LiveCore:
     """Follows targets by `settings`, event by event. Not for several threads, except `orientation`.
 
@@ -179,40 +190,53 @@ class LiveCore:
         self._extrapolates, self._exact = settings.poses and settings.extrapolate, settings.exact
         self._pictures: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # stamp of the source, and ours
         self._spreads: deque[tuple[float, float]] = deque(maxlen=PICTURES)  # of poses, by stamp
-        self._pose = -math.inf
+        self._first, self._pose = math.inf, -math.inf  # stamps of the first pose and of the newest
         self._image, self._interval = -math.inf, 0.0  # stamp of the newest picture, and seconds from the one before
-        self._first = math.inf  # stamp of the first pose
         self._beats: deque[float] = deque(maxlen=BEATS)  # seconds between poses
-        self._looks: dict[str, float] = {}
+        self._targets: defaultdict[str, _Target] = defaultdict(_Target)
         # With their arrival: stamps may be a little ahead of ours, or of the poses.
         self._early: list[tuple[str, Evidence, float]] = []
-        # What was computed last, with all of its belief, and where the camera was then.
-        self._full: dict[str, tuple[Estimate, np.ndarray | None]] = {}
-        self._fresh: set[str] = set()
-        self._taken: dict[str, float] = {}  # when looks were taken in last
         self._faults: dict[tuple[Part, str], Fault] = {}
         self._news: list[Fault] = []
-        self._asked = -math.inf
+        self._ticked = -math.inf
         self._begun: float | None = None
 
     def take(self, event: Event) -> list[Answer]:
-        """Take in an event. Answers come for `Asked` alone: one for each query, in their order."""
+        """Take in an event. Answers come for `Tick` alone: one for each query, in their order."""
         self._begun = event.arrival if self._begun is None else self._begun
         match event:
-            case Asked():
+            case Tick():
                 return self._answers(event.arrival)
-            case FrameCame():
-                self._frame(event)
-            case PoseCame():
-                self._take_pose(event)
-            case EvidenceCame():
-                self._evidence(event)
-            case Trouble():
-                self._trouble(event)
-            case PosesLost():
-                self._lost(event)
-            case Following():
-                self._follow(event.queries)
+            case ImageReceived():
+                self._image_received(event)
+            case PoseReceived():
+                self._pose_received(event)
+            case ObservationReceived():
+                self._observation_received(event)
+            case Diagnostic() if event.text and event.passing:
+                self._say(event.part, event.text, event.arrival)
+            case Diagnostic():
+                before = self._faults.get(key := (event.part, event.about))
+                if event.text:
+                    self._faults[key] = Fault(event.part, event.text, before.since if before else event.arrival)
+                elif before:
+                    del self._faults[key]
+            case OdometryReset():
+                self._tracker.reset()
+                self._recent.clear()
+                self._first, self._pose = math.inf, -math.inf
+                self._spreads.clear()
+                self._early.clear()
+                self._targets.clear()
+                self._say("poses", event.text, event.arrival)
+            case QueriesChanged():
+                for gone in {*self.queries} - {*event.queries}:
+                    self._faults.pop(("perception", gone), None)
+                    self._targets.pop(gone, None)
+                    if gone in self._tracker.targets:
+                        self._tracker.forget(gone)
+                self._early = [each for each in self._early if each[0] in event.queries]
+                self.queries = event.queries
         return []
 
     def orientation(self, stamp: float) -> np.ndarray | None:
@@ -230,43 +254,27 @@ class LiveCore:
         ours = self._of_picture(stamp)
         return not self.has_poses or (ours is not None and ours <= self._pose)
 
-    def _follow(self, queries: tuple[str, ...]) -> None:
-        for gone in {*self.queries} - {*queries}:
-            self._faults.pop(("perception", gone), None)
-            self._full.pop(gone, None)
-            self._looks.pop(gone, None)
-            self._fresh.discard(gone)
-            if gone in self._tracker.targets:
-                self._tracker.forget(gone)
-        self.queries = queries
+    def _image_received(self, event: ImageReceived) -> None:
+        stamp = self._related(self._camera, event.stamp, event.arrival)
+        if stamp is None:
+            return
+        if event.problem:
+            self._say("camera", f"{event.name} is left out: {event.problem}", event.arrival)
+        if self._camera.related and self._odometry.related:
+            # Even the quickest picture comes later than the quickest pose of the same robot's clock.
+            later = self._camera.shift - self._odometry.shift
+            stamp -= later if 0 < later < ONE_CLOCK else 0.0
+        self._pictures.append((event.stamp, stamp))
+        if stamp > self._image:
+            self._interval = stamp - self._image if math.isfinite(self._image) else 0.0
+            self._image = stamp
 
-    def _frame(self, event: FrameCame) -> None:
-        stamp, news = self._related(self._camera, event.stamp, event.arrival)
-        if news:
-            self._say("clock", news, event.arrival)
-        if stamp is not None:
-            if event.problem:
-                self._say("camera", f"{event.name} is left out: {event.problem}", event.arrival)
-            stamp -= self._later()
-            self._pictures.append((event.stamp, stamp))
-            if stamp > self._image:
-                self._interval = stamp - self._image if math.isfinite(self._image) else 0.0
-                self._image = stamp
-
-    def _later(self) -> float:
-        """Seconds by which even the quickest picture comes later than the quickest pose of the same robot's clock."""
-        both = self._camera.related and self._odometry.related
-        later = self._camera.shift - self._odometry.shift if both else 0.0
-        return later if 0 < later < ONE_CLOCK else 0.0
-
-    def _take_pose(self, event: PoseCame) -> None:
+    def _pose_received(self, event: PoseReceived) -> None:
         pose = event.pose
         if event.of_picture:
             stamp = self._of_picture(pose.stamp)
         else:
-            stamp, news = self._related(self._odometry, pose.stamp, event.arrival)
-            if news:
-                self._say("clock", news, event.arrival)
+            stamp = self._related(self._odometry, pose.stamp, event.arrival)
         if stamp is None or (stamp := min(stamp, event.arrival)) <= self._pose:
             return  # out of order, or a stamp that contradicts the others: the next one will do
         try:
@@ -279,15 +287,14 @@ class LiveCore:
         self._recent.add(stamp, self._tracker.pose_at(stamp)[0])
         if pose.spread:
             self._spreads.append((stamp, pose.spread))
-        for query, look in self._looks.items():
-            if look > self._pose:  # it has waited for this pose, and is placed anew
-                self._fresh.add(query)
-                self._taken.pop(query, None)
+        for target in self._targets.values():
+            if target.looked > self._pose:  # its look has waited for this pose, and is placed anew
+                target.fresh, target.taken = True, -math.inf
         if math.isfinite(self._pose):
             self._beats.append(stamp - self._pose)
         self._pose, self._first = stamp, min(self._first, stamp)
 
-    def _evidence(self, event: EvidenceCame) -> None:
+    def _observation_received(self, event: ObservationReceived) -> None:
         stamp = self._of_picture(event.stamp)
         if event.query not in self.queries or stamp is None:
             return
@@ -305,68 +312,41 @@ class LiveCore:
         """Give the tracker the evidence that is not of the future, and whose pose is there or does not come."""
         early, self._early = self._early, []
         for query, look, arrival in early:
-            assert look.stamp is not None
-            waits = self.has_poses and look.stamp > self._pose and query in self._looks and now < arrival + WAITING
-            if look.stamp > now or waits:
+            stamp, target = look.stamp, self._targets[query]
+            assert stamp is not None
+            waits = self.has_poses and stamp > self._pose and now < arrival + WAITING and target.looked > -math.inf
+            if stamp > now or waits:
                 self._early.append((query, look, arrival))
                 continue
-            stamp = look.stamp
             before = self._first - stamp
+            stamp = self._first if 0 < before < math.inf else stamp
+            spread = min(self._spreads, key=lambda each, stamp=stamp: abs(each[0] - stamp), default=(stamp, 0.0))[1]
             if HELD < before < math.inf:
                 text = f"a look is left out: its picture was taken {before:.2f} s before the first pose"
                 self._say("poses", text, now)
-                continue
-            if 0 < before < math.inf:
-                stamp = self._first
-                look = replace(look, stamp=stamp)
-            spread = min(self._spreads, key=lambda each: abs(each[0] - stamp), default=(stamp, 0.0))[1]
-            if spread >= UNSURE:
-                self._say(
-                    "poses", f"a look is left out: its pose may be off by {math.degrees(spread):.0f} degrees", now
-                )
-                continue
-            look = look.widened(spread)
-            try:
-                self._tracker.observe(look, query)
-            except EagorError as error:
-                self._say("perception", f"a look at {query!r} is left out: {error}", now)
-                continue
-            self._looks[query] = max(self._looks.get(query, -math.inf), stamp)
-            self._fresh.add(query)
+            elif spread >= UNSURE:
+                text = f"a look is left out: its pose may be off by {math.degrees(spread):.0f} degrees"
+                self._say("poses", text, now)
+            else:
+                try:
+                    self._tracker.observe(replace(look, stamp=stamp).widened(spread), query)
+                    target.looked, target.fresh = max(target.looked, stamp), True
+                except EagorError as error:
+                    self._say("perception", f"a look at {query!r} is left out: {error}", now)
 
     def _of_picture(self, stamp: float) -> float | None:
         """The stamp of a picture on our clock, as it was related when the picture came."""
         return next((ours for its, ours in reversed(list(self._pictures)) if its == stamp), None)
 
-    @staticmethod
-    def _related(clock: ClockSync, stamp: float, arrival: float) -> tuple[float | None, str | None]:
+    def _related(self, clock: ClockSync, stamp: float, arrival: float) -> float | None:
+        """A stamp on our clock; None where it contradicts the others."""
         try:
-            return clock.take(stamp, arrival)
+            ours, news = clock.take(stamp, arrival)
         except TimeError as error:
-            return None, f"a stamp of the {clock.name} is left out: {error}"
-
-    def _trouble(self, event: Trouble) -> None:
-        if event.passing and event.text:
-            self._say(event.part, event.text, event.arrival)
-            return
-        key = event.part, event.about
-        if not event.text:
-            self._faults.pop(key, None)
-            return
-        before = self._faults.get(key)
-        since = event.arrival if before is None else before.since
-        self._faults[key] = Fault(event.part, event.text, since)
-
-    def _lost(self, event: PosesLost) -> None:
-        self._tracker.reset()
-        self._recent.clear()
-        self._pose, self._first = -math.inf, math.inf
-        self._spreads.clear()
-        self._full.clear()
-        self._fresh.clear()
-        self._looks.clear()
-        self._early.clear()
-        self._say("poses", event.text, event.arrival)
+            ours, news = None, f"a stamp of the {clock.name} is left out: {error}"
+        if news:
+            self._say("clock", news, arrival)
+        return ours
 
     def _say(self, part: Part, text: str, now: float) -> None:
         """Something that happened: it stays among the faults for a while."""
@@ -375,65 +355,51 @@ class LiveCore:
 
     def _answers(self, now: float) -> list[Answer]:
         self._settle(now)
-        since, self._asked = now - self._asked, now
-        faults = tuple(self._wrong(now))
-        answers = []
-        due = [query for query in self.queries if self._is_due(query, now)]
-        due.sort(key=lambda query: self._full[query][0].stamp if query in self._full else -math.inf)
+        since, self._ticked = now - self._ticked, now
+        faults, targets = tuple(self._wrong(now)), [self._targets[query] for query in self.queries]
+        due = [pair for pair in zip(self.queries, targets, strict=True) if self._is_due(pair[1], now)]
+        due.sort(key=lambda pair: -math.inf if pair[1].computed is None else pair[1].computed.stamp)
         # The same work in each round: a belief that waits is turned meanwhile.
         most = len(due) if self._exact else math.ceil(len(self.queries) * min(since / TOGETHER, 1.0) - 1e-9)
-        for query in due[: max(1, most)]:
-            self._compute(query, now)
-        for query in self.queries:
-            estimate = self._turned(query, now)
-            answers.append(
-                Answer(
-                    now, query, estimate,
-                    pose_age=now - self._pose if self.has_poses else None,
-                    look_age=now - self._looks.get(query, -math.inf),
-                    image_age=now - self._image,
-                    faults=faults,
-                )
-            )  # fmt: skip
-        return answers
+        for query, target in due[: max(1, most)]:
+            self._compute(query, target, now)
+        return [
+            Answer(
+                now, query, self._turned(query, target, now), now - self._pose if self.has_poses else None,
+                now - target.looked, now - self._image, faults,
+            )
+            for query, target in zip(self.queries, targets, strict=True)
+        ]  # fmt: skip
 
-    def _is_due(self, query: str, now: float) -> bool:
-        if query not in self._full or self._exact:
+    def _is_due(self, target: _Target, now: float) -> bool:
+        if target.computed is None or self._exact:
             return True
-        full, before = self._full[query]
-        if now < full.stamp or now - full.stamp >= REFRESHED:
-            return True
-        if query in self._fresh and now - self._taken.get(query, -math.inf) >= TOGETHER:
+        age = now - target.computed.stamp
+        if age < 0 or age >= REFRESHED or (target.fresh and now - target.taken >= TOGETHER):
             return True
         here = self._tracker.pose_at(now)[1]
-        return before is not None and here is not None and math.dist(before, here) >= MOVED
+        return target.position is not None and here is not None and math.dist(target.position, here) >= MOVED
 
-    def _compute(self, query: str, now: float) -> None:
-        if query in self._fresh:
-            self._fresh.discard(query)
-            self._taken[query] = now
-        known = query in self._tracker.targets
-        estimate = self._tracker.estimate(now, query) if known else self._unknown(now)
-        self._full[query] = estimate, self._tracker.pose_at(now)[1]
+    def _compute(self, query: str, target: _Target, now: float) -> Estimate:
+        if target.fresh:
+            target.fresh, target.taken = False, now
+        pose, target.position = self._tracker.pose_at(now)
+        if query in self._tracker.targets:
+            target.computed = self._tracker.estimate(now, query)
+        else:  # nothing was seen of it yet
+            blank = State.blank(self.config, now, target.position).hypotheses
+            target.computed = Estimate(now, math.inf, blank, pose, self.config)
+        return target.computed
 
-    def _turned(self, query: str, now: float) -> Estimate:
+    def _turned(self, query: str, target: _Target, now: float) -> Estimate:
         """What was computed last, seen from where the camera points now."""
-        if query not in self._full:
-            self._compute(query, now)
-        full = self._full[query][0]
+        full = target.computed or self._compute(query, target, now)
         if now <= self._pose or not self.has_poses:
             return full if now == full.stamp else full.turned(now, self._tracker.pose_at(now)[0])
         # A look without a pose of its time has the newest pose: what matters is how the camera has turned since.
-        known = max(self._pose, self._looks.get(query, -math.inf))
+        known = max(self._pose, target.looked)
         pose, spread = self._recent.after(now - known if self._extrapolates else 0.0)
         return full.turned(now, pose, spread)
-
-    def _unknown(self, now: float) -> Estimate:
-        """The estimate of a target without evidence."""
-        from eagor.tracking.tracks import State
-
-        pose, position = self._tracker.pose_at(now)
-        return Estimate(now, math.inf, State.blank(self.config, now, position).hypotheses, pose, self.config)
 
     def _wrong(self, now: float) -> list[Fault]:
         """What is wrong at this time: what was reported, what is overdue, what has just happened."""
@@ -443,16 +409,15 @@ class LiveCore:
         if now - self._image > stale and now - begun > stale:
             found.append(_overdue("camera", "picture", now, self._image, begun))
         held = max(HELD, INTERVALS * median(self._beats)) if self._beats else HELD
-        if self.has_poses and now - self._pose > held and (math.isfinite(self._pose) or now - begun > STARTING):
-            fault, age = _overdue("poses", "pose", now, self._pose, begun), now - self._pose
+        age = now - self._pose
+        if self.has_poses and age > held and (math.isfinite(age) or now - begun > STARTING):
+            fault = _overdue("poses", "pose", now, self._pose, begun)
             if age < STALE_POSE:
                 fault = replace(fault, text=f"the last pose holds for {age:.2f} s already: the turn since is a guess")
             found.append(fault)
-        if self.queries:
-            looked = max((self._looks.get(query, -math.inf) for query in self.queries), default=-math.inf)
-            told = any(fault.part == "perception" for fault in found)
-            if now - looked > STALE_LOOK and now - begun > STALE_LOOK and not told:
-                found.append(_overdue("perception", "look", now, looked, begun))
+        looked = max((self._targets[query].looked for query in self.queries), default=math.inf)
+        if min(now - looked, now - begun) > STALE_LOOK and not any(fault.part == "perception" for fault in found):
+            found.append(_overdue("perception", "look", now, looked, begun))
         self._news = [each for each in self._news if now - each.since <= TOLD]
         return sorted([*found, *self._news], key=lambda fault: fault.since)
 
@@ -460,15 +425,14 @@ class LiveCore:
 def warm(settings: LoopSettings) -> None:
     """Make the tables that the first answers need, which take tenths of a second, on a core of its own."""
     core = LiveCore(replace(settings, queries=("",)))
-    for number in range(4):
-        stamp = 1.0 + number / 4
-        place = np.array([0.1 * number, 0.0, (settings.config.floor_height or 0.0) + 1.0])
+    for stamp in (1.0, 1.25, 1.5, 1.75):
+        place = np.array([0.4 * stamp, 0.0, (settings.config.floor_height or 0.0) + 1.0])
         if settings.poses:
-            core.take(PoseCame(stamp, Pose(stamp, np.eye(3), place)))
-        core.take(FrameCame(stamp, stamp, ""))
+            core.take(PoseReceived(stamp, Pose(stamp, np.eye(3), place)))
+        core.take(ImageReceived(stamp, stamp, ""))
         look = Evidence.from_points(np.array([[1.0, 0.1, 0.0], [0.0, 1.0, 0.1]]), scores=np.full(2, 0.8), stamp=stamp)
-        core.take(EvidenceCame(stamp, stamp, stamp, "", (look,)))
-        for answer in core.take(Asked(stamp + 0.2)):
+        core.take(ObservationReceived(stamp, stamp, stamp, "", (look,)))
+        for answer in core.take(Tick(stamp + 0.2)):
             answer.as_dict()
 
 

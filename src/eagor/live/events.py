@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -22,8 +23,8 @@ from eagor.tracking import TurningCamera
 from eagor.tracking.estimate import Estimate, plain_number
 
 __all__ = [
-    "AGAIN", "CALM", "Answer", "Asked", "Event", "EvidenceCame", "Fault", "FaultLog", "Following",
-    "FrameCame", "NextLooks", "Part", "PoseCame", "PosesLost", "Trouble",
+    "AGAIN", "CALM", "Answer", "Diagnostic", "Event", "Fault", "FaultLog", "ImageReceived", "NextLooks",
+    "ObservationReceived", "OdometryReset", "Part", "PoseReceived", "QueriesChanged", "Tick",
 ]  # fmt: skip
 
 Part = Literal["camera", "poses", "perception", "clock", "recording"]
@@ -72,20 +73,13 @@ class Answer:
 
     def as_dict(self, modes: int = 10) -> dict[str, Any]:
         """The query, `Estimate.as_dict`, and how far to trust it: for a line of JSON."""
-        return {
-            "query": self.query,
-            **self.estimate.as_dict(modes),
-            "pose_age": plain_number(self.pose_age),
-            "look_age": plain_number(self.look_age),
-            "image_age": plain_number(self.image_age),
-            "faults": [
-                {"part": each.part, "text": each.text, "since": plain_number(each.since)} for each in self.faults
-            ],
-        }
+        ages = {name: plain_number(getattr(self, name)) for name in ("pose_age", "look_age", "image_age")}
+        faults = [{"part": each.part, "text": each.text, "since": plain_number(each.since)} for each in self.faults]
+        return {"query": self.query, **self.estimate.as_dict(modes), **ages, "faults": faults}
 
 
 @dataclass(frozen=True, eq=False)
-class FrameCame:
+class ImageReceived:
     """A picture; `stamp`: its capture. The core needs no `picture` ``(H, W, 3)``; a recording does.
 
     `grid`: its pixels, if an ordinary camera took it; None for a panorama. `problem`: why there is no picture.
@@ -102,7 +96,7 @@ class FrameCame:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseCame:
+class PoseReceived:
     """A pose; `of_picture`: it was found in a picture, and its stamp is on the camera's clock."""
 
     arrival: float
@@ -111,7 +105,7 @@ class PoseCame:
 
 
 @dataclass(frozen=True, eq=False)
-class PosesLost:
+class OdometryReset:
     """Nothing relates the poses from here on to those before: the world starts anew, and with it every belief."""
 
     arrival: float
@@ -119,7 +113,7 @@ class PosesLost:
 
 
 @dataclass(frozen=True, eq=False)
-class EvidenceCame:
+class ObservationReceived:
     """What the perception says about `query` in the picture of `stamp`; `looks` has several items for several views.
 
     `told`: the stamp that the perception was told, on whose clock the looks are. `seconds`: how long it took.
@@ -134,7 +128,7 @@ class EvidenceCame:
 
 
 @dataclass(frozen=True)
-class Trouble:
+class Diagnostic:
     """Something is wrong with a part, in words; an empty `text`: it works again.
 
     `about`: the query that alone is concerned, or which of a part's faults this is; empty for the part as a whole.
@@ -149,7 +143,7 @@ class Trouble:
 
 
 @dataclass(frozen=True)
-class Following:
+class QueriesChanged:
     """The queries to follow from now on."""
 
     arrival: float
@@ -157,22 +151,13 @@ class Following:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Tick:
     """An answer to every query is wanted for this time."""
 
     arrival: float
 
 
-Event = FrameCame | PoseCame | PosesLost | EvidenceCame | Trouble | Following | Asked
-
-
-@dataclass
-class _Bad:
-    """A part with faults: when each was told last, when one was seen last, and how long it has to be without."""
-
-    calm: float
-    told: dict[str, float] = field(default_factory=dict)
-    last: float = -math.inf
+Event = ImageReceived | PoseReceived | OdometryReset | ObservationReceived | Diagnostic | QueriesChanged | Tick
 
 
 class FaultLog:
@@ -185,29 +170,26 @@ class FaultLog:
     """
 
     def __init__(self) -> None:
-        self._bad: dict[str, _Bad] = {}
+        self._told: dict[str, dict[str, float]] = {}  # of each part with faults: when each was told last
+        self._bad: dict[str, tuple[float, float]] = {}  # when one was there last, and how long it has to be without
         self._well: dict[str, float] = {}  # when a part was said to be well
 
     def of(self, faults: Sequence[Fault], now: float) -> list[tuple[str, bool]]:
         """New lines at `now` (seconds, never going back), each with whether something is wrong."""
-        lines = [(fault.text, True) for fault in faults if self.worth(fault, now)]
-        for part in [part for part, bad in self._bad.items() if now - bad.last >= bad.calm]:
-            del self._bad[part]
+        lines = []
+        for fault in faults:
+            soon = now - self._well.get(fault.part, -math.inf) < AGAIN
+            _, calm = self._bad.get(fault.part, (now, AGAIN if soon else CALM))
+            self._bad[fault.part] = now, calm
+            told, words = self._told.setdefault(fault.part, {}), re.sub(r"\d+(\.\d+)?", "#", fault.text)
+            if now - told.get(words, -math.inf) >= AGAIN:
+                told[words] = now
+                lines.append((fault.text, True))
+        for part in [part for part, (last, calm) in self._bad.items() if now - last >= calm]:
+            del self._bad[part], self._told[part]
             self._well[part] = now
             lines.append((f"{part}: all is well again", False))
         return lines
-
-    def worth(self, fault: Fault, now: float) -> bool:
-        """Whether a fault that is there at `now` is worth a line."""
-        if fault.part not in self._bad:
-            soon = now - self._well.get(fault.part, -math.inf) < AGAIN
-            self._bad[fault.part] = _Bad(AGAIN if soon else CALM)
-        bad, words = self._bad[fault.part], re.sub(r"\d+(\.\d+)?", "#", fault.text)
-        bad.last = now
-        if now - bad.told.get(words, -math.inf) < AGAIN:
-            return False
-        bad.told[words] = now
-        return True
 
 
 class NextLooks:
@@ -224,9 +206,9 @@ class NextLooks:
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
-        if isinstance(event, FrameCame):
+        if isinstance(event, ImageReceived):
             self._grid = event.grid
-        elif isinstance(event, PosesLost):
+        elif isinstance(event, OdometryReset):
             self._query = ""
 
     def close(self) -> None:
@@ -243,11 +225,8 @@ class NextLooks:
             return None
         news = looked > self._looked + 1e-6 and estimate.stamp >= self._when + APART
         if answer.query != self._query or news:
-            self._query, self._looked, self._when = answer.query, looked, estimate.stamp
-            try:
+            self._query, self._looked, self._when, self._toward = answer.query, looked, estimate.stamp, None
+            with suppress(GridError):
                 found = estimate.next_look(TurningCamera.of_view(grid), body_R_view=grid.body_R_view)
-            except GridError:
-                self._toward = None
-            else:
                 self._toward = estimate.world_R_body @ found.direction
         return None if self._toward is None else self._toward @ estimate.world_R_body

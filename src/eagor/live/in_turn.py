@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,14 +16,23 @@ from eagor.errors import EagorError, QueryError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
 from eagor.live.core import UNSURE, LiveCore
-from eagor.live.events import Answer, Asked, Event, EvidenceCame, FrameCame, PoseCame, PosesLost, Trouble
-from eagor.live.inference import Failed, Inference, Looked
+from eagor.live.events import (
+    Answer,
+    Diagnostic,
+    Event,
+    ImageReceived,
+    ObservationReceived,
+    OdometryReset,
+    PoseReceived,
+    Tick,
+)
+from eagor.live.inference import InferenceWorker
 from eagor.media import Pose
 from eagor.media.posed_frames import PosedFrame
 from eagor.perception import NoEvidenceError
 from eagor.tracking.estimate import Estimate
 
-__all__ = ["ByFrame", "Followed", "Method", "answers_in_turn"]
+__all__ = ["ByFrame", "Followed", "answers_in_turn"]
 
 LOST = "it does not fit to the frames before it: the belief starts anew"
 
@@ -33,119 +42,90 @@ T = TypeVar("T")
 def answers_in_turn(
     frames: Iterable[PosedFrame],
     core: LiveCore,
-    inference: Inference,
+    inference: InferenceWorker,
     take: Callable[[Event], list[Answer]],
     waits: bool = False,
 ) -> Iterator[Answer]:
     """An answer to each query at each frame. `take` gives events to the `core`, and returns its answers.
 
     `waits`: a frame is answered before the next one is read. Raises `QueryError` for a query of the beginning that the
-    perception does not understand, `NoEvidenceError` if what comes for the
-    first frame is no evidence, and what `frames` raise, after the answer at the frame before.
+    perception does not understand, `NoEvidenceError` if what comes for the first frame is no evidence, and what
+    `frames` raise, after the answer at the frame before.
     """
-    for failed in inference.start():
-        raise EagorError(failed.text)
+    inference.start()
     before, fed, asked = -math.inf, -math.inf, core.queries
     for posed, after in ((each, None) for each in frames) if waits else _with_next(frames):
         frame, stamp, poses = posed.frame, posed.frame.stamp, posed.poses
         if posed.lost:
-            take(PosesLost(stamp, f"{frame.name}: {LOST}"))
+            take(OdometryReset(stamp, f"{frame.name}: {LOST}"))
             fed, poses = -math.inf, poses[-1:]
         # One pose ahead, so that a recorded look from shortly after this frame gets the pose of its own time.
         ahead = () if after is None or after.lost else after.poses[:1]
         for pose in (*poses, None, *ahead):
             if pose is None:
-                shown = frame.name, frame.picture, frame.grid, frame.problem, posed.looked
-                take(FrameCame(stamp, stamp, *shown))
+                take(ImageReceived(stamp, stamp, frame.name, frame.picture, frame.grid, frame.problem, posed.looked))
             elif pose.stamp > fed:
-                take(PoseCame(pose.stamp, replace(pose, spread=0.0)))
+                take(PoseReceived(pose.stamp, replace(pose, spread=0.0)))
                 fed = pose.stamp
-        now, first = stamp, before == -math.inf
-        upcoming = math.inf if after is None else after.frame.stamp
+        near = before, stamp, math.inf if after is None else after.frame.stamp
         turn = None if posed.pose is None else posed.pose.world_R_body
-        looking = () if frame.problem or not posed.looked else core.queries
-        for said in inference.look(frame.picture, looking, stamp, turn, frame.grid, frame.unseen) if looking else ():
-            if isinstance(said, Failed):
-                if said.refused and said.query in asked:
-                    raise QueryError(said.text)
-                if said.malformed and first:
-                    raise NoEvidenceError(said.text)
-                take(Trouble(stamp, "perception", said.text, said.query or ""))
-            elif isinstance(said, Looked):
-                looks = _placed(_own(said.looks, before, stamp, upcoming), posed, fed)
-                now = max([now, *(float(look.stamp) for look in looks if look.stamp is not None)])
-                take(Trouble(stamp, "perception"))
-                take(Trouble(stamp, "perception", about=said.query))
-                take(EvidenceCame(stamp, stamp, stamp, said.query, looks, said.seconds))
-        yield from take(Asked(now))
+        now, looking = stamp, () if frame.problem or not posed.looked else core.queries
+        for found in inference.infer(frame, looking, turn) if looking else ():
+            if found.refused and found.query in asked:
+                raise QueryError(found.problem)
+            if found.malformed and before == -math.inf:
+                raise NoEvidenceError(found.problem)
+            looks = tuple(_placed(found.evidence, posed, near, fed))
+            now = max([now, *(float(look.stamp) for look in looks if look.stamp is not None)])
+            for event in replace(found, evidence=looks).events(stamp, stamp, stamp):
+                take(event)
+        yield from take(Tick(now))
         before = stamp
 
 
-def _own(looks: Sequence[Evidence], before: float, stamp: float, after: float) -> Iterator[Evidence]:
-    """Those of `looks` to which the frame at `stamp` is nearer than the frames before and after it.
+def _placed(
+    looks: Sequence[Evidence], posed: PosedFrame, near: tuple[float, float, float], last: float
+) -> Iterator[Evidence]:
+    """Those of `looks` that belong to a frame, at the pose of their time.
 
-    Frames closer together than a replay's tolerance find the same line, which is evidence only once.
+    Frames closer together than a replay's tolerance find the same line, which is evidence only once: where the frame is
+    nearest, of the stamps `near` it (of the frame before, its own, of the one after). Stamps are clipped to the `last`
+    known pose. A look is as wide as its pose is unsure; there is none where that is too much.
     """
-    for look in looks:
-        at = stamp if look.stamp is None else float(look.stamp)
-        if min((before, stamp, after), key=lambda frame: abs(frame - at)) == stamp:
-            yield look
-
-
-def _placed(looks: Iterator[Evidence], posed: PosedFrame, last: float) -> tuple[Evidence, ...]:
-    """Looks with their stamp clipped to the known poses, as wide as the pose is unsure; none where that is too much."""
-    if posed.pose is None:
-        return tuple(looks)
-    spread = posed.pose.spread
-    if spread >= UNSURE:
-        return ()
-    placed = (look if look.stamp is None else replace(look, stamp=min(float(look.stamp), last)) for look in looks)
-    return tuple(look.widened(spread) for look in placed)
+    pose = posed.pose
+    for look in looks if pose is None or pose.spread < UNSURE else ():
+        stamp = near[1] if look.stamp is None else float(look.stamp)
+        if min(near, key=lambda frame: abs(frame - stamp)) != near[1]:
+            continue
+        if pose is not None:
+            look = look if look.stamp is None else replace(look, stamp=min(stamp, last))
+            look = look.widened(pose.spread)
+        yield look
 
 
 def _with_next(items: Iterable[T]) -> Iterator[tuple[T, T | None]]:
-    """Each item, with the one after it."""
+    """Each item with the one after it; what getting that raises comes after the item."""
     held: list[T] = []
     try:
         for item in items:
-            if held:
-                yield held.pop(), item
-            held.append(item)
-    except EagorError:  # the one before is whole
-        for item in held:
-            yield item, None
+            yield from ((each, item) for each in held)
+            held = [item]
+    except EagorError:
+        yield from ((each, None) for each in held)
         raise
-    for item in held:
-        yield item, None
+    yield from ((each, None) for each in held)
 
 
 # --- what belongs to one picture ---
-
-
-class Method(Protocol):
-    """Another method to compare with, as `eagor.lab.agents.methods` makes them."""
-
-    def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
-        """The camera's pose, before the evidence of its time."""
-        ...
-
-    def see(self, evidence: Evidence) -> None:
-        """A look at the last pose."""
-        ...
-
-    def direction(self) -> np.ndarray:
-        """The answer ``(3,)``, body frame."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
     """The answer to one query at one frame.
 
-    `picture` ``(H, W, 3)`` uint8, and `grid` its pixels if an ordinary camera took it (None: a whole panorama).
-    `problem` says why the frame could not be used, if so; `evidence` has several items for several views; `looked` and
-    `lost` as in `PosedFrame`; `position` of the camera, if known; `others` are the other methods' directions ``(3,)``
-    by name.
+    `picture` ``(H, W, 3)`` uint8 with its `grid`, `looked` and `lost`: as of `Frame` and `PosedFrame`. `problem`: why
+    the frame could not be used, if so. `evidence`: several items for several views. `position` of the camera, if known.
+    `others`: the other methods' directions ``(3,)`` by name.
     """
 
     query: str
@@ -170,31 +150,32 @@ class Followed:
 class ByFrame:
     """A sink of a loop in turn: `take` is called for each query at each frame, in their order.
 
-    `rivals`: makes the methods to compare with, for each query anew, and again where the poses are lost.
+    `rivals`: makes the methods to compare with (`eagor.lab.agents.methods`), for each query anew, and again where the
+    poses are lost.
     """
 
-    def __init__(self, each: Callable[[Followed], object], rivals: Callable[[], Mapping[str, Method]] = dict) -> None:
+    def __init__(self, each: Callable[[Followed], object], rivals: Callable[[], Mapping[str, Any]] = dict) -> None:
         self._each, self._rivals = each, rivals
-        self._others: dict[str, Mapping[str, Method]] = {}
+        self._others: dict[str, Mapping[str, Any]] = {}
         self._poses: list[Pose] = []  # the last one that is not later than the frame, and those after it
-        self._frame: FrameCame | None = None
+        self._frame: ImageReceived | None = None
         self._problems: dict[str, str] = {}
         self._evidence: dict[str, tuple[Evidence, ...]] = {}
         self._lost = False
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop."""
-        if isinstance(event, PosesLost):
+        if isinstance(event, OdometryReset):
             self._lost, self._others, self._poses = True, {}, []
-        elif isinstance(event, PoseCame):
+        elif isinstance(event, PoseReceived):
             self._poses.append(event.pose)
-        elif isinstance(event, FrameCame):
+        elif isinstance(event, ImageReceived):
             self._frame, self._problems, self._evidence = event, {}, {}
             while len(self._poses) > 1 and self._poses[1].stamp <= event.stamp:
                 del self._poses[0]
-        elif isinstance(event, Trouble) and event.part == "perception" and event.text:
+        elif isinstance(event, Diagnostic) and event.part == "perception" and event.text:
             self._problems[event.about] = event.text
-        elif isinstance(event, EvidenceCame):
+        elif isinstance(event, ObservationReceived):
             self._evidence[event.query] = event.looks
         for answer in answers:
             self._each(self._followed(answer))

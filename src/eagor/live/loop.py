@@ -6,32 +6,35 @@ import math
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
 from eagor._checks import above
 from eagor.errors import EagorError, ImageError, QueryError, TimeError
 from eagor.evidence import BodyMask
 from eagor.live.core import LiveCore, LoopSettings, warm
-from eagor.live.events import Answer, Asked, Event, EvidenceCame, Following, FrameCame, Part, PoseCame, Trouble
-from eagor.live.in_turn import answers_in_turn
-from eagor.live.inference import PATIENCE, Failed, Inference, InferenceWorker, Looked, why_here
-from eagor.live.recording import Pictures, Recorder
-from eagor.live.threads import (
-    FrozenCamera,
-    LoopClock,
-    Pace,
-    PerceptionThread,
-    Picture,
-    Reader,
-    VisualPosesThread,
-    opener,
-    paced_frames,
-    paced_poses,
+from eagor.live.events import (
+    Answer,
+    Diagnostic,
+    Event,
+    ImageReceived,
+    ObservationReceived,
+    OdometryReset,
+    Part,
+    PoseReceived,
+    QueriesChanged,
+    Tick,
 )
+from eagor.live.in_turn import answers_in_turn
+from eagor.live.inference import PATIENCE, InferenceWorker, why_here
+from eagor.live.recording import Pictures, Recorder
+from eagor.live.threads import FrozenCamera, LatestWorker, LoopClock, Reader
 from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.media.camera_sources import open_source
 from eagor.media.odometry import poses_for
@@ -60,7 +63,7 @@ class Sink(Protocol):
     """Sees all that comes into the loop and out of it, in the loop's thread: a recording, a viewer."""
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
-        """An event, and the answers to it (none unless it is `Asked`). Must be quick."""
+        """An event, and the answers to it (none unless it is a `Tick`). Must be quick."""
         ...
 
     def close(self) -> None:
@@ -73,7 +76,7 @@ class Counts:
     """What has happened so far.
 
     `frames`, `poses` came; `looks`: at a picture for one query; `skipped`: pictures that the perception did not come
-    to, or the camera dropped; `answers` given; `late`: ticks that were missed.
+    to, or the camera dropped; `answers` given.
     """
 
     frames: int = 0
@@ -81,7 +84,6 @@ class Counts:
     looks: int = 0
     skipped: int = 0
     answers: int = 0
-    late: int = 0
 
 
 class Loop:
@@ -136,8 +138,7 @@ class Loop:
         mask: BodyMask | None = None,
         clock: LoopClock | None = None,
     ) -> None:
-        numbers = ("rate", rate), ("looks", looks), ("patience", patience), ("acceleration", acceleration)
-        for name, value in numbers:
+        for name, value in ("rate", rate), ("looks", looks), ("patience", patience), ("acceleration", acceleration):
             if value is not None and not above(value, 0):
                 raise TimeError(f"{name} = {value!r}; wanted a number above 0")
         queries = (queries,) if isinstance(queries, str) else tuple(queries)
@@ -147,8 +148,15 @@ class Loop:
         self.clock, self.counts = clock or LoopClock(), Counts()
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._stopped = threading.Event()
-        reopen, opened = opener(partial(open_source, source) if isinstance(source, str) else source)
-        self._camera: CameraSource = opened if reopen is None else reopen()
+        self._shift = 0.0  # seconds from the clock of a recording to the loop's; 0 for live sources
+        self._frames = Reader(
+            "camera",
+            partial(open_source, source) if isinstance(source, str) else source,
+            give=self._frame,
+            trouble=partial(self._trouble, "camera"),
+            ended=self._frames_ended,
+        )
+        self._camera: CameraSource = self._frames.opened()
         self.live = self._camera.live
         self.rate, self.realtime = rate, realtime or self.live
         try:
@@ -157,7 +165,10 @@ class Loop:
             self._camera.close()
             raise
         self._odometer = poses if isinstance(poses, VisualOdometer) else None
-        self._frames, self._odometry = self._readers(reopen, poses)
+        self._odometry: Reader | None = None
+        if poses is not None and self._odometer is None:
+            trouble = partial(self._trouble, "poses")
+            self._odometry = Reader("poses", poses, give=self._pose, trouble=trouble, ended=trouble)
         config = config or TrackerConfig()
         config = replace(config, history=max(config.history, min(patience, LONGEST_LATE)))  # evidence may come so late
         recorded = isinstance(self._camera, RecordedLooks)
@@ -166,24 +177,29 @@ class Loop:
             extrapolate, exact=not self.realtime,
         )  # fmt: skip
         self.core = LiveCore(self._settings)
-        self.frames: PosedFrames | None = None  # of a recording that is looked at in turn
-        if not (self.realtime or recorded):
+        self.frames: PosedFrames | None = None  # of a recording
+        if not (self.live or recorded):
             odometry = None if self._odometry is None else self._odometry.opened()
             say = partial(self._trouble, "poses", passing=True)
-            self.frames = PosedFrames(self._camera, self._odometer or odometry, looks, say)
-        masks = [each for each in (mask, _mask_of(self._camera)) if each is not None]
-        own_process = self.realtime
-        if own_process and (why := why_here(perception)):
-            own_process = False
+            sight = None if self.realtime else self._odometer  # in real time the newest pictures tell, if not all
+            self.frames = PosedFrames(self._camera, sight or odometry, None if self.realtime else looks, say)
+        self._recorded = self._camera.posed if isinstance(self._camera, RecordedLooks) else self.frames
+        unseen = getattr(self._camera, "unseen", None)  # what no picture of it shows
+        masks = [] if mask is None else [mask]
+        masks += [] if unseen is None or not unseen.any() else [BodyMask(~unseen)]
+        why = why_here(perception) if self.realtime else ""
+        if why:
             warnings.warn(
                 f"the perception works in this process, where nothing ends it if it hangs: {why}. A function at the "
                 "top of a file can have a process of its own",
                 stacklevel=2,
             )
-        self._inference: Inference | InferenceWorker = (
-            InferenceWorker(perception, patience=patience, masks=masks)
-            if own_process
-            else Inference(perception, masks=masks, say=partial(self._trouble, "camera", passing=True))
+        self._inference = InferenceWorker(
+            perception,
+            isolated=self.realtime and not why,
+            patience=patience,
+            masks=masks,
+            say=partial(self._trouble, "camera", passing=True),
         )
         self._recorder: Recorder | None = None
         if record is not None:
@@ -191,8 +207,8 @@ class Loop:
         self._sinks: list[Sink] = [*sinks, *([] if self._recorder is None else [self._recorder])]
         if isinstance(self._camera, Sink):  # a simulated body follows the answers to its pictures
             self._sinks.insert(0, self._camera)
-        self._perception: PerceptionThread | None = None
-        self._seer: VisualPosesThread | None = None
+        self._perception: LatestWorker[Frame] | None = None
+        self._seer: LatestWorker[Frame] | None = None  # finds how the camera turns in its pictures
         # A source that keeps the newest picture itself makes it a panorama when asked: not more often than needed.
         keeps_newest = getattr(self._camera, "keeps_newest", False)
         self._on_demand = keeps_newest and self._odometer is None and record is None
@@ -202,38 +218,9 @@ class Loop:
         self._refused: set[str] = set()
         self._slip, self._now = 0.0, -math.inf
         self._problems: dict[Part, str | None] = {}  # what the camera and the odometry say of themselves
-        self._frozen, self._froze = FrozenCamera(self.core.orientation), ""  # and what was said of it last
+        self._frozen = FrozenCamera(self.core.orientation)
 
-    def _readers(
-        self, reopen: Callable[[], CameraSource] | None, poses: Any
-    ) -> tuple[Reader[tuple[Frame, float]], Reader[Pose] | None]:
-        """The threads that read the camera, and the odometry if there is one; a recording at its own speed."""
-        pace = Pace(self.clock, self._stopped)
-        frames = Reader(
-            "camera",
-            self._camera,
-            reopen,
-            items=_as_told if self.live else partial(paced_frames, pace=pace),
-            again=self.live,
-            give=self._frame,
-            trouble=partial(self._trouble, "camera"),
-            ended=self._frames_ended,
-        )
-        if poses is None or poses is self._odometer:
-            return frames, None
-        open_poses, opened = opener(poses)
-        return frames, Reader(
-            "poses",
-            opened,
-            open_poses,
-            items=iter if self.live else partial(paced_poses, pace=pace),
-            again=self.live,
-            give=lambda pose: self._post(PoseCame(self.clock.now(), pose)),
-            trouble=partial(self._trouble, "poses"),
-            ended=lambda text: self._trouble("poses", text) if text else None,
-        )
-
-    def __iter__(self) -> Iterator[Answer]:
+    def __iter__(self) -> Generator[Answer, None, None]:
         """The answers, until the source ends or `stop` is called: at each tick one per query, in their order."""
         try:
             yield from self._paced() if self.realtime else self._in_turn()
@@ -242,12 +229,9 @@ class Loop:
 
     def run(self, on_answer: Callable[[Answer], Any]) -> None:
         """Call `on_answer` with every answer until the source ends or `stop` is called."""
-        answers = iter(self)
-        try:
+        with closing(iter(self)) as answers:
             for answer in answers:
                 on_answer(answer)
-        finally:
-            answers.close()  # type: ignore[attr-defined]
 
     @property
     def recording_problem(self) -> str | None:
@@ -271,11 +255,19 @@ class Loop:
 
     def follow(self, queries: Sequence[str]) -> None:
         """Follow these queries from now on, from any thread. What is known of those that stay is kept."""
-        self._post(Following(self.clock.now(), tuple(queries)))
+        self._events.put(QueriesChanged(self.clock.now(), tuple(queries)))
+
+    # --- the two paces: of the clock, and of the perception ---
 
     def _paced(self) -> Iterator[Answer]:
         """Answers at ticks of the real time; events are taken in as they come."""
-        self._begin()
+        self._trouble("perception", LOADING)
+        self._perception = LatestWorker("perception", self._infer, self._load, self._perception_ended)
+        warm(self._settings)  # while the perception is loaded
+        if self._odometer is not None:
+            self._seer = LatestWorker("visual poses", partial(self._see, self._odometer))
+        if self.live:
+            self._start_reading()
         next_tick, last = self.clock.now(), -math.inf
         while not self._stopped.is_set():
             self._take_events(next_tick)
@@ -283,66 +275,34 @@ class Loop:
                 raise self._fatal
             if self._stopped.is_set():
                 return
-            over = self._is_over()
+            workers_idle = self._perception.idle and (self._seer is None or self._seer.idle)
+            over = self._over and workers_idle and self._events.empty()  # all of a recording has been looked at
             self._look_after()
             now = self.clock.now()
             if over:  # what was found meanwhile is told of the end, not of a later time that nobody has seen
                 now = max(self._ended, last)
             if over or not self._over:
                 last = now
-                yield from self._taken(Asked(now))
+                yield from self._taken(Tick(now))
             if over:
                 return
-            missed = max(0, math.floor((now - next_tick) * self.rate))
-            self.counts.late += missed
-            next_tick += (missed + 1) / self.rate
-
-    def _begin(self) -> None:
-        self._trouble("perception", LOADING)
-        self._perception = PerceptionThread(
-            self._inference,
-            self.core.queries,
-            found=self._found,
-            ready=self._ready,
-            ended=self._perception_ended,
-            pose=self.core.orientation,
-        )
-        warm(self._settings)  # while the perception is loaded
-        if self._odometer is not None:
-            self._seer = VisualPosesThread(self._odometer, self._post, self.clock.now)
-        if self.live:
-            self._start_reading()
-
-    def _ready(self) -> None:
-        """The perception is loaded: a recording begins now."""
-        self._trouble("perception", "")
-        if not self.live:
-            self._start_reading()
-
-    def _start_reading(self) -> None:
-        self._last_frame = self.clock.now()
-        self._frames.start()
-        if self._odometry is not None:
-            self._odometry.start()
+            next_tick += (max(0, math.floor((now - next_tick) * self.rate)) + 1) / self.rate  # without those missed
 
     def _in_turn(self) -> Iterator[Answer]:
         """As fast as the perception looks at every picture; time is that of the recording."""
-        frames = self._camera.posed if isinstance(self._camera, RecordedLooks) else self.frames
+        frames = self._recorded
         assert frames is not None
-        assert isinstance(self._inference, Inference)
         waits = getattr(self._camera, "waits", False)  # for what is said of its pictures: none is read ahead
-        ahead = self._drained(frames) if waits else prefetched(frames)
         try:
-            for answer in answers_in_turn(ahead, self.core, self._inference, self._taken, waits):
-                self._drain()
-                if self._stopped.is_set():
-                    return
-                yield answer
+            with closing((each for each in frames) if waits else prefetched(frames)) as ahead:
+                for answer in answers_in_turn(self._drained(ahead), self.core, self._inference, self._taken, waits):
+                    if self._stopped.is_set():
+                        return
+                    yield answer
         finally:
-            ahead.close()
             self._drain()
 
-    def _drained(self, frames: Iterable[PosedFrame]) -> Generator[PosedFrame, None, None]:
+    def _drained(self, frames: Iterable[PosedFrame]) -> Iterator[PosedFrame]:
         """The same, after what was posted while each of them was waited for."""
         for frame in frames:
             self._drain()
@@ -353,8 +313,6 @@ class Loop:
         while not self._events.empty():
             if (event := self._events.get()) is not None:
                 self._taken(replace(event, arrival=self._now))
-        if self._fatal is not None:
-            raise self._fatal
 
     def _take_events(self, until: float) -> None:
         """Take in what comes until a time, and all that is there then."""
@@ -371,31 +329,17 @@ class Loop:
 
     def _taken(self, event: Event) -> list[Answer]:
         self._now = max(self._now, event.arrival)
-        answers = self.core.take(event)
-        self._count(event, len(answers))
+        answers, counts = self.core.take(event), self.counts
+        counts.frames += isinstance(event, ImageReceived)
+        counts.poses += isinstance(event, PoseReceived)
+        counts.looks += isinstance(event, ObservationReceived) and bool(event.looks)
+        counts.answers += len(answers)
         for sink in self._sinks:
             sink.take(event, answers)
         return answers
 
-    def _count(self, event: Event, answers: int) -> None:
-        match event:
-            case FrameCame():
-                self.counts.frames += 1
-            case PoseCame():
-                self.counts.poses += 1
-            case EvidenceCame():
-                self.counts.looks += bool(event.looks)
-            case Asked():
-                self.counts.answers += answers
-            case Following():
-                if self._perception is not None:
-                    self._perception.queries = event.queries
-
-    def _post(self, event: Event) -> None:
-        self._events.put(event)
-
-    def _trouble(self, part: Part, text: str, passing: bool = False) -> None:
-        self._post(Trouble(self.clock.now(), part, text, passing=passing))
+    def _trouble(self, part: Part, text: str, about: str = "", passing: bool = False) -> None:
+        self._events.put(Diagnostic(self.clock.now(), part, text, about, passing))
 
     def _look_after(self) -> None:
         """What nobody else notices: a stream that stalls, this machine's clock being set."""
@@ -406,7 +350,7 @@ class Loop:
         for reader in filter(None, (self._frames, self._odometry)):
             if (problem := getattr(reader.source, "problem", None)) != self._problems.get(reader.name):
                 self._problems[reader.name] = problem
-                self._post(Trouble(now, reader.name, problem or "", "itself"))
+                self._trouble(reader.name, problem or "", "itself")
         slip = self.clock.slip()
         if abs(slip - self._slip) > SLIPPED:
             way = "forward" if slip > self._slip else "back"
@@ -414,80 +358,104 @@ class Loop:
             self._slip = slip
             self._trouble("clock", text, passing=True)
 
-    def _is_over(self) -> bool:
-        """Whether a recording has ended, and all of it has been looked at."""
-        if not self._over or (self._seer is not None and not self._seer.done):
-            return False
-        return self._perception is not None and self._perception.idle and self._events.empty()
+    # --- in the threads ---
+
+    def _load(self) -> None:
+        """Load the perception; a recording begins then."""
+        self._trouble("perception", self._inference.start())
+        if not self.live:
+            self._start_reading()
+
+    def _start_reading(self) -> None:
+        self._last_frame = self.clock.now()
+        self._frames.start(None if self.live else self._played)
+        if self.live and self._odometry is not None:
+            self._odometry.start()
+
+    def _played(self, _: CameraSource) -> Iterator[Frame]:
+        """The frames of a recording, and its poses, when they are due: the first frame at once, all else by stamps."""
+        begins: float | None = None
+        for posed in self._recorded or ():
+            frame = posed.frame
+            if begins is None:
+                begins, self._shift = frame.stamp, self.clock.now() - frame.stamp
+            for pose in (*(each for each in posed.poses if each.stamp >= begins), None):
+                stamp = frame.stamp if pose is None else pose.stamp
+                if self._stopped.wait(max(0.0, stamp + self._shift - self.clock.now())):
+                    return
+                if pose is not None:
+                    self._pose(pose)
+            yield frame
+
+    def _frame(self, frame: Frame) -> None:
+        now = self._last_frame = self.clock.now()
+        stamp, shown = frame.stamp + self._shift, frame.picture if self._sinks else None  # who else would hold it?
+        self._events.put(ImageReceived(now, stamp, frame.name, shown, frame.grid, frame.problem))
+        if frame.picture is None:
+            return
+        before = self._frozen.problem
+        if self.live and self._frozen.take(frame.picture, stamp) != before:
+            self._trouble("camera", self._frozen.problem, "frozen")
+        if self._seer is not None:
+            self._seer.give(frame)
+        assert self._perception is not None
+        self._perception.give(frame)
+        if self._on_demand:
+            self._perception.wait(ON_DEMAND)
 
     def _frames_ended(self, text: str) -> None:
         if text:
             self._trouble("camera", f"the recording ends early: {text}")
             if not self.counts.frames:
                 self._fatal = ImageError(text)
-        if self._seer is not None:
-            self._seer.pictures.end()
         self._over, self._ended = True, self._last_frame
 
-    def _frame(self, item: tuple[Frame, float]) -> None:
-        frame, told = item
-        self._last_frame = self.clock.now()
-        shown = frame.picture if self._sinks else None  # who else would hold on to it?
-        self._post(FrameCame(self._last_frame, frame.stamp, frame.name, shown, frame.grid, frame.problem))
-        if frame.picture is None:
-            return
-        if self.live:
-            before, self._froze = self._froze, self._frozen.take(frame.picture, frame.stamp)
-            if self._froze != before:
-                self._post(Trouble(self._last_frame, "camera", self._froze, "frozen"))
-        picture = Picture(frame.stamp, told, frame.picture, frame.grid, frame.unseen)
-        if self._seer is not None:
-            self._seer.pictures.give(picture)
-        assert self._perception is not None
-        self._perception.pictures.give(picture)
-        if self._on_demand:
-            self._perception.pictures.wait(ON_DEMAND)
+    def _pose(self, pose: Pose) -> None:
+        self._events.put(PoseReceived(self.clock.now(), replace(pose, stamp=pose.stamp + self._shift)))
 
-    def _found(self, picture: Picture | None, said: Looked | Failed) -> None:
-        """What the perception says."""
-        now = self.clock.now()
-        if isinstance(said, Looked) and picture is not None:
-            self._post(EvidenceCame(now, picture.stamp, picture.told, said.query, said.looks, said.seconds))
-            self._post(Trouble(now, "perception"))
-            self._post(Trouble(now, "perception", about=said.query))
-        elif isinstance(said, Failed):
-            if said.refused and said.query is not None:
-                self._refused.add(said.query)
+    def _see(self, odometer: VisualOdometer, frame: Frame) -> None:
+        """Find how the camera has turned until a frame."""
+        stamp, now = frame.stamp + self._shift, self.clock.now
+        try:
+            turned = odometer.add(frame.picture, stamp, frame.grid)
+        except EagorError as error:
+            self._trouble("poses", str(error))
+            return
+        if turned.lost:
+            text = "a picture does not fit to those before it: the belief starts anew"
+            self._events.put(OdometryReset(now(), text))
+        pose = Pose(stamp, np.asarray(turned.world_R_body), spread=turned.std)
+        self._events.put(PoseReceived(now(), pose, of_picture=True))
+
+    def _infer(self, frame: Frame) -> None:
+        """Look at a frame for what the perception has not refused to look for."""
+        stamp = frame.stamp + self._shift
+        queries = [] if self.stopped else [query for query in self.core.queries if query not in self._refused]
+        for found in self._inference.infer(frame, queries, self.core.orientation(stamp)) if queries else ():
+            if self._stopped.is_set():
+                return
+            if found.refused and found.query is not None:
+                self._refused.add(found.query)
                 if all(query in self._refused for query in self.core.queries):
-                    self._fatal = QueryError(said.text)
-            self._post(Trouble(now, "perception", said.text, said.query or ""))
+                    self._fatal = QueryError(found.problem)
+            for event in found.events(self.clock.now(), stamp, frame.stamp):
+                self._events.put(event)
 
     def _perception_ended(self, error: EagorError | None) -> None:
+        self._inference.close()
         self._fatal = self._fatal or error
         self._events.put(None)
 
     def _close(self) -> None:
         """End threads and processes, let go of devices, finish the recording."""
         self._stopped.set()
+        self._inference.kill()
         if self._perception is not None:
-            self._perception.stop()
-            self.counts.skipped = self._perception.pictures.skipped + getattr(self._frames.source, "dropped", 0)
+            self._perception.close()
+            self.counts.skipped = self._perception.skipped + getattr(self._frames.source, "dropped", 0)
         self._inference.close()
-        self._frames.close(LEAVING)
-        if self._seer is not None:
-            self._seer.close(LEAVING)
-        if self._odometry is not None:
-            self._odometry.close(LEAVING)
+        for thread in (self._frames, self._seer, self._odometry):
+            if thread is not None:
+                thread.close(LEAVING)
         for sink in self._sinks:
             sink.close()
-
-
-def _as_told(source: CameraSource) -> Iterator[tuple[Frame, float]]:
-    for frame in source:
-        yield frame, frame.stamp
-
-
-def _mask_of(camera: CameraSource) -> BodyMask | None:
-    """What no picture of a camera shows, if it says so."""
-    unseen = getattr(camera, "unseen", None)
-    return None if unseen is None or not unseen.any() else BodyMask(~unseen)

@@ -20,7 +20,7 @@ import numpy as np
 
 from eagor.errors import EagorError, FormatError
 from eagor.live.core import LiveCore, LoopSettings
-from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, ImageReceived, ObservationReceived, PoseReceived
 from eagor.media import Pose
 from eagor.media.bags import BagWriter, bag_topics, read_bag
 from eagor.media.ros_messages import (
@@ -47,7 +47,7 @@ FLUSHED = 0.5  # seconds between two flushes: as much may be lost
 WAITING = 16  # pictures that may wait to be written; further ones are left out
 QUALITY = 92  # of JPEG
 BODY = "base_link"  # REP-105
-VERSION = 6  # of the events
+VERSION = 7  # of the events
 KINDS: dict[str, type] = {kind.__name__: kind for kind in (*get_args(Event), LoopSettings)}
 
 Pictures = Literal["jpeg", "png", "none"]
@@ -56,12 +56,12 @@ Pictures = Literal["jpeg", "png", "none"]
 def event_in_bytes(event: Event | LoopSettings) -> bytes:
     """An event without its picture, or the settings of the core, exactly: bytes of `eagor.tracking.checkpoint`."""
     values = {each.name: getattr(event, each.name) for each in fields(event) if each.name != "picture"}
-    if isinstance(event, PoseCame):
+    if isinstance(event, PoseReceived):
         values["pose"] = [getattr(event.pose, each.name) for each in fields(Pose)]
     try:
         return packed((VERSION, type(event).__name__, values))
     except FormatError:  # what a look says of its source may be anything
-        if not isinstance(event, EvidenceCame):
+        if not isinstance(event, ObservationReceived):
             raise
         return event_in_bytes(replace(event, looks=tuple(replace(look, source=None) for look in event.looks)))
 
@@ -69,14 +69,13 @@ def event_in_bytes(event: Event | LoopSettings) -> bytes:
 def event_from(content: bytes) -> Event | LoopSettings:
     """What `event_in_bytes` turned into bytes; no code in them is run. Raises `FormatError`."""
     found = unpacked(content)
-    if not (isinstance(found, tuple) and len(found) == 3 and found[0] == VERSION):
-        version = found[0] if isinstance(found, tuple) and found else None
+    version, name, values = found if isinstance(found, tuple) and len(found) == 3 else (None, "", {})
+    if version != VERSION:
         raise FormatError(
             f"the recording is of version {version!r}; wanted {VERSION}: play it with the eagor that made it"
         )
-    _, name, values = found
     try:
-        if name == PoseCame.__name__:
+        if name == PoseReceived.__name__:
             values["pose"] = Pose(*values["pose"])
         return KINDS[name](**values)
     except (KeyError, TypeError, ValueError) as error:
@@ -95,21 +94,20 @@ class Recorder:
     def __init__(
         self, path: Path, settings: LoopSettings, trouble: Callable[[str], Any], pictures: Pictures = "jpeg"
     ) -> None:
-        self.path, self.pictures, self.left_out = Path(path), pictures, 0
-        self.problem: str | None = None
-        self._trouble = trouble
-        self._bag = BagWriter(self.path, at_risk=FLUSHED)
-        self._last = -math.inf
-        self._waiting = 0
-        self._queue: SimpleQueue[tuple[Event, Sequence[Answer]] | None] = SimpleQueue()
-        self._settings: LoopSettings | None = settings
+        self.problem: str | None = None  # why the recording has ended before the loop
+        self._trouble, self._pictures, self._left_out = trouble, pictures, False
+        self._bag = BagWriter(Path(path), at_risk=FLUSHED)
+        self._last = 0.0  # bags know no time before 1970
+        self._waiting = 0  # pictures
+        self._queue: SimpleQueue[tuple[Event | LoopSettings, Sequence[Answer]] | None] = SimpleQueue()
+        self._queue.put((settings, ()))
         self._thread = threading.Thread(target=self._serve, name="eagor recording", daemon=True)
         self._thread.start()
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """Write down an event and the answers to it, soon."""
         if self.problem is None:
-            self._waiting += isinstance(event, FrameCame)
+            self._waiting += isinstance(event, ImageReceived)
             self._queue.put((event, answers))
 
     def close(self) -> None:
@@ -118,7 +116,7 @@ class Recorder:
         self._thread.join()
 
     def _serve(self) -> None:
-        entry: tuple[Event, Sequence[Answer]] | None = None
+        settings: Any = None
         try:
             while True:
                 try:
@@ -128,7 +126,15 @@ class Recorder:
                     continue
                 if entry is None:
                     break
-                self._write(*entry)
+                event, answers = entry
+                if isinstance(event, LoopSettings):
+                    settings = event
+                    continue
+                if settings is not None:  # first of all, at the time of the first event
+                    self._put(event.arrival, settings)
+                    settings = None
+                self._put(event.arrival, event)
+                self._for_others(event, answers)
             self._bag.close()
         except (EagorError, OSError) as error:
             self.problem = f"the recording has ended early: {error}"
@@ -137,46 +143,35 @@ class Recorder:
             while self._queue.get() is not None:
                 continue  # nobody writes them any more
 
-    def _write(self, event: Event, answers: Sequence[Answer]) -> None:
-        if self._settings is not None:
-            self._put(event.arrival, event_in_bytes(self._settings))
-            self._settings = None
-        self._put(event.arrival, event_in_bytes(event))
-        if isinstance(event, FrameCame):
-            self._waiting -= 1
-            self._picture(event)
-        elif isinstance(event, PoseCame):
-            pose = event.pose
-            flat = Pose(max(0.0, pose.stamp), pose.world_R_body, pose.position)
-            self._bag.write(ODOM, ODOMETRY, odometry_message(flat), event.arrival)
-        for answer in answers:
-            self._answer(answer)
-
-    def _put(self, now: float, content: bytes) -> None:
+    def _put(self, now: float, event: Event | LoopSettings) -> None:
         # Readers sort by time: no two events may have the same one.
         self._last = max(now, math.nextafter(self._last, math.inf))
         layout = message("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
-        found = message(BYTES, layout=layout, data=np.frombuffer(content, dtype=np.uint8))
-        self._bag.write(EVENTS, BYTES, found, self._last)
+        content = np.frombuffer(event_in_bytes(event), dtype=np.uint8)
+        self._bag.write(EVENTS, BYTES, message(BYTES, layout=layout, data=content), self._last)
 
-    def _picture(self, event: FrameCame) -> None:
-        if event.picture is None or self.pictures == "none":
-            return
-        if self._waiting > WAITING:
-            self.left_out += 1
-            if self.left_out == 1:
+    def _for_others(self, event: Event, answers: Sequence[Answer]) -> None:
+        """What other tools read."""
+        if isinstance(event, ImageReceived):
+            self._waiting -= 1
+            picture, kind = event.picture, self._pictures
+            if picture is None or kind == "none":
+                return
+            if self._waiting <= WAITING:
+                found = compressed_message(picture, max(0.0, event.stamp), BODY, kind=kind, quality=QUALITY)
+                self._bag.write(IMAGES, COMPRESSED, found, self._last)
+            elif not self._left_out:
+                self._left_out = True
                 self._trouble("pictures come faster than they can be written; some are left out of the recording")
-            return
-        stamp = max(0.0, event.stamp)
-        found = compressed_message(event.picture, stamp, BODY, kind=self.pictures, quality=QUALITY)
-        self._bag.write(IMAGES, COMPRESSED, found, self._last)
-
-    def _answer(self, answer: Answer) -> None:
-        text = json.dumps(answer.as_dict(), allow_nan=False)
-        self._bag.write(ANSWERS, TEXT, text_message(text), self._last)  # in the order of the events
-        if answer.direction is not None:
-            found = vector_message(answer.direction, answer.stamp, BODY)
-            self._bag.write(f"{DIRECTION}/{slug(answer.query)}", VECTOR, found, self._last)
+        elif isinstance(event, PoseReceived):
+            flat = Pose(max(0.0, event.pose.stamp), event.pose.world_R_body, event.pose.position)
+            self._bag.write(ODOM, ODOMETRY, odometry_message(flat), self._last)
+        for answer in answers:
+            text = json.dumps(answer.as_dict(), allow_nan=False)
+            self._bag.write(ANSWERS, TEXT, text_message(text), self._last)  # in the order of the events
+            if answer.direction is not None:
+                found = vector_message(answer.direction, answer.stamp, BODY)
+                self._bag.write(f"{DIRECTION}/{slug(answer.query)}", VECTOR, found, self._last)
 
 
 def slug(query: str) -> str:
@@ -195,15 +190,12 @@ class Replay:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         topics = bag_topics(self.path)
-        if EVENTS not in topics:
-            raise FormatError(
-                f"{path} has no topic {EVENTS}: it is no recording of eagor live --record; it has {', '.join(topics)}"
-            )
         first = next((event_from(found.data.tobytes()) for *_, found in read_bag(self.path, [EVENTS])), None)
-        if first is None:
-            raise FormatError(f"{path} holds no event: the run was ended before its first")
         if not (isinstance(first, LoopSettings) and isinstance(first.config, TrackerConfig)):
-            raise FormatError(f"{path} does not begin with its settings; it is not one of eagor live --record")
+            raise FormatError(
+                f"{path} does not begin with settings on {EVENTS}: it is no recording of eagor live --record, or was "
+                f"ended at once; it has {', '.join(topics)}"
+            )
         self.settings = first
 
     def __iter__(self) -> Iterator[Answer]:
@@ -213,17 +205,14 @@ class Replay:
 
     def events(self, pictures: bool) -> Iterator[Event]:
         """The recorded events in order, with their pictures if wanted (where they were recorded)."""
-        held: FrameCame | None = None  # its picture comes next
+        held: Event | None = None  # its picture may come next
         for _, topic, _, found in read_bag(self.path, [EVENTS, IMAGES] if pictures else [EVENTS]):
-            if held is not None:
-                yield replace(held, picture=panorama_of(found)) if topic == IMAGES else held
-                held = None
             if topic == IMAGES:
+                held = replace(held, picture=panorama_of(found)) if isinstance(held, ImageReceived) else held
                 continue
+            if held is not None:
+                yield held
             event = event_from(found.data.tobytes())
-            if pictures and isinstance(event, FrameCame):
-                held = event
-            elif not isinstance(event, LoopSettings):
-                yield event
+            held = None if isinstance(event, LoopSettings) else event
         if held is not None:
             yield held

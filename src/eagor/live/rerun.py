@@ -21,7 +21,7 @@ from eagor.drawing import StepPainter
 from eagor.drawing.marks import Marks, worth_an_arrow
 from eagor.drawing.style import answer_in_words
 from eagor.errors import EagorError, StorageError
-from eagor.live.events import Answer, Event, FaultLog, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, FaultLog, ImageReceived, PoseReceived
 
 __all__ = ["RerunLog"]
 
@@ -63,16 +63,16 @@ class RerunLog:
         self._thread, self._job = ThreadPoolExecutor(1), Future[None]()
         self._job.set_result(None)
         self._painter, self._faults = StepPainter(WIDTH, bare=True), FaultLog()
-        self._frame: FrameCame | None = None  # that was not logged yet
-        self._poses: list[PoseCame] = []  # the last one before an answer, and those after it: in turn, one is ahead
+        self._frame: ImageReceived | None = None  # that was not logged yet
+        self._poses: list[PoseReceived] = []  # the last one before an answer, and those after it: in turn, one is ahead
         self._path: list[np.ndarray] = []
         self._said: dict[str, str] = {}  # the last status, by query
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """An event of the loop, and the answers to it."""
-        if isinstance(event, FrameCame):
+        if isinstance(event, ImageReceived):
             self._frame = event
-        elif isinstance(event, PoseCame) and event.pose.position is not None:
+        elif isinstance(event, PoseReceived) and event.pose.position is not None:
             self._poses.append(event)
         late = self._realtime and answers and (not self._job.done() or answers[0].stamp - self._taken < INTERVAL)
         if answers and not late and not self._ended():
@@ -97,7 +97,7 @@ class RerunLog:
             self.problem = f"the log for Rerun ends early: {error}"
         return error is not None
 
-    def _write(self, answers: Sequence[Answer], frame: FrameCame | None, position: np.ndarray | None) -> None:
+    def _write(self, answers: Sequence[Answer], frame: ImageReceived | None, position: np.ndarray | None) -> None:
         rerun, first, log = self._rerun, answers[0], self._log.log
         self._log.set_time("time", **{"timestamp" if first.stamp > CALENDAR else "duration": first.stamp})
         place = np.zeros(3) if position is None else np.asarray(position, dtype=float)

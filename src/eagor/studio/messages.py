@@ -38,9 +38,8 @@ class Message:
     @classmethod
     def problem(cls, problem: str, change: str = "", fatal: bool = False, question: int = 0, **more: Any) -> Message:
         """What is wrong, and what to do; `question`: the number of one that is refused."""
-        words = problem[:1].upper() + problem[1:]
-        told = {"problem": words if words.endswith(".") else f"{words}.", "change": change, "fatal": fatal}
-        return cls({"type": "problem", **told, "question": question, **more})
+        words = f"{problem[:1].upper()}{problem[1:].removesuffix('.')}."
+        return cls({"type": "problem", "problem": words, "change": change, "fatal": fatal, "question": question} | more)
 
     @classmethod
     def status(cls, words: str) -> Message:
@@ -63,10 +62,9 @@ def merged(unsent: Message | None, newer: Message) -> Message:
     """
     if unsent is None:
         return newer
-    kept = [name for name in CARRIED if name in unsent.header and name not in newer.header]
-    header = {name: unsent.header[name] for name in kept}
-    blobs = {name: unsent.blobs[name] for name in kept if name in unsent.blobs}
-    return Message(newer.header | header, newer.blobs | blobs)
+    kept = {name for name in CARRIED if name in unsent.header} - newer.header.keys()
+    blobs = {name: blob for name, blob in unsent.blobs.items() if name in kept}
+    return Message({name: unsent.header[name] for name in kept} | newer.header, blobs | newer.blobs)
 
 
 def rounded(value: Any, digits: int = 5) -> Any:

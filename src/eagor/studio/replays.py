@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
@@ -66,9 +66,8 @@ class EpisodeReplay:
             steps.append(step)
         return {"scene": self.scene, "steps": steps}
 
-    def add(self, step: dict[str, Any], belief: tuple[dict[str, Any] | None, bytes]) -> None:
+    def add(self, step: dict[str, Any], head: dict[str, Any] | None, heat: bytes) -> None:
         """A step more, with its belief as of `belief_of`."""
-        head, heat = belief
         self.steps.append(step | {"belief": head and head | {"url": data_url(heat)}})
 
 
@@ -78,18 +77,19 @@ def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> EpisodeRep
     `advance` is called with the number of each step, and for each picture. Raises `EagorError` for an unknown episode,
     or a run without a tracker.
     """
-    methods: dict[str, Any] = {}
+    traces: dict[str, dict[str, Any]] = {}
     for record in finished(run.records):
         if sample_of(record) == case:
-            methods |= {name: entry | {"record": record} for name, entry in record.get("methods", {}).items()}
-    trackers = [name for name in methods if name.partition(":")[0] in (OURS, "eagor_paper")]
+            common = {"pose": record.get("truth", {}).get("pose", [])}  # where all methods were at the same places
+            traces |= {name: common | entry.get("trace", {}) for name, entry in record.get("methods", {}).items()}
+    trackers = [name for name in traces if name.partition(":")[0] in (OURS, "eagor_paper")]
     if not trackers:
         raise EagorError(
-            f"episode {case!r} was played by {', '.join(methods) or 'no method'}: none keeps a belief that could be "
+            f"episode {case!r} was played by {', '.join(traces) or 'no method'}: none keeps a belief that could be "
             "shown. Run it with --methods eagor"
         )
     shown = OURS if OURS in trackers else trackers[0]
-    listed = [shown, *(name for name in methods if name != shown)]
+    listed = [shown, *(name for name in traces if name != shown)]
     runner, spec = runner_of(run, case)
     episode, seen = runner.plan(spec), list[Step]()
     place = load_place(spec.world, spec.seed, runner.camera.radius)
@@ -98,7 +98,7 @@ def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> EpisodeRep
     about = {
         "plan": plan_of(place, targets), "perception": str(run.settings.get("perception", "")),
         "methods": [{"name": name, "words": DESCRIPTIONS.get(name.partition(":")[0], name)} for name in listed],
-        "paths": {name: [rounded(pose[:2], 3) for pose in _trace(methods[name])["pose"]] for name in listed},
+        "paths": {name: [rounded(pose[:2], 3) for pose in traces[name]["pose"]] for name in listed},
     }  # fmt: skip
     found = EpisodeReplay(scene_of(title, str(episode.query), method=shown, **about))
 
@@ -107,7 +107,7 @@ def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> EpisodeRep
         seen.append(each)
         assert isinstance(each.method, TrackerEstimator)
         estimate = each.method.estimate
-        found.add(step_of(estimate, each.stamp, each.position, each.truth), belief_of(estimate))
+        found.add(step_of(estimate, each.stamp, each.position, each.truth), *belief_of(estimate))
 
     runner.run_episode(spec, [shown], watch)
     for number in sorted({*np.linspace(0, len(seen) - 1, min(len(seen), STEPS)).round().astype(int).tolist()}):
@@ -115,23 +115,13 @@ def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> EpisodeRep
         view = seen[number].view
         assert view is not None
         found.pictures[number] = picture_of(view(ROWS).rgb, None, ROWS, "WEBP")
-    for number, step in enumerate(found.steps):
-        step["methods"] = {name: part for name, entry in methods.items() if (part := _answered(entry, number))}
+    for step in found.steps:
+        step["methods"] = {}
+    for name, trace in traces.items():  # what the methods answered, from the records
+        answers = (trace.get(part, ()) for part in ("azimuth_deg", "elevation_deg", "error_deg"))
+        for step, (azimuth, elevation, error) in zip(found.steps, zip(*answers, strict=True), strict=False):
+            step["methods"][name] = {"estimate": _directed(azimuth, elevation), "error_deg": error}
     return found
-
-
-def _trace(entry: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A method's trace, with the poses of the episode where they are common to all methods."""
-    return {"pose": entry["record"].get("truth", {}).get("pose", [])} | entry.get("trace", {})
-
-
-def _answered(entry: Mapping[str, Any], number: int) -> dict[str, Any] | None:
-    """What a method answered at a step, from the records."""
-    trace = _trace(entry)
-    if number >= len(trace.get("azimuth_deg", ())):
-        return None
-    estimate = _directed(trace["azimuth_deg"][number], trace["elevation_deg"][number])
-    return {"estimate": estimate, "error_deg": trace["error_deg"][number]}
 
 
 def _directed(azimuth_deg: float | None, elevation_deg: float | None) -> dict[str, Any]:
@@ -169,7 +159,7 @@ def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda
     for number, message in enumerate(kept.items):
         step = {name: part for name, part in message.header.items() if name not in ("evidence", "sent", "type")}
         step["stamp"] = rounded(step["stamp"] - begun, 3)
-        found.add(step, (step["belief"], message.blobs.get("belief", b"")))
+        found.add(step, step["belief"], message.blobs.get("belief", b""))
         if "panorama" in message.blobs:
             found.pictures[number] = message.blobs["panorama"]
     return found

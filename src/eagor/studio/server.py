@@ -13,6 +13,7 @@ import webbrowser
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict
+from functools import partial
 from importlib.resources import files
 from ipaddress import ip_address
 from pathlib import Path
@@ -123,18 +124,12 @@ def create_app(manager: SessionManager) -> Starlette:
     async def state(_: Request) -> Response:
         return JSONResponse(manager.state())
 
-    async def runs(_: Request) -> Response:
-        return JSONResponse({"folder": str(manager.settings.runs), "runs": await manager.runs.ask("listed")})
-
-    async def run(request: Request) -> Response:
-        return JSONResponse(await manager.runs.ask("opened", request.path_params["name"]))
-
-    async def episode(request: Request) -> Response:
-        return JSONResponse(await manager.runs.ask("episode", *request.path_params.values()))
-
-    async def panorama(request: Request) -> Response:
-        picture = await manager.runs.ask("picture", *request.path_params.values())
-        return Response(picture, media_type=media_type(picture), headers={"Cache-Control": "max-age=3600"})
+    async def runs(request: Request) -> Response:
+        about = [*request.path_params.values()]
+        found = await manager.runs.ask(("listed", "opened", "episode", "picture")[len(about)], *about)
+        if not isinstance(found, bytes):
+            return JSONResponse(found)
+        return Response(found, media_type=media_type(found), headers={"Cache-Control": "max-age=3600"})
 
     async def pictures(request: Request) -> Response:
         declared, name = request.headers.get("content-length", ""), unquote(request.headers.get("x-name", ""))
@@ -143,19 +138,16 @@ def create_app(manager: SessionManager) -> Starlette:
             return JSONResponse(asdict(await manager.uploads.receive(size, request.stream(), name)), 201)
         return Response(status_code=400)
 
-    async def socket(web: WebSocket) -> None:
-        await _serve_page(manager, web)
-
     return Starlette(
         routes=[
             Route("/", index),
             Route("/api/state", state),
             Route("/api/runs", runs),
-            Route("/api/runs/{name}", run),
-            Route("/api/runs/{name}/episodes/{key}", episode),
-            Route("/api/runs/{name}/episodes/{key}/panorama/{number:int}", panorama),
+            Route("/api/runs/{name}", runs),
+            Route("/api/runs/{name}/episodes/{key}", runs),
+            Route("/api/runs/{name}/episodes/{key}/panorama/{number:int}", runs),
             Route("/api/pictures", pictures, methods=["POST"]),
-            WebSocketRoute("/ws", socket),
+            WebSocketRoute("/ws", partial(_serve_page, manager)),
             Mount("/assets", StaticFiles(directory=STATIC / "assets", check_dir=False)),
         ],
         lifespan=lifespan,
@@ -173,31 +165,25 @@ async def _serve_page(manager: SessionManager, web: WebSocket) -> None:
     """One page, until it goes: what it says is checked and passed on, what is for it is sent as fast as it reads."""
     await web.accept()
     page = Page()
-    sending = asyncio.create_task(_send(page, web))
+
+    async def send() -> None:
+        while True:
+            await web.send_bytes(packed(await page.get()))
+
+    sending = asyncio.create_task(send())
     try:
         while (received := await web.receive())["type"] != "websocket.disconnect":
-            _hear(manager, page, received.get("text") or received.get("bytes") or "")
+            message: Any = None
+            try:
+                message = read(received.get("text") or received.get("bytes") or "")
+                (manager.open if isinstance(message, Open) else manager.tell)(page, message)
+            except PageError as error:
+                page.put(Message.problem(error.problem, error.change, question=getattr(message, "question", 0)))
     finally:
         manager.leave(page)
         sending.cancel()
         with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError, OSError):
             await sending
-
-
-async def _send(page: Page, web: WebSocket) -> None:
-    with suppress(WebSocketDisconnect, RuntimeError):
-        while True:
-            await web.send_bytes(packed(await page.get()))
-
-
-def _hear(manager: SessionManager, page: Page, text: str | bytes) -> None:
-    message: Any = None
-    try:
-        message = read(text)
-        (manager.open if isinstance(message, Open) else manager.tell)(page, message)
-    except PageError as error:
-        question = getattr(message, "question", 0)
-        page.put(Message.problem(error.problem, error.change, question=question))
 
 
 def serve(settings: Settings, taken: socket, opens: str | None = None) -> None:

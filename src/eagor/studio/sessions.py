@@ -57,10 +57,7 @@ class Settings:
 
 
 class Page:
-    """A browser's page: the `stream` that it watches, and what waits for it.
-
-    However slow it is, what waits never grows: of steps only the newest does.
-    """
+    """A browser's page: the `stream` that it watches, and what waits for it: of steps the newest alone."""
 
     def __init__(self) -> None:
         self.stream: StreamHandle | None = None
@@ -84,14 +81,14 @@ class Page:
 
     async def get(self) -> Message:
         """The next message, once there is one: words before steps."""
-        while not self._said and self._step is None:
+        while True:
+            if self._said:
+                return self._said.popleft()
+            message, self._step = self._step, None
+            if message is not None:
+                return message
             self._news.clear()
             await self._news.wait()
-        if self._said:
-            return self._said.popleft()
-        message, self._step = self._step, None
-        assert message is not None
-        return message
 
 
 class StreamHandle:
@@ -171,8 +168,13 @@ class RunReader:
 
     async def ask(self, what: str, *about: Any) -> Any:
         """What the process answers. Raises `PageError`."""
+        refused, found = True, "the process that reads runs has ended unexpectedly"
         async with self._turn:
-            refused, found = await asyncio.to_thread(self._asked, (self._root, what, *about))
+            if self._worker is None or not self._worker.alive:
+                self._worker = await asyncio.to_thread(Worker, RUNS)
+            with suppress(WorkerEnded):
+                self._worker.send((self._root, what, *about))
+                refused, found = await asyncio.to_thread(self._worker.receive)
         if refused:
             words = " ".join(found.split())
             raise PageError(f"{words[:1].upper()}{words[1:]}.", "Choose another; eagor bench info RUN says more.", 422)
@@ -182,15 +184,6 @@ class RunReader:
         """End the process."""
         if self._worker is not None:
             self._worker.close(ENDING)
-
-    def _asked(self, question: tuple[Any, ...]) -> tuple[bool, Any]:
-        if self._worker is None or not self._worker.alive:
-            self._worker = Worker(RUNS)
-        try:
-            self._worker.send(question)
-            return self._worker.receive()
-        except WorkerEnded:
-            return True, "the process that reads runs has ended unexpectedly"
 
 
 class SessionManager:
@@ -210,10 +203,9 @@ class SessionManager:
 
     def close(self) -> None:
         """End the processes, remove the uploads."""
-        for stream in (*self._streams.values(), *filter(None, [self._warm])):
-            stream.close()
-        self.runs.close()
-        self.uploads.close()
+        for each in (*self._streams.values(), self._warm, self.runs, self.uploads):
+            if each is not None:
+                each.close()
 
     def open(self, page: Page, message: Open) -> None:
         """Show a source on a page, in place of the one before. Raises `PageError`."""
@@ -260,24 +252,25 @@ class SessionManager:
 
     def _opening(self, message: Open) -> Opening:
         """What a page opens. Raises `PageError` for what there is not."""
-        kind, _, rest = message.source.partition(":")
-        query, number, camera = message.query, message.question, camera_of(message.hfov, None)
-        if (found := APARTMENT.fullmatch(message.source)) is not None:
+        source, query, number, live = message.source, message.query, message.question, self.settings.live
+        camera = camera_of(message.hfov, None)
+        if (found := APARTMENT.fullmatch(source)) is not None:
             drive = f"?drive={message.drive}" if message.drive else ""
-            perception = self._checked(message.perception, True)
-            return Opening(message.source + drive, f"Apartment {found[1]}", query, perception, number)
-        if kind == "upload":
-            upload, perception = self.uploads.get(rest), self._checked(message.perception, False)
+            return Opening(
+                source + drive, f"Apartment {found[1]}", query, self._checked(message.perception, True), number
+            )
+        if source.startswith("upload:"):
+            upload, perception = self.uploads.get(source[7:]), self._checked(message.perception, False)
             if not query:
                 raise PageError("There is no query.", "Say what to look for, such as 'red chair'.")
             poses = "still" if upload.kind == "photo" else "auto"
             return Opening(upload.source, upload.name, query, perception, number, poses, camera=camera)
-        live = self.settings.live
-        if message.source != "live" or live is None:
+        if source != "live" or live is None:
             raise PageError("There is no such source.", "Start eagor studio with --source to see a camera here.", 404)
+        live = replace(live, query=query, question=number) if query else live
+        live = replace(live, camera=camera) if message.hfov else live
         perception = self._checked(message.perception, live.simulated) if message.perception else live.perception
-        live = replace(live, query=query or live.query, question=number if query else live.question)
-        return replace(live, perception=perception, camera=live.camera if message.hfov is None else camera)
+        return replace(live, perception=perception)
 
     def _usable(self, simulated: bool) -> list[str]:
         """The names of the perceptions that can look at such sources."""
@@ -287,7 +280,7 @@ class SessionManager:
     def _checked(self, name: str, simulated: bool) -> str:
         """This perception, or the first one if none is named; a page may name no other. Raises `PageError`."""
         usable = self._usable(simulated)
-        if name in usable or (usable and not name):
+        if usable and name in ("", *usable):
             return name or usable[0]
         problem = next((each["problem"] for each in self.perceptions if each["name"] == name), "")
         change = problem or f"Choose one of {', '.join(usable)}."
@@ -297,14 +290,10 @@ class SessionManager:
         """What ``/api/state`` says."""
         live = self.settings.live
         return {
-            "version": __version__,
-            "ready": self.ready,
-            "opens": "walk" if live is None else "live",
-            "perceptions": self.perceptions,
-            "houses": {"last": LAST_SEED, "offered": OFFERED},
-            "limits": {"upload_bytes": BYTES, "pixels": PIXELS},
-            "source": None if live is None else live.title,
-        }
+            "version": __version__, "ready": self.ready, "opens": "walk" if live is None else "live",
+            "perceptions": self.perceptions, "houses": {"last": LAST_SEED, "offered": OFFERED},
+            "limits": {"upload_bytes": BYTES, "pixels": PIXELS}, "source": None if live is None else live.title,
+        }  # fmt: skip
 
 
 def offers(given: str | None) -> list[dict[str, Any]]:

@@ -14,20 +14,20 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from eagor.errors import EagorError
-from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame, Trouble
+from eagor.live.events import Answer, Diagnostic, Event, ImageReceived, ObservationReceived, PoseReceived
 from eagor.live.loop import LOADING, Loop
 from eagor.live.threads import already_open
-from eagor.media import CameraSource, Frame
+from eagor.media import Frame
 from eagor.media.camera_sources import open_source
 from eagor.media.footage import Footage
 from eagor.media.intrinsics import ShapeError
@@ -50,7 +50,7 @@ AGAIN = 0.5  # seconds of the recording from its last picture to the same one ag
 
 
 class Played(Footage):
-    """A recording for people: no faster than it was taken. It can pause, and gives its last picture again, if asked."""
+    """A recording for people: no faster than it was taken. It can pause, and its last picture comes again if wanted."""
 
     waits = True
 
@@ -82,21 +82,16 @@ class Played(Footage):
             self._wanted = False
             return not self._closed
 
-    def _set(self, **state: bool) -> None:
+    def pause(self, on: bool) -> None:
+        """Stand still, or go on, with a picture at once: somebody wants to see."""
         with self._changed:
-            self.__dict__.update(state)
+            self._paused, self._wanted = on, not on
             self._changed.notify_all()
 
-    def pause(self, on: bool) -> None:
-        """Stand still, or go on."""
-        self._set(_paused=on)
-
-    def again(self) -> None:
-        """Give a picture at once: something else is looked for."""
-        self._set(_wanted=True)
-
     def close(self) -> None:
-        self._set(_closed=True)
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
 
 
 class StudioSink:
@@ -116,11 +111,11 @@ class StudioSink:
         self._asked: tuple[str, int] = opening.query or getattr(source, "query", ""), opening.question
         self.next: tuple[str, int] | None = None  # what is looked for in its place
         self._begun, self._ended, self._fresh = False, False, False
-        self._frames: deque[FrameCame] = deque(maxlen=WAITING)  # those that wait for their pose
+        self._frames: deque[ImageReceived] = deque(maxlen=WAITING)  # those that wait for their pose
         self._lens: dict[str, Any] | None = None  # of an ordinary camera
         self._position: np.ndarray | None = None
         self._answer: Answer | None = None  # the newest
-        self._look: EvidenceCame | None = None  # the newest that has not been sent
+        self._look: ObservationReceived | None = None  # the newest that has not been sent
         self._shown: Any = None  # the belief that was sent last,
         self._picture: np.ndarray | None = None  # the picture,
         self._sent = -math.inf  # and when
@@ -141,8 +136,6 @@ class StudioSink:
         self.loop.follow([*dict.fromkeys((self.query, query))])
         if hasattr(self._source, "pause"):  # who asks wants to see
             self._source.pause(False)
-        if isinstance(self._source, Played):
-            self._source.again()
 
     def _refused(self, problem: str) -> None:
         """Say why the newest question is not answered; the one before goes on."""
@@ -156,10 +149,10 @@ class StudioSink:
             return
         query = self.next[0]
         seen = any(each.query == query and math.isfinite(each.look_age) for each in answers)
-        if seen or (isinstance(event, EvidenceCame) and event.query == query):
+        if seen or (isinstance(event, ObservationReceived) and event.query == query):
             self._asked, self.next = self.next, None
             self._scene()
-        elif isinstance(event, Trouble) and event.part == "perception" and event.about == query and event.text:
+        elif isinstance(event, Diagnostic) and event.part == "perception" and event.about == query and event.text:
             self._refused(event.text)
         else:
             return
@@ -169,11 +162,11 @@ class StudioSink:
         """An event of the loop, and the answers to it."""
         with self._lock:
             self._tried(event, answers)
-        if isinstance(event, FrameCame) and event.picture is not None:
+        if isinstance(event, ImageReceived) and event.picture is not None:
             self._frame(event)
-        elif isinstance(event, PoseCame):
+        elif isinstance(event, PoseReceived):
             self._position = event.pose.position
-        elif isinstance(event, EvidenceCame) and event.looks and event.query == self.query:
+        elif isinstance(event, ObservationReceived) and event.looks and event.query == self.query:
             self._fresh, self._look = True, event
         for answer in answers:
             placed = not self._opening.simulated or self._position is not None
@@ -186,7 +179,7 @@ class StudioSink:
             self._ended = True
             self._refused(f"{self._opening.title} has ended")
 
-    def _frame(self, frame: FrameCame) -> None:
+    def _frame(self, frame: ImageReceived) -> None:
         if (lens := lens_of(frame.grid)) != self._lens:
             self._lens, self._begun = lens, False
         if self._paused or not self._frames or frame.arrival - self._frames[-1].arrival >= PICTURES / 2:
@@ -199,7 +192,7 @@ class StudioSink:
         """Whether time stands still."""
         return bool(getattr(getattr(self._source, "clock", None), "paused", False))
 
-    def _taken(self, now: float) -> FrameCame | None:
+    def _taken(self, now: float) -> ImageReceived | None:
         """The newest picture whose pose is known; after `LATE` seconds, or while all stands still, the newest.
 
         One that is shown before its pose is known would be drawn where the camera pointed before.
@@ -257,14 +250,6 @@ class StudioSink:
         self._say(Message({"type": "scene", **scene_of(opening.title, query, **about)}))
 
 
-def open_for(opening: Opening) -> CameraSource:
-    """The source of an opening. Raises as `open_source`."""
-    if opening.simulated:
-        return open_source(opening.source)
-    rate = LOOKS if os.path.isfile(opening.source) else None
-    return open_source(opening.source, rows=ROWS, rig=opening.rig, rate=rate, camera=opening.camera)
-
-
 class Stream:
     """The life of a process that shows one source after the other: what it is told, and what it says."""
 
@@ -294,24 +279,25 @@ class Stream:
 
     def _play(self, opening: Opening) -> None:
         """Follow a source until it ends, or something else is to be shown."""
-        again = partial(open_for, opening)
-        source: Any = again()
-        try:
+        how: dict[str, Any] = {}
+        if not opening.simulated:
+            rate = LOOKS if os.path.isfile(opening.source) else None
+            how = {"rows": ROWS, "rig": opening.rig, "rate": rate, "camera": opening.camera}
+        again = partial(open_source, opening.source, **how)
+        with closing(again()) as source:
             if not self._openings.empty():
                 return
             poses, live = poses_for(opening.poses, source), source.live
-            self._source = source if live else Played(source)
+            self._source = source if live else Played(cast(Footage, source))
             sink = StudioSink(self._say, opening, self._source)
             shown = already_open(source, again) if live and not opening.simulated else self._source
             config = TrackerConfig(floor_height=FLOOR if opening.simulated else None)
-            clock = getattr(source, "clock", None)
             sink.loop = loop = Loop(
-                shown, poses, opening.perception, sink.query, live, [sink], rate=RATE, config=config, clock=clock
-            )
+                shown, poses, opening.perception, sink.query, live, [sink], rate=RATE, config=config,
+                clock=getattr(source, "clock", None),
+            )  # fmt: skip
             self._sink = sink
             loop.run(lambda _: None)
-        finally:
-            source.close()
 
     def _listen(self) -> None:
         with suppress(EOFError, OSError):

@@ -36,7 +36,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from eagor.conventions import xyzw_from_rotation
 from eagor.errors import DeviceError, EagorError, FormatError, QueryError
 from eagor.live.core import deviation
-from eagor.live.events import Answer, Event, Fault, FaultLog, FrameCame, PoseCame
+from eagor.live.events import Answer, Event, Fault, FaultLog, ImageReceived, PoseReceived
 from eagor.live.loop import Loop
 from eagor.media.ros_frames import optical
 from eagor.media.ros_messages import NANO
@@ -265,9 +265,9 @@ class EagorNode(LifecycleNode):
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """As a sink of the loop."""
-        if isinstance(event, PoseCame):
+        if isinstance(event, PoseReceived):
             self.pose = event.pose
-        elif isinstance(event, FrameCame):
+        elif isinstance(event, ImageReceived):
             self.picture = event.stamp
         elif answers and self.listener.placed(self.base, self.frame) != self.placed:
             self.begin_anew()  # all before was told in other axes

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 from eagor._checks import above, require, within
-from eagor.live.events import Answer, Event, PoseCame
+from eagor.live.events import Answer, Event, PoseReceived
 from eagor.robots.safety.gate import GateStatus, Mode
 from eagor.robots.safety.guard import Guard
 from eagor.robots.safety.limits import STILL, Velocity
@@ -193,7 +193,7 @@ class Odometer:
         self._guard, self._now = guard, now
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
-        if isinstance(event, PoseCame):
+        if isinstance(event, PoseReceived):
             place = event.pose.position
             self.xy = None if place is None else (float(place[0]), float(place[1]))
             self._guard.pose(max(0.0, self._now() - event.pose.stamp))

@@ -24,7 +24,7 @@ from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.tasks.sim.navigation import MapFreeNavigationEnv
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.navmesh import sees, walls_below
-from eagor.live.events import Answer, Event, EvidenceCame
+from eagor.live.events import Answer, Event, ObservationReceived
 from eagor.live.threads import LoopClock
 from eagor.media import Frame, Pose
 from eagor.queries import matching, parse_query
@@ -231,7 +231,7 @@ class Walk:
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
         """As a sink of the loop: the policy follows its first answer."""
-        self._looks += isinstance(event, EvidenceCame)
+        self._looks += isinstance(event, ObservationReceived)
         if answers:
             self._direction = answers[0].direction
 
