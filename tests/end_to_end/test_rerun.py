@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from eagor.drawing.rerun_log import RerunLog
 from PIL import Image
 from rerunreading import read
 
 from eagor import DirectionTracker, Evidence
 from eagor.cli import main
-from eagor.drawing.rerun_log import RerunLog
 from eagor.errors import EagorError, StorageError
 from eagor.lab.worlds.painted import painted_room
 from eagor.sphere import azimuth_elevation, world_R_body

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from eagor.drawing.panorama import OURS, heat_of
+from eagor.drawing.view import edge, heat_in_view, lines_in_view, outline_of
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import at_most
@@ -12,9 +14,7 @@ import eagor
 from eagor import Evidence
 from eagor.cameras import Lens
 from eagor.drawing import BeliefPage, BeliefVideo, Mosaic, draw_belief, page
-from eagor.drawing.panorama import OURS, heat_of
 from eagor.drawing.step import StepPainter
-from eagor.drawing.view import edge, heat_in_view, lines_in_view, outline_of
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, unit, world_R_body

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from eagor.drawing.panorama import OURS
 from PIL import Image, ImageSequence
 from tracks_drawn import PANORAMA, turning
 
 from eagor.drawing import video
-from eagor.drawing.panorama import OURS
 from eagor.drawing.video import BeliefVideo
 from eagor.errors import EagorError, MissingExtraError, StorageError, TimeError
 from eagor.sphere import azimuth_elevation

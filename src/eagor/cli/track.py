@@ -120,6 +120,11 @@ def track(options: Track) -> int:
                 advance()
 
         sinks: list[Sink] = [Notes(), ByFrame(each, partial(_rivals, spec) if options.compare else dict)]
+        if options.rerun:
+            from eagor.live.rerun import RerunLog
+
+            title = f"{', '.join(queries)}: {options.rerun.name}"
+            sinks.append(RerunLog(checks.checked_out(options.rerun, "--rerun"), title))
         loop = Loop(
             journey.source, journey.poses, perception, queries, sinks=sinks, config=config, looks=journey.looks,
             mask=mask,
@@ -322,11 +327,6 @@ def _outputs(options: Track, queries: Sequence[str], spec: str, journey: Journey
         outputs.append(lambda result: write(_entry(result, options.modes)) if result.told else None)
     if options.picture:
         outputs.append(_painter(options.picture, queries, options.modes))
-    if options.rerun:
-        from eagor.drawing.rerun_log import RerunLog
-
-        log = RerunLog(checks.checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {options.rerun.name}")
-        outputs.append(_logged(stack.enter_context(log)))
     used = {"perception": spec, "poses": journey.told}
     used |= {"calibration": str(options.calibration)} if options.calibration else {}
     for query in queries:
@@ -346,21 +346,7 @@ def _outputs(options: Track, queries: Sequence[str], spec: str, journey: Journey
 def _filmed(video: Any, query: str, begins: float) -> Output:
     def add(result: Followed) -> None:
         if result.picture is not None and result.query == query:
-            video.add(
-                result.picture, result.estimate, stamp=result.stamp - begins, query=query, problem=result.problem,
-                grid=result.grid,
-            )  # fmt: skip
-
-    return add
-
-
-def _logged(log: Any) -> Output:
-    def add(result: Followed) -> None:
-        if result.picture is not None or result.told:
-            log.add(
-                result.picture, result.estimate, stamp=result.stamp, query=result.query, position=result.position,
-                others=result.others, problem=result.problem, grid=result.grid,
-            )  # fmt: skip
+            video.add(result.picture, result.estimate, query=query, **_shown(result, begins))
 
     return add
 
@@ -370,13 +356,14 @@ def _paged(page: Any, query: str, begins: float) -> Output:
         if not result.told or result.query != query:
             return
         if result.lost:
-            page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
-        page.add(
-            result.picture, result.estimate, stamp=result.stamp - begins, name=result.frame,
-            problem=result.problem, grid=result.grid,
-        )  # fmt: skip
+            page.notes.append(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
+        page.add(result.picture, result.estimate, name=result.frame, **_shown(result, begins))
 
     return add
+
+
+def _shown(result: Followed, begins: float) -> dict[str, Any]:
+    return {"stamp": result.stamp - begins, "problem": result.problem, "grid": result.grid}
 
 
 def _painter(folder: Path, queries: Sequence[str], most: int) -> Output:

@@ -5,11 +5,15 @@ The file needs nothing else: it opens from disk and sends no request. All words 
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from html import escape
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from types import TracebackType
 
 import numpy as np
@@ -17,11 +21,19 @@ import numpy as np
 from eagor._files import written
 from eagor._values import wide
 from eagor._version import __version__
-from eagor.drawing.html_parts import FULL, Strips, as_address, facts, filled, items, key
-from eagor.drawing.step import ScenePainter
-from eagor.drawing.style import STATUS, candidates_in_words, far_in_words, in_words, signed, status_in_words
-from eagor.drawing.timeline import COLOURS, SIDES, Moment, Thinned, TimeLine
-from eagor.errors import EagorError, StorageError
+from eagor.drawing.step import StepPainter
+from eagor.drawing.style import (
+    COLOURS,
+    SIDES,
+    STATUS,
+    candidates_in_words,
+    far_in_words,
+    in_words,
+    signed,
+    status_in_words,
+)
+from eagor.drawing.timeline import Moment, Thinned, TimeLine
+from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
 
@@ -29,12 +41,13 @@ __all__ = ["BeliefPage"]
 
 PICTURES = 60  # of `as_address`: 7.4 MB as text, so that the page can be sent by mail
 WIDTH = 1120  # columns of a picture
+LARGEST = 92_000  # bytes of a picture
+QUALITIES = (82, 74, 66, 58, 48, 36)  # of JPEG, best first
 ROWS = 1500  # of the table
 NAMED = 50  # problems that are listed
 COLUMNS = ("frame", "time (s)", "picture", "azimuth (°)", "elevation (°)", "90 % cone (°)", "presence", "status")
-LEFT, WIDE = 64, 914  # user units of the time line: where the axis begins, its width
+FULL, TALL, LEFT, WIDE = 1000, 226, 64, 914  # user units of the time line: its size, where the axis begins, its width
 AZIMUTH_STRIP, PRESENCE_STRIP, STATUS_STRIP = (8, 148), (158, 186), (194, 206)  # rows: from, to
-TALL = 226  # the whole height
 AROUND = (  # what a picture of a panorama shows
     "The middle of a picture is ahead of the camera, its edges are behind it. Cyan: the answer, with an arrow that "
     "shows which way to turn where 90 % lie within 90 degrees of it."
@@ -73,8 +86,8 @@ class BeliefPage:
         if not self.path.absolute().parent.is_dir():
             raise EagorError(f"{path}: there is no folder {self.path.absolute().parent}; make it first")
         self.line = TimeLine(span)
-        self.notes: list[str] = []
-        self._painter = ScenePainter(WIDTH)
+        self.notes: list[str] = []  # sentences under "What was left out"
+        self.painter = StepPainter(WIDTH, bare=True)
         self._pictures, self._rows = Thinned(PICTURES), Thinned(ROWS)
         self._problems: list[str] = []
         self._last: tuple[int, str, Moment]  # what is known of the newest frame, and all that is drawn of it
@@ -91,9 +104,8 @@ class BeliefPage:
         problem: str | None = None,
         grid: PerspectiveGrid | None = None,
     ) -> None:
-        """Append one frame: what was seen, the answer, when, its name, why it could not be used.
+        """Append one frame with its `name`; other arguments as for `StepPainter.paint`.
 
-        `picture` ``(H, W, 3)``: a panorama, or what an ordinary camera with this `grid` saw; None if it cannot be read.
         Raises `TimeError` unless the stamps grow.
         """
         moment = Moment.of(estimate, stamp, problem)
@@ -103,25 +115,21 @@ class BeliefPage:
             self._problems.append(f"{name}: {problem}")
         self._ordinary = self._ordinary or grid is not None
         self._last, self._newest = (self._rows.count, name, moment), (picture, estimate, problem, grid)
-        if not self._pictures.wants:
-            self._painter.look(picture, estimate, grid)
+        if not self._pictures.wants and grid is not None and picture is not None:  # it is part of what is around
+            self.painter.scene.mosaic.add(picture, grid, estimate.world_R_body)
         self._pictures.add((self._painted() if self._pictures.wants else None, *self._last))
         self._rows.add(self._last)
 
     def _painted(self) -> str:
         """The picture of the frame that was added last."""
-        return as_address(self._painter.paint(*self._newest))
-
-    def note(self, text: str) -> None:
-        """A sentence under "What was left out"."""
-        self.notes.append(text)
+        picture, estimate, problem, grid = self._newest
+        return as_address(self.painter.paint(picture, estimate, problem=problem, grid=grid))
 
     def close(self) -> None:
         """Write the page; nothing without steps. Raises `StorageError`."""
-        if self._closed or self.line.last is None:
-            return
-        self._closed = True
-        written(self.path, self._page())
+        if not self._closed and self.line.last is not None:
+            self._closed = True
+            written(self.path, self._page())
 
     def __enter__(self) -> BeliefPage:
         return self
@@ -132,14 +140,10 @@ class BeliefPage:
         if error is not None:
             why = "it was interrupted" if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
             self.notes.insert(0, f"The run did not end ({why}); the page holds what came before.")
-        try:
-            self.close()
-        except StorageError:
-            if error is None:  # else the first error says what was wrong
-                raise
+        self.close()
 
     def _page(self) -> str:
-        query, pictures = " ".join(self.query.split()), self._pictures.items
+        pictures = self._pictures.items
         if pictures[-1][1] != self._last[0]:  # the answer above is that of the last frame: it is shown first
             pictures = [*pictures, (self._painted(), *self._last)]
         steps = [
@@ -149,7 +153,7 @@ class BeliefPage:
                 "name": name,
                 "at": round(moment.stamp - self.line.first, 4),
                 "row": index,
-                "x": None if self._ordinary or moment.azimuth is None else round(0.5 - moment.azimuth / (2 * np.pi), 4),
+                "x": None if self._ordinary or moment.azimuth is None else round(0.5 - moment.azimuth / math.tau, 4),
             }
             for picture, index, name, moment in pictures
         ]
@@ -158,10 +162,18 @@ class BeliefPage:
         shown = {index: number for number, (_, index, _, _) in enumerate(pictures)}
         more = [f"and {len(self._problems) - NAMED} more frames"] if len(self._problems) > NAMED else []
         left_out = [*self.notes, *self._problems[:NAMED], *more]
-        lines = [("answer", "answer, presence"), ("band", "azimuths of its 90 % cone")]
-        return filled(
-            "track.html", "track.css",
-            title=escape(f"Where is “{query}”?"),
+        colours = {"answer": "answer, presence", "band": "azimuths of its 90 % cone"}
+        colours |= {status: f"status: {status}" for status in COLOURS}
+        thinned = [
+            (self._pictures, "One of {} frames has a picture ({} frames)."),
+            (self._rows, "The table has one of {} frames."),
+        ]
+        folder = files("eagor.drawing") / "templates"
+        page, css = ((folder / name).read_text(encoding="utf-8") for name in ("track.html", "track.css"))
+        return Template(page).substitute(
+            css=css,
+            version=__version__,
+            title=escape(f"Where is “{' '.join(self.query.split())}”?"),
             data=json.dumps(data, ensure_ascii=False).replace("<", "\\u003c").replace("&", "\\u0026"),
             answer=escape(self._answer()),
             status=escape(self._status()),
@@ -169,15 +181,15 @@ class BeliefPage:
             said=escape(steps[-1]["said"]),
             most=len(pictures) - 1,
             count=len(pictures),
-            seen=escape(IN_VIEW if self._ordinary else AROUND),
-            pictures=escape(self._thinned()),
+            seen=IN_VIEW if self._ordinary else AROUND,
+            pictures=" ".join(text.format(kept.stride, kept.count) for kept, text in thinned if kept.stride > 1),
             line=time_line(self.line),
-            key=key([*lines, *((status, f"status: {status}") for status in COLOURS)]),
+            key="".join(f'<li><i style="background:var(--{name})"></i>{text}</li>' for name, text in colours.items()),
             heads="".join(f'<th scope="col">{head}</th>' for head in COLUMNS),
             rows="\n".join(_row(index, name, moment, shown.get(index)) for index, name, moment in self._rows.items),
-            used=facts(used),
-            left_out=items(left_out) if left_out else "<p>Nothing: every frame was used.</p>",
-        )  # fmt: skip
+            used="".join(f"<dt>{escape(name)}</dt><dd>{escape(str(value))}</dd>" for name, value in used.items()),
+            left_out="".join(f"<li>{escape(text)}</li>" for text in left_out or ["Nothing: every frame was used."]),
+        )
 
     def _answer(self) -> str:
         _, estimate, *_ = self._newest
@@ -185,44 +197,64 @@ class BeliefPage:
         return f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}, in the last frame."
 
     def _status(self) -> str:
-        _, _, last = self._last
-        estimate = self._newest[1]
-        texts = [f"The status is {last.status}: {status_in_words(last.status, last.presence)}."]
-        texts.append(f"The probability that it is here at all is {last.presence:.2f}.")
-        if last.cone is not None:
-            texts.append(f"The belief: {estimate.certainty}.")
-        whole = max(self.line.end, 1e-9)
-        lasting = {name: 0.0 for name in STATUS}
+        """What the last status means, and for how long each of them was."""
+        last, whole = self._last[2], max(self.line.end, 1e-9)
+        lasting = dict.fromkeys(STATUS, 0.0)
         for begin, end, name in self.line.stretches():
             lasting[name] += end - begin
-        shares = [f"{100 * time / whole:.0f} % {name}" for name, time in lasting.items() if time > 0]
-        return " ".join(texts) + f" Of {self.line.now:.1f} seconds: {', '.join(shares)}."
+        shares = ", ".join(f"{100 * time / whole:.0f} % {name}" for name, time in lasting.items() if time > 0)
+        belief = "" if last.cone is None else f" The belief: {self._newest[1].certainty}."
+        return (
+            f"The status is {last.status}: {status_in_words(last.status, last.presence)}. The probability that it is "
+            f"here at all is {last.presence:.2f}.{belief} Of {self.line.now:.1f} seconds: {shares}."
+        )
 
-    def _thinned(self) -> str:
-        texts = []
-        if self._pictures.stride > 1:
-            texts.append(f"One of {self._pictures.stride} frames has a picture ({self._pictures.count} frames).")
-        if self._rows.stride > 1:
-            texts.append(f"The table has one of {self._rows.stride} frames.")
-        return " ".join(texts)
+
+def as_address(pixels: np.ndarray) -> str:
+    """A picture as a data URL of a JPEG of at most `LARGEST` bytes; a picture too busy for that is made smaller."""
+    from PIL import Image
+
+    picture = Image.fromarray(pixels)
+    while True:
+        for quality in QUALITIES:
+            buffer = io.BytesIO()
+            picture.save(buffer, "JPEG", quality=quality, optimize=True)
+            if buffer.tell() <= LARGEST:
+                return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+        picture = picture.resize((picture.width * 3 // 4, picture.height * 3 // 4))
 
 
 def time_line(line: TimeLine) -> str:
-    """The time line as SVG, with a line ``now`` that can be moved."""
-    strips, (top, bottom) = Strips(LEFT, WIDE, 0.0, line.span), AZIMUTH_STRIP
-    for at, name in SIDES:
-        y = bottom - (bottom - top) * (at + 180) / 360
-        strips.rule(y)
-        strips.text(name, y)
-    for row, name in ((PRESENCE_STRIP, "presence"), (STATUS_STRIP, "status")):
-        strips.text(name, sum(row) / 2)
-    strips.boxes(line.bands(), AZIMUTH_STRIP, -180, 180, "band")
-    strips.steps(line.answers(), AZIMUTH_STRIP, -180, 180, "given", joined=False)
-    strips.boxes(np.insert(line.presence(), 2, 0.0, axis=1), PRESENCE_STRIP, 0, 1, "presence")
-    strips.stretches(line.stretches(), STATUS_STRIP, {})
-    now = f'<line id="now" class="now" x1="{LEFT}" x2="{LEFT}" y1="{top}" y2="{STATUS_STRIP[1]}"/>'
+    """The time line as SVG, with a line ``now`` that can be moved; classes give the colours."""
+
+    def text(words: str, y: float, x: float = LEFT - 6, anchor: str = "end") -> str:
+        return f'<text x="{x:.2f}" y="{y + 4}" text-anchor="{anchor}">{words}</text>'
+
+    def strip(place: tuple[int, int], low: float, high: float, parts: Iterable[str]) -> str:
+        """A row from `low` to `high`, in which x are seconds."""
+        scale = f"scale({WIDE / line.span:.6g} {(place[0] - place[1]) / (high - low):.6g})"
+        return f'<g transform="translate({LEFT} {place[1]}) {scale} translate(0 {-low})">{"".join(parts)}</g>'
+
+    def boxes(kind: str, rows: Iterable[Iterable[float]], inside: str = "") -> str:
+        """Boxes: begin, end, and two values."""
+        path = "".join(f"M{b:.3f} {v:.3f}V{w:.3f}H{e:.3f}V{v:.3f}Z" for b, e, v, w in rows)
+        return f'<path class="{kind}" d="{path}">{inside}</path>'
+
+    (top, bottom), ends = AZIMUTH_STRIP, line.answers()[:, [0, 1, 2, 2]]  # the answers: boxes without a height
+    heights = [(name, bottom - (bottom - top) * (at + 180) / 360) for at, name in SIDES]
+    spent = [(status, end - begin, (begin, end, 0, 1)) for begin, end, status in line.stretches()]
+    parts = [
+        *(f'<path class="line" d="M{LEFT} {y}h{WIDE}"/>' + text(name, y) for name, y in heights),
+        text("presence", sum(PRESENCE_STRIP) / 2),
+        text("status", sum(STATUS_STRIP) / 2),
+        *(text(name, TALL - 9, LEFT + WIDE * time / line.span, "middle") for time, name in line.ticks()),
+        strip(AZIMUTH_STRIP, -180, 180, [boxes("band", line.bands()), boxes("given", ends)]),
+        strip(PRESENCE_STRIP, 0, 1, [boxes("presence", line.presence())]),
+        strip(STATUS_STRIP, 0, 1, [boxes(s, [box], f"<title>{s}, {long:.2f} s</title>") for s, long, box in spent]),
+        f'<line id="now" class="now" x1="{LEFT}" x2="{LEFT}" y1="{top}" y2="{STATUS_STRIP[1]}"/>',
+    ]
     said = "Azimuth of the answer with its 90 percent cone, presence and status over time"
-    return strips.svg(TALL, said, line.first if 0 <= line.first < 1e5 else 0.0, now, ' id="timeline"')
+    return f'<svg id="timeline" viewBox="0 0 {FULL} {TALL}" role="img" aria-label="{said}">{"".join(parts)}</svg>'
 
 
 def _said(name: str, moment: Moment) -> str:

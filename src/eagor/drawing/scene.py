@@ -1,0 +1,438 @@
+"""What was seen, with what is believed on it: one set of marks for panoramas and for pictures of an ordinary camera.
+
+Where an answer is in an ordinary picture it is marked there, with the border of its region. Where it is not, an arrow
+at the edge points to it and says how far it is, and how sure. A small panorama beside it shows the whole belief over
+what was looked at so far (`Mosaic`), in the body's axes of now, with the outline of the view: one look tells "behind
+you, to the left".
+
+Places on a panorama are degrees: azimuth, positive to the left, and elevation. Places in an ordinary picture are shares
+of its width and height, from the left upper corner.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from eagor.belief.posterior import Readable
+from eagor.drawing.heat import MASS, Heat, heat_in_view, heat_of
+from eagor.drawing.style import COLOURS, DESIGN, SIDES, WORDS, answer_in_words, family, short, sureness
+from eagor.errors import EagorError
+from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.sphere import azimuth_elevation, direction, unit
+from eagor.tracking.estimate import Estimate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["ALONE", "OURS", "TRUTH", "Marks", "Mosaic", "Scene", "backdrop", "paint_marks"]
+
+OURS, TRUTH, ALARM = "#00e5ff", "#39ff6a", "#ffb000"
+# Markers and colours that can be told apart in grey and by the colour-blind; the first methods get the first ones.
+OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
+NEAR_SEAM = 172  # degrees of azimuth: a marker beyond it is drawn at both edges
+COLOUR, BRIGHTNESS = 0.72, 0.80  # of the panorama's own, so that heat and markers stand out
+BEHIND = (40, 44, 52)  # where there is no picture
+MARGIN = 0.035  # of the picture's smaller side, between an arrow at the edge and the edge
+SHRINK = 1.5  # pixels of a picture per cell of a mosaic: a finer one is shrunk first, by areas
+LEAST, GAP = 0.17, 14 / DESIGN  # of the scene's width: a small panorama at least, and around it
+SMALL = 0.6  # of markers and lines, on the small panorama
+LONGEST_PROBLEM = 150  # characters
+
+
+def outline(width: float) -> list[Any]:
+    """Effects for bright lines of matplotlib: a dark one of this width below."""
+    from matplotlib import patheffects
+
+    return [patheffects.Stroke(linewidth=width, foreground="black", alpha=0.75), patheffects.Normal()]
+
+
+def worth_an_arrow(estimate: Estimate) -> bool:
+    """Whether an answer is worth an arrow: half of the sphere or less holds 90 % of the belief about it."""
+    return estimate.direction is not None and estimate.credible_angle <= math.pi / 2
+
+
+# --- where things are -------------------------------------------------------------------------------------------------
+
+
+def places(where: np.ndarray, grid: PerspectiveGrid | None = None) -> np.ndarray:
+    """Where a direction ``(3,)`` of the body is drawn ``(k, 2)``: on a panorama, or with `grid` in that picture.
+
+    Two places if it is at the seam of the panorama, none if it is not in the picture.
+    """
+    if grid is not None:
+        x, y, inside = grid.project(np.asarray(where, dtype=float))
+        return np.array([[float(x) / grid.width, float(y) / grid.height]]) if inside else np.zeros((0, 2))
+    azimuth, elevation = (math.degrees(float(angle)) for angle in azimuth_elevation(np.asarray(where)))
+    beyond = [(azimuth - math.copysign(360, azimuth), elevation)] if abs(azimuth) > NEAR_SEAM else []
+    return np.array([(azimuth, elevation), *beyond])
+
+
+def lines_in_view(lines: Sequence[np.ndarray], grid: PerspectiveGrid) -> list[np.ndarray]:
+    """The parts of polylines ``(n, 2)`` of a panorama that are in this picture, as places there."""
+    found = []
+    for line in lines:
+        x, y, inside = grid.project(direction(*np.radians(np.asarray(line, dtype=float)).T))
+        at = np.stack([x / grid.width, y / grid.height], axis=-1)
+        parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(inside.astype(int))) + 1)
+        found += [at[part] for part in parts if len(part) > 1 and inside[part[0]]]
+    return found
+
+
+def outline_of(grid: PerspectiveGrid) -> list[np.ndarray]:
+    """The outline of a view as polylines ``(n, 2)`` on a panorama, cut at the seam."""
+    t, zero = np.linspace(0, 1, 24), np.zeros(24)
+    x, y = np.concatenate([t, zero + 1, 1 - t, zero]), np.concatenate([zero, t, zero + 1, 1 - t])
+    found = np.degrees(np.stack(azimuth_elevation(grid.unproject(x * grid.width, y * grid.height)), axis=-1))
+    return np.split(found, np.flatnonzero(np.abs(np.diff(found[:, 0])) > 180) + 1)
+
+
+def edge(where: np.ndarray, grid: PerspectiveGrid, width: float, height: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """The arrow to a direction ``(3,)`` of the body that is out of view, for a picture of this size in pixels.
+
+    Its tip and the unit vector along it, pixels, x right and y down; degrees from the view's axis to the direction. It
+    points along the great circle from the axis; straight behind counts as right.
+    """
+    ahead, left, up = np.asarray(where, dtype=float) @ grid.body_R_view
+    length = math.hypot(left, up)
+    way = np.array([-left, -up]) / length if length > 1e-9 else np.array([1.0, 0.0])
+    inner = np.array([width, height]) / 2 - MARGIN * min(width, height)
+    reach = float(np.min(inner / np.maximum(np.abs(way), 1e-9)))
+    return np.array([width, height]) / 2 + reach * way, way, math.degrees(math.atan2(length, ahead))
+
+
+# --- marks ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Directions ``(3,)`` that are marked beside the answer: the truth, other methods' by name, candidates.
+
+    `modes` None: the candidates of the estimate.
+    """
+
+    truth: np.ndarray | None = None
+    others: Mapping[str, np.ndarray | None] = field(default_factory=dict)
+    modes: Sequence[np.ndarray] | None = None
+
+
+ALONE = Marks()
+
+
+def paint_marks(
+    axes: Axes,
+    belief: Estimate | Readable,
+    heat: Heat | None,
+    more: Marks = ALONE,
+    grid: PerspectiveGrid | None = None,
+    scale: float = 1.0,
+) -> None:
+    """All that is drawn over the heat: the border, the answer and the way to it, markers, what is missing.
+
+    The axes show a panorama, or with `grid` that picture. `scale`: of markers and lines, for a small panorama.
+    """
+    from matplotlib.collections import LineCollection
+
+    estimate = belief if isinstance(belief, Estimate) else None
+    answer = None if estimate is None else estimate.direction
+    if grid is None:
+        for at in (-90, 0, 90):
+            axes.axvline(at, color="white", alpha=0.22, linewidth=0.8, zorder=1)
+        axes.axhline(0, color="white", alpha=0.22, linewidth=0.8, zorder=1)
+    if estimate is not None and answer is None:
+        _note(axes, "direction not known", scale)
+    if heat is not None and heat.missing and grid is None and scale == 1:
+        _note(axes, heat.missing, scale)
+    elif heat is not None and not heat.missing:
+        lines = list(heat.border) if grid is None else lines_in_view(heat.border, grid)
+        for colour, width in (("black", 3.4), ("white", 1.6)):
+            drawn = LineCollection(lines, colors=colour, linewidths=scale * width, zorder=3, capstyle="round")
+            axes.add_collection(drawn, autolim=False)
+        axes.plot([], [], color="white", linewidth=1.6, label=f"{100 * MASS:.0f} % region")
+    if estimate is not None and answer is not None:
+        if grid is not None:
+            _point(axes, estimate, answer, grid)
+        elif worth_an_arrow(estimate):
+            _turn(axes, answer, scale)
+    modes = more.modes
+    if modes is None:
+        modes = () if estimate is None else [mode.direction for mode in estimate.modes]
+    for index, mode in enumerate(modes):
+        label = "candidate directions" if index == 0 else None
+        _ring(axes, places(mode, grid), "white", 15 * scale, 1.8 * scale, label)
+    for (name, where), (marker, colour) in zip(more.others.items(), OTHERS * len(more.others), strict=False):
+        if where is not None:
+            _dot(axes, places(where, grid), marker, colour, 8.5 * scale, name)
+    if more.truth is not None:
+        _ring(axes, places(more.truth, grid), TRUTH, 21 * scale, 2.6 * scale, "truth")
+    if answer is not None:
+        _dot(axes, places(answer, grid), "o", OURS, 8.5 * scale, "estimate")
+
+
+def _ring(axes: Axes, at: np.ndarray, colour: str, size: float, width: float, label: str | None) -> None:
+    """A bright ring at each place ``(k, 2)``, with a dark one below it."""
+    for place in at:
+        style = {"markersize": size, "mfc": "none", "zorder": 7}
+        axes.plot(*place, "o", mec="black", mew=width + 1.8, alpha=0.7, **style)
+        axes.plot(*place, "o", mec=colour, mew=width, label=label, **style)
+
+
+def _dot(axes: Axes, at: np.ndarray, marker: str, colour: str, size: float, label: str) -> None:
+    """A marker at each place ``(k, 2)``."""
+    for place in at:
+        axes.plot(*place, marker, markersize=size, mfc=colour, mec="black", mew=1.0, label=label, zorder=7)
+
+
+def _note(axes: Axes, text: str, scale: float = 1.0) -> None:
+    """Words in the corner of this panel: what a legend says holds for all panels."""
+    axes.text(
+        0.008, 0.02, text, transform=axes.transAxes, fontsize=9 * scale**0.5, color="white", ha="left", va="bottom",
+        zorder=8, bbox={"facecolor": "black", "alpha": 0.55, "edgecolor": "none", "pad": 2.5},
+    )  # fmt: skip
+
+
+def _turn(axes: Axes, where: np.ndarray, scale: float) -> None:
+    """An arrow on a panorama along the great circle from forward to `where`, up to the rings around it."""
+    angle = math.acos(max(-1.0, min(1.0, float(where[0]))))
+    if math.sin(angle) < 1e-6:  # straight ahead or straight behind
+        return
+    along = np.linspace(0, angle, 240)[:, None]
+    circle = np.cos(along) * np.eye(3)[0] + np.sin(along) * unit(where * (0, 1, 1))
+    x, y = np.degrees(azimuth_elevation(circle))
+    near = 0.18 * scale * axes.figure.dpi
+    clear = axes.bbox.width / 360 * np.hypot(x - x[-1], y - y[-1]) > near
+    x, y = x[clear], y[clear]
+    if len(x) < 8:
+        return
+    wide = 1.8 * scale
+    axes.plot(x, y, color=OURS, linewidth=wide, zorder=6, path_effects=outline(2 * wide), solid_capstyle="round")
+    axes.plot(0, 0, "o", color=OURS, markersize=4.5 * scale, markeredgecolor="black", markeredgewidth=0.8, zorder=6)
+    style = f"-|>,head_width={0.32 * scale},head_length={0.55 * scale}"
+    head = {"arrowstyle": style, "color": OURS, "linewidth": wide, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", xy=(x[-1], y[-1]), xytext=(x[-6], y[-6]), arrowprops=head, zorder=6)
+
+
+def _point(axes: Axes, estimate: Estimate, answer: np.ndarray, grid: PerspectiveGrid) -> None:
+    """How sure it is: beside the answer in a picture, or at an arrow at the edge that points to it, with the angle."""
+    said: dict[str, Any] = {"weight": "bold", "color": OURS, "path_effects": outline(3.2), "zorder": 8}
+    pointed = worth_an_arrow(estimate) or estimate.status != "searching"
+    if len(at := places(answer, grid)):
+        if pointed:
+            beside: dict[str, Any] = {"xytext": (12, 12), "textcoords": "offset points", "annotation_clip": False}
+            axes.annotate(sureness(estimate), at[0], fontsize=14, **beside, **said)
+        return
+    if not pointed:
+        _note(axes, "not in view; it may be anywhere")
+        return
+    size = np.array(axes.bbox.size)
+    tip, way, angle = edge(answer, grid, *size)
+    tail, words = ((tip - share * min(size) * way) / size for share in (0.16, 0.19))
+    shape = {"arrowstyle": "simple,head_width=1.5,head_length=1.1,tail_width=0.5", "mutation_scale": 15}
+    shape |= {"facecolor": OURS, "edgecolor": "black", "shrinkA": 0, "shrinkB": 0, "path_effects": outline(4.0)}
+    axes.annotate("", xy=tuple(tip / size), xytext=tuple(tail), arrowprops=shape, zorder=7)
+    ha = "center" if abs(way[0]) < 0.5 else "right" if way[0] > 0 else "left"
+    va = "center" if abs(way[1]) < 0.5 else "bottom" if way[1] > 0 else "top"
+    text = f"{angle:.0f}°\n{sureness(estimate)}"
+    axes.text(words[0], words[1], text, fontsize=17, ha=ha, va=va, linespacing=1.15, **said)
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def backdrop(picture: np.ndarray | None, heat: np.ndarray | None, width: int, height: int) -> np.ndarray:
+    """A picture ``(H, W, 3)``, uint8 or 0 to 1, a little muted, with heat ``(h, w, 4)`` on it.
+
+    Returns ``(height, width, 3)`` uint8. Without a picture the ground is plain. Raises `EagorError` for another shape.
+    """
+    from PIL import Image
+
+    if picture is None:
+        ground = Image.new("RGB", (width, height), BEHIND)
+    else:
+        own = Image.fromarray(_bytes(picture)).resize((width, height), Image.Resampling.BILINEAR, reducing_gap=1.0)
+        grey, colour = BRIGHTNESS * (1 - COLOUR) / 3, BRIGHTNESS * COLOUR
+        matrix = np.full((3, 4), grey) + colour * np.eye(3, 4)
+        matrix[:, 3] = 0
+        ground = own.convert("RGB", tuple(matrix.ravel()))
+    if heat is not None:
+        over = Image.fromarray(heat).resize((width, height), Image.Resampling.BILINEAR)
+        ground.paste(over, mask=over)
+    return np.asarray(ground)
+
+
+def _bytes(picture: np.ndarray) -> np.ndarray:
+    """A picture ``(H, W, 3)`` as uint8. Raises `EagorError` for another shape."""
+    picture = np.asarray(picture)
+    if picture.ndim != 3 or picture.shape[2] != 3 or not picture.size:
+        raise EagorError(f"a picture of shape {picture.shape}; wanted (H, W, 3)")
+    if picture.dtype != np.uint8:
+        picture = np.rint(255 * np.clip(picture, 0, 1)).astype(np.uint8)
+    return np.ascontiguousarray(picture)
+
+
+class Mosaic:
+    """The pictures of a camera that turns, in the axes of the world; a newer picture covers older ones.
+
+    `colours` ``(rows, 2 rows, 3)`` uint8; `seen` ``(rows, 2 rows)``: which of its cells any picture has shown.
+    """
+
+    def __init__(self, rows: int = 240) -> None:
+        self._grid = ErpGrid(rows, 2 * rows)
+        self._directions = self._grid.directions.astype(np.float32)
+        self.colours = np.zeros((*self._grid.shape, 3), dtype=np.uint8)
+        self.seen = np.zeros(self._grid.shape, dtype=bool)
+
+    def add(self, picture: np.ndarray, grid: PerspectiveGrid, world_R_body: np.ndarray) -> None:
+        """Paste a picture ``(H, W, 3)``, whose pixels `grid` describes, taken with this orientation.
+
+        Raises `EagorError` if it is not of the grid's size.
+        """
+        from PIL import Image
+
+        if picture.shape != (*grid.shape, 3):
+            raise EagorError(
+                f"a picture of shape {picture.shape} with a grid of {grid.height} x {grid.width}; wanted (H, W, 3) of "
+                "the grid's size: use grid.resized(height, width)"
+            )
+        height = min(grid.height, math.ceil(SHRINK * self._grid.height / math.pi * grid.height / grid.focal))
+        width = max(1, round(grid.width * height / grid.height))
+        small = np.asarray(Image.fromarray(_bytes(picture)).resize((width, height), Image.Resampling.BOX))
+        x, y, inside = grid.project(self._directions @ world_R_body)
+        column = (x[inside] * (width / grid.width)).astype(int).clip(0, width - 1)
+        row = (y[inside] * (height / grid.height)).astype(int).clip(0, height - 1)
+        self.colours[inside] = small[row, column]
+        self.seen |= inside
+
+    def seen_from(self, world_R_body: np.ndarray, unseen: tuple[int, int, int]) -> np.ndarray:
+        """The panorama ``(rows, 2 rows, 3)`` uint8 in the axes of a body with this orientation, with holes `unseen`."""
+        x, y, _ = self._grid.project(self._directions @ world_R_body.T.astype(np.float32))
+        row = y.astype(int).clip(0, self._grid.height - 1)
+        column = x.astype(int) % self._grid.width
+        found = self.colours[row, column]
+        found[~self.seen[row, column]] = unseen
+        return found
+
+
+Box = tuple[int, int, int, int]  # left, top, width and height, pixels of a figure
+
+
+class Scene:
+    """The part of a figure that shows what was seen: a panorama, or an ordinary picture with what is around it.
+
+    `mosaic` holds what an ordinary camera was shown; every picture of one that is painted is added to it.
+    """
+
+    def __init__(self, figure: Figure, place: Box, mosaic: Mosaic | None = None) -> None:
+        self.place, self.mosaic = place, mosaic or Mosaic()
+        self.seen, self.around, self.words = (figure.add_axes((0, 0, 1, 1)) for _ in range(3))
+        for axes in (self.seen, self.around, self.words):
+            axes.set_axis_off()
+            axes.set_autoscale_on(False)
+        self._size = np.rint(figure.bbox.size)
+        self._grid: PerspectiveGrid | None = None
+
+    def paint(
+        self,
+        pixels: np.ndarray,
+        picture: np.ndarray | None,
+        estimate: Estimate,
+        grid: PerspectiveGrid | None = None,
+        more: Marks = ALONE,
+        problem: str | None = None,
+    ) -> None:
+        """Paint a step, its pictures into `pixels` ``(H, W, 3)`` of the figure, the rest as artists.
+
+        `picture` ``(h, w, 3)``, uint8 or 0 to 1: a panorama, or with `grid` what an ordinary camera saw; None for one
+        that cannot be read: the view is that of the step before. Raises `EagorError` for a picture of another shape.
+        """
+        for axes in (self.seen, self.around, self.words):
+            for artist in (*axes.lines, *axes.collections, *axes.patches, *axes.texts):
+                artist.remove()
+        heat = heat_of(estimate)
+        grid = self._grid = grid or (self._grid if picture is None else None)
+        if grid is None:
+            self._show(self.seen, self.place, pixels, picture, None if heat is None else heat.rgba)
+            paint_marks(self.seen, estimate, heat, more)
+            for (at, name), side in zip(SIDES, ("left", "center", "center", "center", "right"), strict=True):
+                _name(self.seen, at, name, side, 9)
+        else:
+            if picture is not None:
+                self.mosaic.add(picture, grid, estimate.world_R_body)
+            view, around = self.boxes(grid)
+            there = None
+            if heat is not None:  # sampled about once per cell; to the pixels it is interpolated
+                cell = max(1.0, view[3] / grid.height * grid.focal * math.pi / len(heat.rgba))
+                there = heat_in_view(heat, grid, math.ceil(view[3] / cell), math.ceil(view[2] / cell))
+            self._show(self.seen, view, pixels, picture, there, (0, 1, 1, 0))
+            looked = self.mosaic.seen_from(estimate.world_R_body, BEHIND)
+            self._show(self.around, around, pixels, looked, None if heat is None else heat.rgba)
+            for line in outline_of(grid):
+                self.around.plot(*line.T, color="white", linewidth=1.6, zorder=5, path_effects=outline(3.2))
+            for at, name in SIDES[1:-1]:
+                _name(self.around, at, name, "center", 8)
+            paint_marks(self.around, estimate, heat, more, scale=SMALL)
+            paint_marks(self.seen, estimate, heat, more, grid)
+            self._say(estimate, around)
+        if problem:
+            self.seen.text(
+                0.5, 0.9, f"left out: {short(problem, LONGEST_PROBLEM)}", fontsize=10,
+                transform=self.seen.transAxes, color=ALARM, ha="center", va="top", zorder=9, family=family(),
+                bbox={"facecolor": "black", "alpha": 0.7, "edgecolor": ALARM, "linewidth": 0.8, "pad": 4},
+            )  # fmt: skip
+
+    def boxes(self, grid: PerspectiveGrid) -> tuple[Box, Box]:
+        """Where the picture is, as large as leaves a place for the small panorama, and where that is."""
+        left, top, width, height = self.place
+        gap, ratio = round(GAP * width), grid.width / grid.height
+        wide = min(width - round(LEAST * width) - 2 * gap, round(height * ratio))
+        free = width - wide - 2 * gap
+        small = min(free, height)  # leaves half of the height to the words
+        around = left + wide + gap + (free - small) // 2, top + gap, small, small // 2
+        return (left, top, wide, min(height, round(wide / ratio))), around
+
+    def _show(
+        self,
+        axes: Axes,
+        box: Box,
+        pixels: np.ndarray,
+        picture: np.ndarray | None,
+        heat: np.ndarray | None,
+        ends: tuple[float, float, float, float] = (180, -180, -90, 90),
+    ) -> None:
+        """Paint a picture with heat on it, and move its axes there; `ends`: left, right, bottom and top of them."""
+        left, top, wide, high = box
+        pixels[top : top + high, left : left + wide] = backdrop(picture, heat, wide, high)
+        width, height = self._size
+        axes.set_position((left / width, 1 - (top + high) / height, wide / width, high / height))
+        axes.set_xlim(*ends[:2])
+        axes.set_ylim(*ends[2:])
+
+    def _say(self, estimate: Estimate, around: Box) -> None:
+        """How sure it is, and the answer in words, below the small panorama."""
+        left, top, width, height = around
+        scale = self.place[2] / DESIGN
+        said, columns = answer_in_words(estimate), max(12, int(width / (11.5 * scale)))
+        if len(said) > columns:  # where the height begins
+            kept = said.replace(" degrees)", "\u00a0degrees)")  # a number stays with its unit
+            said = "\n".join(textwrap.fill(part, columns) for part in kept.rsplit(", ", 1))
+        sure = "" if estimate.direction is None else sureness(estimate)
+        for text, size, colour, down in ((sure, 22, COLOURS[estimate.status], 14), (said, 15, WORDS, 56)):
+            self.words.text(
+                left / self._size[0], 1 - (top + height + down * scale) / self._size[1], text, fontsize=size,
+                color=colour, weight="bold", family=family(), va="top", linespacing=1.35,
+            )  # fmt: skip
+
+
+def _name(axes: Axes, at: float, name: str, side: str, size: float) -> None:
+    """What an azimuth is called, at the upper edge of a panorama."""
+    beside = {"left": 5, "right": -5}.get(side, 0)
+    axes.annotate(
+        name, (at, 90), xytext=(beside, -4), textcoords="offset points", fontsize=size, color="white", ha=side,
+        va="top", path_effects=outline(2.2), zorder=8,
+    )  # fmt: skip
