@@ -20,7 +20,7 @@ import numpy as np
 import eagor
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import paint_belief
-from eagor.drawing.scene import OURS, TRUTH
+from eagor.drawing.marks import OURS, TRUTH
 from eagor.drawing.style import INK, QUIET, far_in_words, figure, image
 from eagor.lab.agents.methods import BASE
 from eagor.lab.envs.episodes import EpisodeSpec

@@ -5,8 +5,8 @@ Every function `draw_...` returns a `PIL.Image.Image`. Panoramas and their axes 
 without pyplot: it changes no global state and opens no window.
 """
 
+from eagor.drawing.marks import Mosaic
 from eagor.drawing.page import BeliefPage
-from eagor.drawing.scene import Mosaic
 from eagor.drawing.step import StepPainter
 from eagor.drawing.still import draw_belief, draw_errors, draw_map, draw_strip, paint_belief
 from eagor.drawing.video import BeliefVideo

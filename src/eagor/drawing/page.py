@@ -74,7 +74,7 @@ class BeliefPage:
         used: what the answers come from, by name: perception, poses, calibration, ...; the version is added.
         span: length of the clip in seconds, if known.
 
-    Raises `EagorError` for another suffix, or if there is no such folder.
+    Folders above it are made. Raises `EagorError` for another suffix.
     """
 
     def __init__(
@@ -83,8 +83,6 @@ class BeliefPage:
         self.path, self.query, self.used = Path(path), query, dict(used or {})
         if self.path.suffix.lower() not in (".html", ".htm"):
             raise EagorError(f"{path} ends in {self.path.suffix or 'nothing'}; wanted a page, .html")
-        if not self.path.absolute().parent.is_dir():
-            raise EagorError(f"{path}: there is no folder {self.path.absolute().parent}; make it first")
         self.line = TimeLine(span)
         self.notes: list[str] = []  # sentences under "What was left out"
         self.painter = StepPainter(WIDTH, bare=True)
@@ -116,7 +114,7 @@ class BeliefPage:
         self._ordinary = self._ordinary or grid is not None
         self._last, self._newest = (self._rows.count, name, moment), (picture, estimate, problem, grid)
         if not self._pictures.wants and grid is not None and picture is not None:  # it is part of what is around
-            self.painter.scene.mosaic.add(picture, grid, estimate.world_R_body)
+            self.painter.mosaic.add(picture, grid, estimate.world_R_body)
         self._pictures.add((self._painted() if self._pictures.wants else None, *self._last))
         self._rows.add(self._last)
 

@@ -1,17 +1,23 @@
 """One step of a track as a picture: what the camera saw with the belief, the answer in words, and the time line so far.
 
+What an ordinary camera saw has a small panorama beside it, which shows the whole belief over what was looked at so far,
+in the body's axes of now, with the outline of the view: one look tells "behind you, to the left".
+
 A painter keeps its matplotlib figure and paints only lines and words with it, over pixels that NumPy and Pillow made:
 that is several times faster than a new figure with images for each frame.
 """
 
 from __future__ import annotations
 
+import math
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from eagor.drawing import style
-from eagor.drawing.scene import ALONE, Marks, Scene
+from eagor.drawing.heat import Heat, heat_in_view, heat_of
+from eagor.drawing.marks import ALONE, BEHIND, Marks, Mosaic, backdrop, outline, outline_of, paint_marks
 from eagor.drawing.style import COLOURS, DARK, DESIGN, FAINT, SIDES, WORDS
 from eagor.drawing.timeline import Moment, TimeLine
 from eagor.errors import EagorError
@@ -26,31 +32,42 @@ __all__ = ["StepPainter"]
 HEAD, FOOT = 64, 152  # rows above and below the picture
 LEFT, RIGHT, LOW, GAP = 78, 142, 26, 7  # pixels around the strips of the time line, and between them
 STRIPS = (("status", 9, (0, 1)), ("presence", 22, (0, 1)), ("azimuth", 69, (-180, 180)))  # from below: rows, ends
+LEAST, AROUND = 218, 14  # columns of a small panorama at least, and pixels around it
+SMALL = 0.6  # of markers and lines, on the small panorama
 NARROWEST, WIDEST = 320, 3840
-PANEL, RULE, BAND, NOW = "#1a1e26", "#39404c", "#2b6f7d", "#ffffff"
-LONGEST_QUERY = 38  # characters
+PANEL, RULE, BAND, NOW, ALARM = "#1a1e26", "#39404c", "#2b6f7d", "#ffffff", "#ffb000"
+LONGEST_QUERY, LONGEST_PROBLEM = 38, 150  # characters
+
+Box = tuple[int, int, int, int]  # left, top, width and height, pixels
 
 
 class StepPainter:
     """Paints the steps of one track, in order of time; the time line grows with them.
 
     `width` of the pictures in pixels, 320 to 3840, made even. `span`: the seconds that the time line shows, if the
-    length of the clip is known. `bare`: only what was seen, twice as wide as high, without words and time line. Raises
-    `EagorError` for an impossible width, `TimeError` for an impossible span.
+    length of the clip is known. `bare`: only what was seen, twice as wide as high, without words and time line.
+    `mosaic`: what an ordinary camera was shown before; what is painted is added. Raises `EagorError` for an impossible
+    width, `TimeError` for an impossible span.
     """
 
-    def __init__(self, width: int = DESIGN, span: float | None = None, bare: bool = False) -> None:
+    def __init__(
+        self, width: int = DESIGN, span: float | None = None, bare: bool = False, mosaic: Mosaic | None = None
+    ) -> None:
         if isinstance(width, bool) or not isinstance(width, int | np.integer) or not NARROWEST <= width <= WIDEST:
             raise EagorError(f"a picture {width!r} pixels wide; wanted a whole number from {NARROWEST} to {WIDEST}")
-        self.line, self.width = TimeLine(span), int(width) // 2 * 2  # videos have colours for two by two pixels
-        self.rows, scale = self.width // 4 * 2, self.width / DESIGN
-        self.head = 0 if bare else round(HEAD * scale)
+        self.line, self.mosaic = TimeLine(span), mosaic or Mosaic()
+        self.width = int(width) // 2 * 2  # videos have colours for two by two pixels
+        self._scale = scale = self.width / DESIGN
+        self.rows, self.head = self.width // 4 * 2, 0 if bare else round(HEAD * scale)
         self.height = self.rows if bare else (self.head + self.rows + round(FOOT * scale)) // 2 * 2
         self._figure = style.figure(self.width, self.height, 100 * scale)
-        self.scene = Scene(self._figure, (0, self.head, self.width, self.rows))
+        self._seen, self._around = (self._figure.add_axes((0, 0, 1, 1), autoscale_on=False) for _ in range(2))
+        self._seen.set_axis_off()
+        self._around.set_axis_off()
+        self._grid: PerspectiveGrid | None = None  # of the step before
         self._bare, self._span = bare, 0.0
+        self._words: list[Any] = []
         if not bare:
-            self._words = self._places_of_words()
             self._strips = {name: self._strip(index) for index, (name, _, _) in enumerate(STRIPS)}
             self._drawn = self._artists()
 
@@ -80,73 +97,139 @@ class StepPainter:
         Raises `TimeError` unless the stamps grow, `EagorError` for a picture of another shape.
         """
         pixels = np.full((self.height, self.width, 3), DARK, dtype=np.uint8)
-        self.scene.paint(pixels, picture, estimate, grid, more, problem)
+        for axes in (self._seen, self._around):
+            self._words += [*axes.lines, *axes.collections, *axes.patches, *axes.texts]
+        while self._words:
+            self._words.pop().remove()
+        heat = heat_of(estimate)
+        grid = self._grid = grid or (self._grid if picture is None else None)
+        if grid is None:
+            self._show(
+                self._seen, (0, self.head, self.width, self.rows), pixels, picture, None if heat is None else heat.rgba
+            )
+            paint_marks(self._seen, estimate, heat, more)
+            for (at, name), side in zip(SIDES, ("left", "center", "center", "center", "right"), strict=True):
+                _name(self._seen, at, name, side, 9)
+        else:
+            self._view(pixels, picture, estimate, heat, grid, more)
+        if problem:
+            self._seen.text(
+                0.5, 0.9, f"left out: {style.short(problem, LONGEST_PROBLEM)}", transform=self._seen.transAxes,
+                fontsize=10, color=ALARM, ha="center", va="top", zorder=9, family=style.family(),
+                bbox={"facecolor": "black", "alpha": 0.7, "edgecolor": ALARM, "linewidth": 0.8, "pad": 4},
+            )  # fmt: skip
         if not self._bare:
-            moment = Moment.of(estimate, stamp, problem)
+            moment, right = Moment.of(estimate, stamp, problem), {"ha": "right", "weight": "normal"}
             self.line.add(moment)
+            self._draw_line()
             told = [] if moment.cone is None else [estimate.certainty]
             told += [style.far_in_words(estimate), f"presence {moment.presence:.2f}", f"{moment.stamp:.2f} s"]
-            self._words["query"].set_text(f"“{style.short(query, LONGEST_QUERY)}”" if query.strip() else "")
-            self._words["answer"].set_text(style.candidates_in_words(estimate))
-            self._words["status"].set(text=estimate.status, color=COLOURS[moment.status])
-            self._words["rest"].set_text("   ".join(filter(None, told)))
-            self._draw_line()
+            asked, answer = style.short(query, LONGEST_QUERY), style.candidates_in_words(estimate)
+            left, first, second = 16 * self._scale, 0.36 * self.head, 0.74 * self.head
+            self._say(left, first, f"“{asked}”" if asked else "", 14, WORDS)
+            self._say(left, second, answer, 11.5, WORDS, weight="normal")
+            self._say(self.width - left, first, estimate.status, 14, COLOURS[estimate.status], ha="right")
+            self._say(self.width - left, second, "   ".join(filter(None, told)), 11.5, FAINT, **right)
         return style.painted(self._figure, pixels)
 
-    def _places_of_words(self) -> dict[str, Any]:
-        """The words that change from step to step, empty so far."""
-        first, second, edge = 1 - 0.36 * self.head / self.height, 1 - 0.74 * self.head / self.height, 16 / DESIGN
-        how: dict[str, Any] = {"va": "center", "family": style.family()}
-        large, small, text = {"fontsize": 14, "weight": "bold"}, {"fontsize": 11.5}, self._figure.text
-        return {
-            "query": text(edge, first, "", color=WORDS, **how, **large),
-            "answer": text(edge, second, "", color=WORDS, **how, **small),
-            "status": text(1 - edge, first, "", ha="right", **how, **large),
-            "rest": text(1 - edge, second, "", color=FAINT, ha="right", **how, **small),
-        }
+    def boxes(self, grid: PerspectiveGrid) -> tuple[Box, Box]:
+        """Where an ordinary picture is, as large as leaves a place for the small panorama, and where that is."""
+        gap, ratio = round(AROUND * self._scale), grid.width / grid.height
+        wide = min(self.width - round(LEAST * self._scale) - 2 * gap, round(self.rows * ratio))
+        free = self.width - wide - 2 * gap
+        small = min(free, self.rows)  # leaves half of the height to the words
+        around = wide + gap + (free - small) // 2, self.head + gap, small, small // 2
+        return (0, self.head, wide, min(self.rows, round(wide / ratio))), around
+
+    def _view(
+        self,
+        pixels: np.ndarray,
+        picture: np.ndarray | None,
+        estimate: Estimate,
+        heat: Heat | None,
+        grid: PerspectiveGrid,
+        more: Marks,
+    ) -> None:
+        """What an ordinary camera saw, what is around it, how sure it is, and the answer in words."""
+        if picture is not None:
+            self.mosaic.add(picture, grid, estimate.world_R_body)
+        view, around = self.boxes(grid)
+        there = None
+        if heat is not None:  # sampled about once per cell; to the pixels it is interpolated
+            cell = max(1.0, view[3] / grid.height * grid.focal * math.pi / len(heat.rgba))
+            there = heat_in_view(heat, grid, math.ceil(view[3] / cell), math.ceil(view[2] / cell))
+        self._show(self._seen, view, pixels, picture, there, (0, 1, 1, 0))
+        looked = self.mosaic.seen_from(estimate.world_R_body, BEHIND)
+        self._show(self._around, around, pixels, looked, None if heat is None else heat.rgba)
+        self._around.plot(*outline_of(grid).T, color="white", linewidth=1.6, zorder=5, path_effects=outline(3.2))
+        for at, name in SIDES[1:-1]:
+            _name(self._around, at, name, "center", 8)
+        paint_marks(self._around, estimate, heat, more, scale=SMALL)
+        paint_marks(self._seen, estimate, heat, more, grid)
+        left, top, width, height = around
+        if estimate.direction is not None:
+            colour = COLOURS[estimate.status]
+            self._say(left, top + height + 14 * self._scale, style.sureness(estimate), 22, colour, va="top")
+        said = textwrap.fill(style.answer_in_words(estimate), max(12, int(width / (11.5 * self._scale))))
+        self._say(left, top + height + 56 * self._scale, said, 15, WORDS, va="top", linespacing=1.35)
+
+    def _show(
+        self,
+        axes: Axes,
+        box: Box,
+        pixels: np.ndarray,
+        picture: np.ndarray | None,
+        heat: np.ndarray | None,
+        ends: tuple[float, float, float, float] = (180, -180, -90, 90),
+    ) -> None:
+        """Paint a picture with heat on it, and move its axes there; `ends`: left, right, bottom and top of them."""
+        left, top, wide, high = box
+        pixels[top : top + high, left : left + wide] = backdrop(picture, heat, wide, high)
+        w, h = self.width, self.height
+        axes.set(position=(left / w, 1 - (top + high) / h, wide / w, high / h), xlim=ends[:2], ylim=ends[2:])
+
+    def _say(self, x: float, y: float, words: str, size: float, colour: str, **how: Any) -> None:
+        """Words of this step, at pixels from the left upper corner."""
+        how = {"va": "center", "weight": "bold", "family": style.family()} | how
+        made = self._figure.text(x / self.width, 1 - y / self.height, words, fontsize=size, color=colour, **how)
+        self._words.append(made)
 
     def _strip(self, index: int) -> Axes:
         """The axes of a strip of the time line, with its names and rules."""
-        scale, (name, rows, ends) = self.width / DESIGN, STRIPS[index]
+        scale, (name, rows, ends) = self._scale, STRIPS[index]
         low = (LOW + sum(rows + GAP for _, rows, _ in STRIPS[:index])) * scale
         wide = 1 - (LEFT + RIGHT) * scale / self.width
         place = (LEFT * scale / self.width, low / self.height, wide, rows * scale / self.height)
         axes = self._figure.add_axes(place, facecolor=PANEL, autoscale_on=False, ylim=ends, xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
-        names = SIDES if name == "azimuth" else [(0.5, name)]
-        for at, words in names:
+        how: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "xytext": (-5, 0)}
+        for at, words in SIDES if name == "azimuth" else [(0.5, name)]:
             if name != "status" and abs(at) < 180:
                 axes.axhline(at, color=RULE, linewidth=0.7, zorder=1)
-            how: dict[str, Any] = {"textcoords": "offset points", "xytext": (-5, 0), "ha": "right", "va": "center"}
-            axes.annotate(words, (0, at), xycoords=("axes fraction", "data"), fontsize=8.5, color=FAINT, **how)
+            axes.annotate(words, (0, at), fontsize=8.5, color=FAINT, ha="right", va="center", **how)
         return axes
 
     def _artists(self) -> dict[str, Any]:
-        """What grows along the time line, empty so far, and what its colours mean."""
+        """What grows along the time line, empty so far; and in words, what its colours mean."""
         from matplotlib.collections import LineCollection, PolyCollection
 
-        def boxes(strip: str, colour: str, alpha: float) -> PolyCollection:
-            made = PolyCollection([], facecolors=colour, alpha=alpha, linewidths=0, antialiaseds=False, zorder=2)
-            self._strips[strip].add_collection(made, autolim=False)
-            return made
-
-        scale, x = self.width / DESIGN, 1 - (RIGHT - 18) / DESIGN
+        x = 1 - (RIGHT - 18) / DESIGN
         for index, (name, colour) in enumerate([*COLOURS.items(), ("90 % cone", BAND)]):
-            y = (FOOT - 18 - 17.5 * index) * scale / self.height
+            y = (FOOT - 18 - 17.5 * index) * self._scale / self.height
             self._figure.text(x, y, "■", fontsize=9, color=colour, va="center")
             self._figure.text(x + 15 / DESIGN, y, name, fontsize=8.5, color=FAINT, va="center")
-        lines = [
-            LineCollection([], colors=c, linewidths=w, zorder=4) for c, w in (("black", 3.2), (COLOURS["tracking"], 2))
-        ]
-        for line in lines:
-            self._strips["azimuth"].add_collection(line, autolim=False)
-        return {
-            "bands": boxes("azimuth", BAND, 0.75),
-            "presence": boxes("presence", COLOURS["tracking"], 0.65),
-            "answers": lines,
-            "now": [strip.axvline(0, color=NOW, linewidth=1.4, zorder=7) for strip in self._strips.values()],
-            **{status: boxes("status", colour, 1.0) for status, colour in COLOURS.items()},
-        }
+        boxes = [("bands", "azimuth", BAND, 0.75), ("presence", "presence", COLOURS["tracking"], 0.65)]
+        boxes += [(status, "status", colour, 1.0) for status, colour in COLOURS.items()]
+        made: dict[str, Any] = {}
+        for what, strip, colour, alpha in boxes:
+            made[what] = PolyCollection([], facecolors=colour, alpha=alpha, linewidths=0, antialiaseds=False, zorder=2)
+            self._strips[strip].add_collection(made[what], autolim=False)
+        lines = (("black", 3.2), (COLOURS["tracking"], 2.0))
+        made["answers"] = [LineCollection([], colors=colour, linewidths=wide, zorder=4) for colour, wide in lines]
+        for each in made["answers"]:
+            self._strips["azimuth"].add_collection(each, autolim=False)
+        made["now"] = [strip.axvline(0, color=NOW, linewidth=1.4, zorder=7) for strip in self._strips.values()]
+        return made
 
     def _draw_line(self) -> None:
         """The time line, from all moments so far."""
@@ -172,3 +255,12 @@ class StepPainter:
 def _corners(boxes: np.ndarray) -> np.ndarray:
     """The corners ``(n, 4, 2)`` of boxes ``(n, 4)``: begin, end, low and high."""
     return boxes[:, [[0, 2], [0, 3], [1, 3], [1, 2]]]
+
+
+def _name(axes: Axes, at: float, name: str, side: str, size: float) -> None:
+    """What an azimuth is called, at the upper edge of a panorama."""
+    beside = {"left": 5, "right": -5}.get(side, 0)
+    axes.annotate(
+        name, (at, 90), xytext=(beside, -4), textcoords="offset points", fontsize=size, color="white", ha=side,
+        va="top", path_effects=outline(2.2), zorder=8,
+    )  # fmt: skip

@@ -10,7 +10,8 @@ import numpy as np
 
 from eagor.belief.posterior import Readable
 from eagor.drawing.heat import heat_of
-from eagor.drawing.scene import Marks, Mosaic, Scene, backdrop, paint_marks
+from eagor.drawing.marks import Marks, Mosaic, backdrop, paint_marks
+from eagor.drawing.step import StepPainter
 from eagor.drawing.style import DARK, DESIGN, GRID_LINE, INK, QUIET, WORDS, figure, image, painted, plain
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
@@ -27,13 +28,11 @@ __all__ = ["draw_belief", "draw_errors", "draw_map", "draw_strip", "paint_belief
 def draw_belief(
     picture: np.ndarray,
     belief: Estimate | Readable,
-    truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray | None] | None = None,
-    modes: Sequence[np.ndarray] | None = None,
     title: str = "",
     width: int = 1200,
     grid: PerspectiveGrid | None = None,
     mosaic: Mosaic | None = None,
+    **more: Any,
 ) -> Image:
     """`belief` as heat over `picture` ``(H, W, 3)``, with the border of its 90 % region.
 
@@ -45,21 +44,19 @@ def draw_belief(
             saw, and then `belief` is an `Estimate`.
         belief: an `Estimate`, drawn with its answer, an arrow from forward to it (unless 90 % of the belief need a cone
             of more than 90 degrees about it), and its candidates; or a single belief, which has no answer.
-        truth: the true direction ``(3,)``, if known.
-        others: other methods' directions by name; None for a method without one.
-        modes: directions of candidates; default: those of the estimate.
         title: a line above the picture.
         width: of the picture in pixels.
         grid: which directions of the body the pixels of an ordinary camera show. An arrow at the edge points to an
             answer out of view; a small panorama beside it shows the whole belief.
         mosaic: what an ordinary camera was shown before, for the small panorama; this picture is added.
+        more: `truth`, `others` and `modes`, as in `Marks`.
 
     Raises `EagorError` for a picture of another shape.
     """
     if grid is None:
         sheet = figure(width, round(width * 0.595))
         axes = sheet.add_axes((0.055, 0.145, 0.92, 0.775))
-        paint_belief(axes, picture, belief, truth, others, modes)
+        paint_belief(axes, picture, belief, **more)
         axes.set_xlabel("azimuth in degrees, positive to the left", color=INK)
         axes.set_ylabel("elevation", color=INK)
         sheet.text(0.055, 0.945, title, fontsize=13, color=INK, weight="bold")
@@ -69,14 +66,11 @@ def draw_belief(
 
     if not isinstance(belief, Estimate):
         raise EagorError(f"with a grid the belief is a {type(belief).__name__}; wanted an Estimate, which has a pose")
-    head, rows = round(0.05 * width), round(0.5 * width)
-    sheet = figure(width, head + rows, 100 * width / DESIGN)
-    pixels = np.full((head + rows, width, 3), DARK, dtype=np.uint8)
-    scene = Scene(sheet, (0, head, width, rows), mosaic)
-    scene.paint(pixels, picture, belief, grid, Marks(truth, others or {}, modes))
-    y = 1 - 0.5 * head / (head + rows)
-    sheet.text(0.012, y, title, fontsize=14, color=WORDS, weight="bold", va="center")
-    return Image.fromarray(painted(sheet, pixels))
+    painter = StepPainter(width, bare=True, mosaic=mosaic)
+    head = figure(painter.width, round(0.05 * width), 100 * width / DESIGN)
+    head.text(0.012, 0.5, title, fontsize=14, color=WORDS, weight="bold", va="center")
+    seen = painter.paint(picture, belief, grid=grid, more=Marks(**more))
+    return Image.fromarray(np.concatenate([painted(head, DARK), seen]))
 
 
 def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int = 1400) -> Image:
@@ -84,13 +78,12 @@ def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int
     rows = math.ceil(len(panels) / columns)
     left, gap, head, foot, legend = 48, 52, 30, 30, 44  # pixels around the panels
     wide = (width - left - gap * (columns - 1) - 28) / columns
-    high = wide / 2
-    total = rows * (head + high + foot) + legend
+    total = rows * (head + wide / 2 + foot) + legend
     sheet = figure(width, round(total))
     for index, panel in enumerate(panels):
         row, column = divmod(index, columns)
-        x, y = left + column * (wide + gap), total - (row + 1) * (head + high) - row * foot
-        axes = sheet.add_axes((x / width, y / total, wide / width, high / total))
+        x, y = left + column * (wide + gap), total - (row + 1) * (head + wide / 2) - row * foot
+        axes = sheet.add_axes((x / width, y / total, wide / width, wide / 2 / total))
         paint_belief(axes, **{name: value for name, value in panel.items() if name != "title"})
         axes.set_title(panel.get("title", ""), loc="left", fontsize=11, color=INK, weight="bold", pad=6)
         axes.set_xticks(axes.get_xticks()[::2])
@@ -100,23 +93,16 @@ def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int
     return image(sheet)
 
 
-def paint_belief(
-    axes: Axes,
-    panorama: np.ndarray,
-    belief: Estimate | Readable,
-    truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray | None] | None = None,
-    modes: Sequence[np.ndarray] | None = None,
-) -> None:
+def paint_belief(axes: Axes, panorama: np.ndarray, belief: Estimate | Readable, **more: Any) -> None:
     """The contents of `draw_belief` for a panorama, drawn into `axes`, which have their size already."""
     axes.set(xlim=(180, -180), ylim=(-90, 90), xticks=range(180, -181, -45), yticks=range(-90, 91, 30))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(lambda angle, _: f"{angle:+.0f}°" if angle else "0°")
     plain(axes)
-    heat, (width, height) = heat_of(belief), np.maximum(1, np.rint(axes.bbox.size)).astype(int)
-    ground = backdrop(panorama, None if heat is None else heat.rgba, int(width), int(height))
+    heat, (width, height) = heat_of(belief), (max(1, round(size)) for size in axes.bbox.size)
+    ground = backdrop(panorama, None if heat is None else heat.rgba, width, height)
     axes.imshow(ground, extent=(180, -180, -90, 90), aspect="auto", interpolation="antialiased", zorder=0)
-    paint_marks(axes, belief, heat, Marks(truth, others or {}, modes))
+    paint_marks(axes, belief, heat, Marks(**more))
 
 
 def _legend(sheet: Figure) -> None:
@@ -233,17 +219,12 @@ def draw_map(
     shade = np.full((*walls.shape, 3), (0.87, 0.85, 0.81))
     shade[free], shade[walls] = 1.0, (0.24, 0.27, 0.33)
     every = np.concatenate([path, np.reshape(target[:2], (1, 2))])
-    low, high = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
-    lacking = np.maximum(0, np.max(high - low) / 1.5 - (high - low)) / 2  # not too narrow for the picture
-    (left, bottom), (right, top) = low - lacking, high + lacking
-    edge, gap, head, foot = 44, 14, 26, 66  # pixels beside, on the other side, above and below the map
-    wide = width - edge - gap
-    tall = wide * (top - bottom) / (right - left)
-    height = round(head + tall + foot)
-    sheet = figure(width, height)
-    axes = sheet.add_axes((edge / width, (height - head - tall) / height, wide / width, tall / height))
+    (left, bottom), (right, top) = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
+    sheet = figure(width, round(width * min(max((top - bottom) / (right - left), 0.6), 1.5)) + 60)
+    axes = sheet.add_axes((0.04, 0.09, 0.945, 0.88))
     axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
     axes.set(xlim=(left, right), ylim=(bottom, top))
+    axes.set_aspect("equal", adjustable="datalim")  # more of the plan fills the picture
     axes.set_title(title, loc="left", fontsize=11, color=INK, weight="bold", pad=5)
     halo = [patheffects.Stroke(linewidth=5.4, foreground="white"), patheffects.Normal()]
     axes.plot(*path.T, color=CURVES[0], linewidth=3, zorder=4, path_effects=halo, solid_joinstyle="round")

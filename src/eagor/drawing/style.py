@@ -153,8 +153,8 @@ def figure(width: int, height: int, dpi: float = 100) -> Figure:
     return made
 
 
-def painted(drawn: Figure, pixels: np.ndarray | int = 255) -> np.ndarray:
-    """The figure drawn over `pixels` ``(H, W, 3)`` uint8, by default white; a new array of the same shape."""
+def painted(drawn: Figure, pixels: Any = 255) -> np.ndarray:
+    """The figure drawn over `pixels` ``(H, W, 3)`` uint8, or a colour, by default white: a new array ``(H, W, 3)``."""
     from matplotlib.text import Text
 
     renderer: Any = drawn.canvas.get_renderer()  # type: ignore[attr-defined]

@@ -92,7 +92,7 @@ class TimeLine:
             raise TimeError(f"a time line of {span} seconds; wanted the length of the clip, or None")
         self._given = span
         self.last: Moment | None = None
-        self.first = self.now = 0.0  # the first stamp, and the seconds since then
+        self.first = self.now = self._held = 0.0  # the first stamp, the seconds since then and since the last one
         self._kept = Thinned(MOST)
         self._changes: list[tuple[float, str]] = []  # since when, which status
 
@@ -106,7 +106,7 @@ class TimeLine:
             raise TimeError(
                 f"the stamp {moment.stamp:g} s comes after {self.last.stamp:g} s; wanted frames in order of time"
             )
-        self.now = moment.stamp - self.first
+        self._held, self.now = moment.stamp - self.first - self.now, moment.stamp - self.first
         if self.last is None or moment.status != self.last.status:
             self._changes.append((self.now, moment.status))
         self._kept.add(moment)
@@ -123,10 +123,7 @@ class TimeLine:
     @property
     def end(self) -> float:
         """Until when the last answer is drawn: for as long as the one before it, within the axis."""
-        before = [moment for moment in self._kept.items[-2:] if moment is not self.last]
-        if self.last is None or not before:
-            return min(self.span, self.now + self.span / 200)
-        return min(self.span, self.now + (self.last.stamp - before[-1].stamp))
+        return min(self.span, self.now + (self._held or self.span / 200))
 
     def ticks(self) -> list[tuple[float, str]]:
         """Round times, seconds on the axis, and how they are called."""

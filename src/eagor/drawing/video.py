@@ -64,8 +64,8 @@ class BeliefVideo:
             of it: what was seen, the answer above it and the time line below.
         span: length of the clip in seconds, for the time line; None: the time line grows.
 
-    Raises `EagorError` for an unknown suffix, an impossible rate or size, a folder that does not exist; `StorageError`
-    if that cannot be written to; `MissingExtraError` without PyAV.
+    Raises `EagorError` for an unknown suffix, an impossible rate or size; `StorageError` if the folder is not there or
+    cannot be written to; `MissingExtraError` without PyAV.
     """
 
     def __init__(
@@ -81,9 +81,6 @@ class BeliefVideo:
         if rate is not None and not (math.isfinite(rate) and rate > 0):
             raise EagorError(f"{rate} pictures per second; wanted a number above 0")
         self.painter = StepPainter(size or (DESIGN if suffix in VIDEOS else SMALL), span)
-        folder = self.path.absolute().parent
-        if not folder.is_dir():
-            raise EagorError(f"{self.path} cannot be written: there is no folder {folder}; make it first")
         if self.path.is_dir():
             raise EagorError(f"{self.path} is a folder; name a file")
         whole = (self.painter.width, self.painter.height)

@@ -17,7 +17,7 @@ import numpy as np
 
 from eagor._extras import need
 from eagor.drawing import StepPainter
-from eagor.drawing.scene import Marks, worth_an_arrow
+from eagor.drawing.marks import Marks, worth_an_arrow
 from eagor.drawing.style import answer_in_words
 from eagor.errors import EagorError, StorageError
 from eagor.live.events import Answer, Event, FaultLog, FrameCame, PoseCame

@@ -1,9 +1,7 @@
-"""What was seen, with what is believed on it: one set of marks for panoramas and for pictures of an ordinary camera.
+"""What is drawn over what was seen: one set of marks for panoramas and for pictures of an ordinary camera.
 
 Where an answer is in an ordinary picture it is marked there, with the border of its region. Where it is not, an arrow
-at the edge points to it and says how far it is, and how sure. A small panorama beside it shows the whole belief over
-what was looked at so far (`Mosaic`), in the body's axes of now, with the outline of the view: one look tells "behind
-you, to the left".
+at the edge points to it and says how far it is, and how sure. What such a camera was shown so far is a `Mosaic`.
 
 Places on a panorama are degrees: azimuth, positive to the left, and elevation. Places in an ordinary picture are shares
 of its width and height, from the left upper corner.
@@ -12,7 +10,6 @@ of its width and height, from the left upper corner.
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -20,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.belief.posterior import Readable
-from eagor.drawing.heat import MASS, Heat, heat_in_view, heat_of
-from eagor.drawing.style import COLOURS, DESIGN, SIDES, WORDS, answer_in_words, family, short, sureness
+from eagor.drawing.heat import MASS, Heat
+from eagor.drawing.style import sureness
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import azimuth_elevation, direction, unit
@@ -29,11 +26,10 @@ from eagor.tracking.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-__all__ = ["ALONE", "OURS", "TRUTH", "Marks", "Mosaic", "Scene", "backdrop", "paint_marks"]
+__all__ = ["ALONE", "BEHIND", "OURS", "TRUTH", "Marks", "Mosaic", "backdrop", "outline_of", "paint_marks"]
 
-OURS, TRUTH, ALARM = "#00e5ff", "#39ff6a", "#ffb000"
+OURS, TRUTH = "#00e5ff", "#39ff6a"
 # Markers and colours that can be told apart in grey and by the colour-blind; the first methods get the first ones.
 OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
 NEAR_SEAM = 172  # degrees of azimuth: a marker beyond it is drawn at both edges
@@ -41,9 +37,6 @@ COLOUR, BRIGHTNESS = 0.72, 0.80  # of the panorama's own, so that heat and marke
 BEHIND = (40, 44, 52)  # where there is no picture
 MARGIN = 0.035  # of the picture's smaller side, between an arrow at the edge and the edge
 SHRINK = 1.5  # pixels of a picture per cell of a mosaic: a finer one is shrunk first, by areas
-LEAST, GAP = 0.17, 14 / DESIGN  # of the scene's width: a small panorama at least, and around it
-SMALL = 0.6  # of markers and lines, on the small panorama
-LONGEST_PROBLEM = 150  # characters
 
 
 def outline(width: float) -> list[Any]:
@@ -75,22 +68,21 @@ def places(where: np.ndarray, grid: PerspectiveGrid | None = None) -> np.ndarray
 
 
 def lines_in_view(lines: Sequence[np.ndarray], grid: PerspectiveGrid) -> list[np.ndarray]:
-    """The parts of polylines ``(n, 2)`` of a panorama that are in this picture, as places there."""
+    """Polylines ``(n, 2)`` of a panorama as places in this picture; NaN where they are not in it."""
     found = []
     for line in lines:
-        x, y, inside = grid.project(direction(*np.radians(np.asarray(line, dtype=float)).T))
-        at = np.stack([x / grid.width, y / grid.height], axis=-1)
-        parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(inside.astype(int))) + 1)
-        found += [at[part] for part in parts if len(part) > 1 and inside[part[0]]]
+        x, y, inside = grid.project(direction(*np.radians(line).T))
+        found.append(np.where(inside[:, None], np.stack([x / grid.width, y / grid.height], axis=-1), np.nan))
     return found
 
 
-def outline_of(grid: PerspectiveGrid) -> list[np.ndarray]:
-    """The outline of a view as polylines ``(n, 2)`` on a panorama, cut at the seam."""
-    t, zero = np.linspace(0, 1, 24), np.zeros(24)
+def outline_of(grid: PerspectiveGrid) -> np.ndarray:
+    """The outline of a view as a polyline ``(n, 2)`` on a panorama; NaN where it crosses the seam."""
+    t, zero = np.linspace(0, 1, 99), np.zeros(99)
     x, y = np.concatenate([t, zero + 1, 1 - t, zero]), np.concatenate([zero, t, zero + 1, 1 - t])
     found = np.degrees(np.stack(azimuth_elevation(grid.unproject(x * grid.width, y * grid.height)), axis=-1))
-    return np.split(found, np.flatnonzero(np.abs(np.diff(found[:, 0])) > 180) + 1)
+    found[np.abs(np.diff(found[:, 0], append=found[0, 0])) > 180] = np.nan
+    return found
 
 
 def edge(where: np.ndarray, grid: PerspectiveGrid, width: float, height: float) -> tuple[np.ndarray, np.ndarray, float]:
@@ -199,17 +191,12 @@ def _note(axes: Axes, text: str, scale: float = 1.0) -> None:
 
 def _turn(axes: Axes, where: np.ndarray, scale: float) -> None:
     """An arrow on a panorama along the great circle from forward to `where`, up to the rings around it."""
-    angle = math.acos(max(-1.0, min(1.0, float(where[0]))))
-    if math.sin(angle) < 1e-6:  # straight ahead or straight behind
+    rings = math.radians(65 * scale * axes.figure.dpi / axes.bbox.width)
+    angle = math.acos(max(-1.0, min(1.0, float(where[0])))) - rings
+    if angle < 0.1 or np.hypot(*where[1:]) < 1e-6:  # nearly ahead, or straight behind
         return
     along = np.linspace(0, angle, 240)[:, None]
-    circle = np.cos(along) * np.eye(3)[0] + np.sin(along) * unit(where * (0, 1, 1))
-    x, y = np.degrees(azimuth_elevation(circle))
-    near = 0.18 * scale * axes.figure.dpi
-    clear = axes.bbox.width / 360 * np.hypot(x - x[-1], y - y[-1]) > near
-    x, y = x[clear], y[clear]
-    if len(x) < 8:
-        return
+    x, y = np.degrees(azimuth_elevation(np.cos(along) * np.eye(3)[0] + np.sin(along) * unit(where * (0, 1, 1))))
     wide = 1.8 * scale
     axes.plot(x, y, color=OURS, linewidth=wide, zorder=6, path_effects=outline(2 * wide), solid_capstyle="round")
     axes.plot(0, 0, "o", color=OURS, markersize=4.5 * scale, markeredgecolor="black", markeredgewidth=0.8, zorder=6)
@@ -317,122 +304,3 @@ class Mosaic:
         found = self.colours[row, column]
         found[~self.seen[row, column]] = unseen
         return found
-
-
-Box = tuple[int, int, int, int]  # left, top, width and height, pixels of a figure
-
-
-class Scene:
-    """The part of a figure that shows what was seen: a panorama, or an ordinary picture with what is around it.
-
-    `mosaic` holds what an ordinary camera was shown; every picture of one that is painted is added to it.
-    """
-
-    def __init__(self, figure: Figure, place: Box, mosaic: Mosaic | None = None) -> None:
-        self.place, self.mosaic = place, mosaic or Mosaic()
-        self.seen, self.around, self.words = (figure.add_axes((0, 0, 1, 1)) for _ in range(3))
-        for axes in (self.seen, self.around, self.words):
-            axes.set_axis_off()
-            axes.set_autoscale_on(False)
-        self._size = np.rint(figure.bbox.size)
-        self._grid: PerspectiveGrid | None = None
-
-    def paint(
-        self,
-        pixels: np.ndarray,
-        picture: np.ndarray | None,
-        estimate: Estimate,
-        grid: PerspectiveGrid | None = None,
-        more: Marks = ALONE,
-        problem: str | None = None,
-    ) -> None:
-        """Paint a step, its pictures into `pixels` ``(H, W, 3)`` of the figure, the rest as artists.
-
-        `picture` ``(h, w, 3)``, uint8 or 0 to 1: a panorama, or with `grid` what an ordinary camera saw; None for one
-        that cannot be read: the view is that of the step before. Raises `EagorError` for a picture of another shape.
-        """
-        for axes in (self.seen, self.around, self.words):
-            for artist in (*axes.lines, *axes.collections, *axes.patches, *axes.texts):
-                artist.remove()
-        heat = heat_of(estimate)
-        grid = self._grid = grid or (self._grid if picture is None else None)
-        if grid is None:
-            self._show(self.seen, self.place, pixels, picture, None if heat is None else heat.rgba)
-            paint_marks(self.seen, estimate, heat, more)
-            for (at, name), side in zip(SIDES, ("left", "center", "center", "center", "right"), strict=True):
-                _name(self.seen, at, name, side, 9)
-        else:
-            if picture is not None:
-                self.mosaic.add(picture, grid, estimate.world_R_body)
-            view, around = self.boxes(grid)
-            there = None
-            if heat is not None:  # sampled about once per cell; to the pixels it is interpolated
-                cell = max(1.0, view[3] / grid.height * grid.focal * math.pi / len(heat.rgba))
-                there = heat_in_view(heat, grid, math.ceil(view[3] / cell), math.ceil(view[2] / cell))
-            self._show(self.seen, view, pixels, picture, there, (0, 1, 1, 0))
-            looked = self.mosaic.seen_from(estimate.world_R_body, BEHIND)
-            self._show(self.around, around, pixels, looked, None if heat is None else heat.rgba)
-            for line in outline_of(grid):
-                self.around.plot(*line.T, color="white", linewidth=1.6, zorder=5, path_effects=outline(3.2))
-            for at, name in SIDES[1:-1]:
-                _name(self.around, at, name, "center", 8)
-            paint_marks(self.around, estimate, heat, more, scale=SMALL)
-            paint_marks(self.seen, estimate, heat, more, grid)
-            self._say(estimate, around)
-        if problem:
-            self.seen.text(
-                0.5, 0.9, f"left out: {short(problem, LONGEST_PROBLEM)}", fontsize=10,
-                transform=self.seen.transAxes, color=ALARM, ha="center", va="top", zorder=9, family=family(),
-                bbox={"facecolor": "black", "alpha": 0.7, "edgecolor": ALARM, "linewidth": 0.8, "pad": 4},
-            )  # fmt: skip
-
-    def boxes(self, grid: PerspectiveGrid) -> tuple[Box, Box]:
-        """Where the picture is, as large as leaves a place for the small panorama, and where that is."""
-        left, top, width, height = self.place
-        gap, ratio = round(GAP * width), grid.width / grid.height
-        wide = min(width - round(LEAST * width) - 2 * gap, round(height * ratio))
-        free = width - wide - 2 * gap
-        small = min(free, height)  # leaves half of the height to the words
-        around = left + wide + gap + (free - small) // 2, top + gap, small, small // 2
-        return (left, top, wide, min(height, round(wide / ratio))), around
-
-    def _show(
-        self,
-        axes: Axes,
-        box: Box,
-        pixels: np.ndarray,
-        picture: np.ndarray | None,
-        heat: np.ndarray | None,
-        ends: tuple[float, float, float, float] = (180, -180, -90, 90),
-    ) -> None:
-        """Paint a picture with heat on it, and move its axes there; `ends`: left, right, bottom and top of them."""
-        left, top, wide, high = box
-        pixels[top : top + high, left : left + wide] = backdrop(picture, heat, wide, high)
-        width, height = self._size
-        axes.set_position((left / width, 1 - (top + high) / height, wide / width, high / height))
-        axes.set_xlim(*ends[:2])
-        axes.set_ylim(*ends[2:])
-
-    def _say(self, estimate: Estimate, around: Box) -> None:
-        """How sure it is, and the answer in words, below the small panorama."""
-        left, top, width, height = around
-        scale = self.place[2] / DESIGN
-        said, columns = answer_in_words(estimate), max(12, int(width / (11.5 * scale)))
-        if len(said) > columns:  # where the height begins
-            kept = said.replace(" degrees)", "\u00a0degrees)")  # a number stays with its unit
-            said = "\n".join(textwrap.fill(part, columns) for part in kept.rsplit(", ", 1))
-        sure = "" if estimate.direction is None else sureness(estimate)
-        for text, size, colour, down in ((sure, 22, COLOURS[estimate.status], 14), (said, 15, WORDS, 56)):
-            self.words.text(
-                left / self._size[0], 1 - (top + height + down * scale) / self._size[1], text, fontsize=size,
-                color=colour, weight="bold", family=family(), va="top", linespacing=1.35,
-            )  # fmt: skip
-
-
-def _name(axes: Axes, at: float, name: str, side: str, size: float) -> None:
-    """What an azimuth is called, at the upper edge of a panorama."""
-    beside = {"left": 5, "right": -5}.get(side, 0)
-    axes.annotate(
-        name, (at, 90), xytext=(beside, -4), textcoords="offset points", fontsize=size, color="white", ha=side,
-        va="top", path_effects=outline(2.2), zorder=8,
-    )  # fmt: skip
