@@ -27,14 +27,14 @@ from eagor.tracking.estimate import Estimate
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["ALONE", "BEHIND", "OURS", "TRUTH", "Marks", "Mosaic", "backdrop", "outline_of", "paint_marks"]
+__all__ = ["ALONE", "OURS", "TRUTH", "UNSEEN", "Marks", "Mosaic", "backdrop", "outline_of", "paint_marks"]
 
 OURS, TRUTH = "#00e5ff", "#39ff6a"
 # Markers and colours that can be told apart in grey and by the colour-blind; the first methods get the first ones.
 OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
 NEAR_SEAM = 172  # degrees of azimuth: a marker beyond it is drawn at both edges
 COLOUR, BRIGHTNESS = 0.72, 0.80  # of the panorama's own, so that heat and markers stand out
-BEHIND = (40, 44, 52)  # where there is no picture
+UNSEEN = (40, 44, 52)  # where there is no picture
 MARGIN = 0.035  # of the picture's smaller side, between an arrow at the edge and the edge
 SHRINK = 1.5  # pixels of a picture per cell of a mosaic: a finer one is shrunk first, by areas
 
@@ -240,7 +240,7 @@ def backdrop(picture: np.ndarray | None, heat: np.ndarray | None, width: int, he
     from PIL import Image
 
     if picture is None:
-        ground = Image.new("RGB", (width, height), BEHIND)
+        ground = Image.new("RGB", (width, height), UNSEEN)
     else:
         own = Image.fromarray(_bytes(picture)).resize((width, height), Image.Resampling.BILINEAR, reducing_gap=1.0)
         grey, colour = BRIGHTNESS * (1 - COLOUR) / 3, BRIGHTNESS * COLOUR
@@ -266,14 +266,13 @@ def _bytes(picture: np.ndarray) -> np.ndarray:
 class Mosaic:
     """The pictures of a camera that turns, in the axes of the world; a newer picture covers older ones.
 
-    `colours` ``(rows, 2 rows, 3)`` uint8; `seen` ``(rows, 2 rows)``: which of its cells any picture has shown.
+    `colours` ``(rows, 2 rows, 3)`` uint8: what was shown of the sphere, and `UNSEEN`.
     """
 
     def __init__(self, rows: int = 240) -> None:
         self._grid = ErpGrid(rows, 2 * rows)
         self._directions = self._grid.directions.astype(np.float32)
-        self.colours = np.zeros((*self._grid.shape, 3), dtype=np.uint8)
-        self.seen = np.zeros(self._grid.shape, dtype=bool)
+        self.colours = np.full((*self._grid.shape, 3), UNSEEN, dtype=np.uint8)
 
     def add(self, picture: np.ndarray, grid: PerspectiveGrid, world_R_body: np.ndarray) -> None:
         """Paste a picture ``(H, W, 3)``, whose pixels `grid` describes, taken with this orientation.
@@ -294,13 +293,8 @@ class Mosaic:
         column = (x[inside] * (width / grid.width)).astype(int).clip(0, width - 1)
         row = (y[inside] * (height / grid.height)).astype(int).clip(0, height - 1)
         self.colours[inside] = small[row, column]
-        self.seen |= inside
 
-    def seen_from(self, world_R_body: np.ndarray, unseen: tuple[int, int, int]) -> np.ndarray:
-        """The panorama ``(rows, 2 rows, 3)`` uint8 in the axes of a body with this orientation, with holes `unseen`."""
+    def seen_from(self, world_R_body: np.ndarray) -> np.ndarray:
+        """The panorama ``(rows, 2 rows, 3)`` uint8 in the axes of a body with this orientation."""
         x, y, _ = self._grid.project(self._directions @ world_R_body.T.astype(np.float32))
-        row = y.astype(int).clip(0, self._grid.height - 1)
-        column = x.astype(int) % self._grid.width
-        found = self.colours[row, column]
-        found[~self.seen[row, column]] = unseen
-        return found
+        return self.colours[y.astype(int).clip(0, self._grid.height - 1), x.astype(int) % self._grid.width]

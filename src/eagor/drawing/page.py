@@ -10,11 +10,11 @@ import io
 import json
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from types import TracebackType
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from eagor._values import wide
 from eagor._version import __version__
 from eagor.drawing.step import StepPainter
 from eagor.drawing.style import (
-    COLOURS,
-    SIDES,
-    STATUS,
     candidates_in_words,
     far_in_words,
     in_words,
@@ -42,12 +39,9 @@ __all__ = ["BeliefPage"]
 PICTURES = 60  # of `as_address`: 7.4 MB as text, so that the page can be sent by mail
 WIDTH = 1120  # columns of a picture
 LARGEST = 92_000  # bytes of a picture
-QUALITIES = (82, 74, 66, 58, 48, 36)  # of JPEG, best first
 ROWS = 1500  # of the table
 NAMED = 50  # problems that are listed
-COLUMNS = ("frame", "time (s)", "picture", "azimuth (°)", "elevation (°)", "90 % cone (°)", "presence", "status")
-FULL, TALL, LEFT, WIDE = 1000, 226, 64, 914  # user units of the time line: its size, where the axis begins, its width
-AZIMUTH_STRIP, PRESENCE_STRIP, STATUS_STRIP = (8, 148), (158, 186), (194, 206)  # rows: from, to
+WIDE = 914  # user units of the time line's axis, in the template
 AROUND = (  # what a picture of a panorama shows
     "The middle of a picture is ahead of the camera, its edges are behind it. Cyan: the answer, with an arrow that "
     "shows which way to turn where 90 % lie within 90 degrees of it."
@@ -60,7 +54,7 @@ IN_VIEW = (  # and one of an ordinary camera
 )
 
 
-class BeliefPage:
+class BeliefPage(AbstractContextManager["BeliefPage"]):
     """Takes the steps of a track one by one and writes the page to `path` when it is closed.
 
     Use it as a context manager: the page is written after Ctrl-C or an error too, and says that the run did not end.
@@ -129,12 +123,7 @@ class BeliefPage:
             self._closed = True
             written(self.path, self._page())
 
-    def __enter__(self) -> BeliefPage:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is not None:
             why = "it was interrupted" if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
             self.notes.insert(0, f"The run did not end ({why}); the page holds what came before.")
@@ -155,17 +144,14 @@ class BeliefPage:
             }
             for picture, index, name, moment in pictures
         ]
-        data = {"steps": steps, "left": LEFT, "wide": WIDE, "full": FULL, "span": self.line.span}
+        data = {"steps": steps, "span": self.line.span}
         used = self.used | {"frames": str(self._rows.count), "version": f"eagor {__version__}"}
         shown = {index: number for number, (_, index, _, _) in enumerate(pictures)}
         more = [f"and {len(self._problems) - NAMED} more frames"] if len(self._problems) > NAMED else []
         left_out = [*self.notes, *self._problems[:NAMED], *more]
-        colours = {"answer": "answer, presence", "band": "azimuths of its 90 % cone"}
-        colours |= {status: f"status: {status}" for status in COLOURS}
-        thinned = [
-            (self._pictures, "One of {} frames has a picture ({} frames)."),
-            (self._rows, "The table has one of {} frames."),
-        ]
+        pictures_of = f"One of {self._pictures.stride} frames has a picture ({self._pictures.count} frames)."
+        rows_of = f"The table has one of {self._rows.stride} frames."
+        thinned = (self._pictures, pictures_of), (self._rows, rows_of)
         folder = files("eagor.drawing") / "templates"
         page, css = ((folder / name).read_text(encoding="utf-8") for name in ("track.html", "track.css"))
         return Template(page).substitute(
@@ -180,14 +166,28 @@ class BeliefPage:
             most=len(pictures) - 1,
             count=len(pictures),
             seen=IN_VIEW if self._ordinary else AROUND,
-            pictures=" ".join(text.format(kept.stride, kept.count) for kept, text in thinned if kept.stride > 1),
-            line=time_line(self.line),
-            key="".join(f'<li><i style="background:var(--{name})"></i>{text}</li>' for name, text in colours.items()),
-            heads="".join(f'<th scope="col">{head}</th>' for head in COLUMNS),
+            pictures=" ".join(text for kept, text in thinned if kept.stride > 1),
+            **self._time_line(),
             rows="\n".join(_row(index, name, moment, shown.get(index)) for index, name, moment in self._rows.items),
             used="".join(f"<dt>{escape(name)}</dt><dd>{escape(str(value))}</dd>" for name, value in used.items()),
             left_out="".join(f"<li>{escape(text)}</li>" for text in left_out or ["Nothing: every frame was used."]),
         )
+
+    def _time_line(self) -> dict[str, str]:
+        """What the template shows over time."""
+        line, scale = self.line, WIDE / self.line.span
+        spent = [(status, path([(begin, end, 0, 1)]), end - begin) for begin, end, status in line.stretches()]
+        return {
+            "scale": f"{scale:.6g}",
+            "ticks": "".join(f'<text x="{scale * at:.2f}">{name}</text>' for at, name in line.ticks()),
+            "bands": path(line.bands()),
+            "given": path(line.answers()[:, [0, 1, 2, 2]]),  # without a height
+            "presences": path(line.presence()),
+            "statuses": "".join(
+                f'<path class="{status}" d="{box}"><title>{status}, {time:.2f} s</title></path>'
+                for status, box, time in spent
+            ),
+        }
 
     def _answer(self) -> str:
         _, estimate, *_ = self._newest
@@ -195,16 +195,11 @@ class BeliefPage:
         return f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}, in the last frame."
 
     def _status(self) -> str:
-        """What the last status means, and for how long each of them was."""
-        last, whole = self._last[2], max(self.line.end, 1e-9)
-        lasting = dict.fromkeys(STATUS, 0.0)
-        for begin, end, name in self.line.stretches():
-            lasting[name] += end - begin
-        shares = ", ".join(f"{100 * time / whole:.0f} % {name}" for name, time in lasting.items() if time > 0)
+        last = self._last[2]
         belief = "" if last.cone is None else f" The belief: {self._newest[1].certainty}."
         return (
             f"The status is {last.status}: {status_in_words(last.status, last.presence)}. The probability that it is "
-            f"here at all is {last.presence:.2f}.{belief} Of {self.line.now:.1f} seconds: {shares}."
+            f"here at all is {last.presence:.2f}.{belief}"
         )
 
 
@@ -212,47 +207,20 @@ def as_address(pixels: np.ndarray) -> str:
     """A picture as a data URL of a JPEG of at most `LARGEST` bytes; a picture too busy for that is made smaller."""
     from PIL import Image
 
-    picture = Image.fromarray(pixels)
+    picture, quality = Image.fromarray(pixels), 82
     while True:
-        for quality in QUALITIES:
-            buffer = io.BytesIO()
-            picture.save(buffer, "JPEG", quality=quality, optimize=True)
-            if buffer.tell() <= LARGEST:
-                return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
-        picture = picture.resize((picture.width * 3 // 4, picture.height * 3 // 4))
+        buffer = io.BytesIO()
+        picture.save(buffer, "JPEG", quality=quality, optimize=True)
+        if buffer.tell() <= LARGEST:
+            return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+        quality -= 8
+        if quality < 40:
+            picture, quality = picture.resize((picture.width * 3 // 4, picture.height * 3 // 4)), 74
 
 
-def time_line(line: TimeLine) -> str:
-    """The time line as SVG, with a line ``now`` that can be moved; classes give the colours."""
-
-    def text(words: str, y: float, x: float = LEFT - 6, anchor: str = "end") -> str:
-        return f'<text x="{x:.2f}" y="{y + 4}" text-anchor="{anchor}">{words}</text>'
-
-    def strip(place: tuple[int, int], low: float, high: float, parts: Iterable[str]) -> str:
-        """A row from `low` to `high`, in which x are seconds."""
-        scale = f"scale({WIDE / line.span:.6g} {(place[0] - place[1]) / (high - low):.6g})"
-        return f'<g transform="translate({LEFT} {place[1]}) {scale} translate(0 {-low})">{"".join(parts)}</g>'
-
-    def boxes(kind: str, rows: Iterable[Iterable[float]], inside: str = "") -> str:
-        """Boxes: begin, end, and two values."""
-        path = "".join(f"M{b:.3f} {v:.3f}V{w:.3f}H{e:.3f}V{v:.3f}Z" for b, e, v, w in rows)
-        return f'<path class="{kind}" d="{path}">{inside}</path>'
-
-    (top, bottom), ends = AZIMUTH_STRIP, line.answers()[:, [0, 1, 2, 2]]  # the answers: boxes without a height
-    heights = [(name, bottom - (bottom - top) * (at + 180) / 360) for at, name in SIDES]
-    spent = [(status, end - begin, (begin, end, 0, 1)) for begin, end, status in line.stretches()]
-    parts = [
-        *(f'<path class="line" d="M{LEFT} {y}h{WIDE}"/>' + text(name, y) for name, y in heights),
-        text("presence", sum(PRESENCE_STRIP) / 2),
-        text("status", sum(STATUS_STRIP) / 2),
-        *(text(name, TALL - 9, LEFT + WIDE * time / line.span, "middle") for time, name in line.ticks()),
-        strip(AZIMUTH_STRIP, -180, 180, [boxes("band", line.bands()), boxes("given", ends)]),
-        strip(PRESENCE_STRIP, 0, 1, [boxes("presence", line.presence())]),
-        strip(STATUS_STRIP, 0, 1, [boxes(s, [box], f"<title>{s}, {long:.2f} s</title>") for s, long, box in spent]),
-        f'<line id="now" class="now" x1="{LEFT}" x2="{LEFT}" y1="{top}" y2="{STATUS_STRIP[1]}"/>',
-    ]
-    said = "Azimuth of the answer with its 90 percent cone, presence and status over time"
-    return f'<svg id="timeline" viewBox="0 0 {FULL} {TALL}" role="img" aria-label="{said}">{"".join(parts)}</svg>'
+def path(boxes: Iterable[Iterable[float]]) -> str:
+    """An SVG path around boxes: begin, end, and two values."""
+    return "".join(f"M{b:.3f} {v:.3f}V{w:.3f}H{e:.3f}V{v:.3f}Z" for b, e, v, w in boxes)
 
 
 def _said(name: str, moment: Moment) -> str:

@@ -219,12 +219,16 @@ def draw_map(
     shade = np.full((*walls.shape, 3), (0.87, 0.85, 0.81))
     shade[free], shade[walls] = 1.0, (0.24, 0.27, 0.33)
     every = np.concatenate([path, np.reshape(target[:2], (1, 2))])
-    (left, bottom), (right, top) = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
-    sheet = figure(width, round(width * min(max((top - bottom) / (right - left), 0.6), 1.5)) + 60)
-    axes = sheet.add_axes((0.04, 0.09, 0.945, 0.88))
+    low, high = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
+    lacking = np.maximum(0, np.max(high - low) / 1.5 - (high - low)) / 2  # not too narrow for the picture
+    (left, bottom), (right, top) = low - lacking, high + lacking
+    wide, foot = width - 58, 66  # pixels beside and below the map
+    tall = wide * (top - bottom) / (right - left)
+    height = round(tall + foot + 26)
+    sheet = figure(width, height)
+    axes = sheet.add_axes((44 / width, foot / height, wide / width, tall / height))
     axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
     axes.set(xlim=(left, right), ylim=(bottom, top))
-    axes.set_aspect("equal", adjustable="datalim")  # more of the plan fills the picture
     axes.set_title(title, loc="left", fontsize=11, color=INK, weight="bold", pad=5)
     halo = [patheffects.Stroke(linewidth=5.4, foreground="white"), patheffects.Normal()]
     axes.plot(*path.T, color=CURVES[0], linewidth=3, zorder=4, path_effects=halo, solid_joinstyle="round")

@@ -10,7 +10,7 @@ import io
 import math
 import os
 import uuid
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -50,7 +50,7 @@ BETWEEN_KEYS = 30  # pictures from one key frame to the next: players jump to ke
 BT709, LIMITED = 1, 1  # matrix, primaries and transfer of HD video, and its range, in FFmpeg's numbers
 
 
-class BeliefVideo:
+class BeliefVideo(AbstractContextManager["BeliefVideo"]):
     """Writes the steps of a track to `path`, as pictures of `StepPainter`, each shown at its own time.
 
     mp4 and mkv (H.264, or MPEG-4 where PyAV lacks it) and webm (VP9) need the extra ``photos``; webp and gif do not,
@@ -71,25 +71,17 @@ class BeliefVideo:
     def __init__(
         self, path: str | Path, *, rate: float | None = None, size: int | None = None, span: float | None = None
     ) -> None:
-        self.path = Path(path)
-        suffix = self.path.suffix.lower()
-        if suffix not in VIDEOS and suffix not in ANIMATIONS:
-            raise EagorError(
-                f"{path} ends in {suffix or 'nothing'}; wanted a video ({', '.join(VIDEOS)}) or a moving picture "
-                f"({', '.join(ANIMATIONS)})"
-            )
+        path = Path(path)
+        kind = {**dict.fromkeys(VIDEOS, Movie), **dict.fromkeys(ANIMATIONS, Animation)}.get(path.suffix.lower())
+        if kind is None:
+            wanted = f"a video ({', '.join(VIDEOS)}) or a moving picture ({', '.join(ANIMATIONS)})"
+            raise EagorError(f"{path} ends in {path.suffix or 'nothing'}; wanted {wanted}")
         if rate is not None and not (math.isfinite(rate) and rate > 0):
             raise EagorError(f"{rate} pictures per second; wanted a number above 0")
-        self.painter = StepPainter(size or (DESIGN if suffix in VIDEOS else SMALL), span)
-        if self.path.is_dir():
-            raise EagorError(f"{self.path} is a folder; name a file")
-        whole = (self.painter.width, self.painter.height)
-        self._movie = Movie(self.path, whole, rate) if suffix in VIDEOS else Animation(self.path, rate)
-
-    @property
-    def count(self) -> int:
-        """Pictures in the file so far; of a webp or gif, those that will be in it."""
-        return self._movie.count
+        if path.is_dir() or not path.absolute().parent.is_dir():
+            raise EagorError(f"{path} cannot be written: it is a folder, or its folder is not there; name a file")
+        self.painter = StepPainter(size or (DESIGN if kind is Movie else SMALL), span)
+        self._movie = kind(path, (self.painter.width, self.painter.height), rate)
 
     def add(self, picture: np.ndarray | None, estimate: Estimate, **more: Any) -> None:
         """Append one step; arguments as for `StepPainter.paint`. Stamps grow.
@@ -102,9 +94,6 @@ class BeliefVideo:
     def close(self) -> None:
         """Finish the file. Raises `StorageError`."""
         self._movie.close()
-
-    def __enter__(self) -> BeliefVideo:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -128,16 +117,16 @@ class Movie:
         container, codecs, options = VIDEOS[suffix]
         codec = next((name for name in codecs if name in av.codecs_available), None)
         if codec is None:
+            others = " or ".join(other for other in (*VIDEOS, *ANIMATIONS) if other != suffix)
             raise EagorError(
-                f"this PyAV has no encoder for {suffix} ({' or '.join(codecs)}); name a file that ends in "
-                f"{' or '.join(other for other in (*VIDEOS, *ANIMATIONS) if other != suffix)}"
+                f"this PyAV has no encoder for {suffix} ({' or '.join(codecs)}); name a file that ends in {others}"
             )
         self._part = self.path.with_name(f".{self.path.name}.{uuid.uuid4().hex[:12]}.part")
-        nominal = Fraction(rate or NOMINAL).limit_denominator(1001)
         try:
             self._file: Any = av.open(str(self._part), "w", format=container, options=options)
         except OSError as error:
             raise StorageError(f"{path} cannot be written ({error.strerror}); name a folder that can be") from error
+        nominal = Fraction(rate or NOMINAL).limit_denominator(1001)
         self._stream: Any = self._file.add_stream(codec, rate=nominal, options=SETTINGS[codec])
         self._stream.width, self._stream.height = size
         self._stream.pix_fmt = "yuv420p"
@@ -189,10 +178,8 @@ class Movie:
                 self._file.close()
         except OSError as error:
             self._end(_plays(self._part))
-            raise StorageError(
-                f"{self.path} takes no more ({error.strerror}); it has the pictures so far. Make room, or name another "
-                "place"
-            ) from error
+            text = f"{self.path} takes no more ({error.strerror}); it has the pictures so far"
+            raise StorageError(f"{text}. Make room, or name another place") from error
 
     def _end(self, keep: bool) -> None:
         """Close the file, and let it take its place, or remove it."""
@@ -201,8 +188,7 @@ class Movie:
         self._file = None
         if keep:
             self._part.replace(self.path)
-        else:
-            self._part.unlink(missing_ok=True)
+        self._part.unlink(missing_ok=True)
 
 
 def _plays(path: Path) -> bool:
@@ -217,22 +203,17 @@ def _plays(path: Path) -> bool:
 class Animation:
     """An animated WebP or GIF, held in memory until it is closed; of more than 240 pictures every second one goes."""
 
-    def __init__(self, path: Path, rate: float | None) -> None:
+    def __init__(self, path: Path, size: tuple[int, int], rate: float | None) -> None:
         self.path, self._last = path, 1 / (rate or NOMINAL)
         self._kept, self._end = Thinned(MOST), 0.0  # the end: the last stamp
         if not os.access(path.absolute().parent, os.W_OK):
             raise StorageError(f"{path} cannot be written; name a folder that can be written to")
 
-    @property
-    def count(self) -> int:
-        """Pictures in the file."""
-        return len(self._kept.items)
-
     def add(self, pixels: np.ndarray, stamp: float) -> None:
         """Append a picture ``(height, width, 3)`` uint8; `stamp` in seconds from the first one."""
         from PIL import Image
 
-        if self.count and round(1000 * stamp) <= round(1000 * self._end):
+        if self._kept.items and round(1000 * stamp) <= round(1000 * self._end):
             raise TimeError(f"a picture at {stamp:g} s, less than a millisecond after the one before it")
         picture = Image.fromarray(pixels)
         if self.path.suffix.lower() == ".gif" and self._kept.wants:
@@ -242,18 +223,12 @@ class Animation:
 
     def close(self) -> None:
         """Write the file; nothing without pictures. Raises `StorageError`."""
-        if not self.count:
+        if not self._kept.items:
             return
-        gif = self.path.suffix.lower() == ".gif"
-        step = 10 if gif else 1  # milliseconds: the clock of a GIF
-        stamps = [*(stamp for _, stamp in self._kept.items), self._end + self._last]
-        at = [step * round(1000 * stamp / step) for stamp in stamps]
-        shown = [max(step, end - begin) for begin, end in pairwise(at)]
-        pictures = [picture for picture, _ in self._kept.items]
-        buffer, how = io.BytesIO(), {} if gif else {"quality": 78, "method": 4}
-        pictures[0].save(
-            buffer, ANIMATIONS[self.path.suffix.lower()], save_all=True, append_images=pictures[1:], duration=shown,
-            loop=0, **how,
-        )  # fmt: skip
-        self._kept = Thinned(MOST)
+        pictures, stamps = zip(*self._kept.items, strict=True)
+        self._kept, buffer, suffix = Thinned(MOST), io.BytesIO(), self.path.suffix.lower()
+        step = 10 if suffix == ".gif" else 1  # milliseconds: the clock of a GIF
+        at = [step * round(1000 * stamp / step) for stamp in (*stamps, self._end + self._last)]
+        how = {"duration": [max(step, end - begin) for begin, end in pairwise(at)], "append_images": pictures[1:]}
+        pictures[0].save(buffer, ANIMATIONS[suffix], save_all=True, loop=0, quality=78, method=4, **how)
         written(self.path, buffer.getvalue())

@@ -118,44 +118,37 @@ class RerunLog:
             self._answer(answer)
 
     def _answer(self, answer: Answer) -> None:
-        """An arrow, and a point in each plot; a line of text where the status changes."""
+        """An arrow, points in the plots, and a line of text where the status changes."""
         import rerun
 
-        estimate, log = answer.estimate, self._log.log
+        e, log = answer.estimate, self._log.log
         name = re.sub(r"[^\w\-]+", "_", answer.query).strip("_") or "target"
-        arrows = []
-        if estimate.direction is not None and worth_an_arrow(estimate):
-            arrows.append(min(max(estimate.distance or ANYWHERE, SHORTEST), LONGEST) * estimate.direction)
-        arrow = rerun.Arrows3D(vectors=arrows, colors=OURS, radii=0.02, labels=[answer.query] * len(arrows))
-        log(f"world/body/{name}", arrow)
-        known = estimate.azimuth is not None
-        values = {  # a value that is not known leaves a gap
-            "presence": estimate.presence,
-            "azimuth": math.degrees(estimate.azimuth) if known else math.nan,
-            "cone": math.degrees(estimate.credible_angle) if known else math.nan,
-        }
+        arrows, angles = [], [math.nan, math.nan]  # what is not known leaves a gap
+        if e.direction is not None and e.azimuth is not None:
+            angles = [math.degrees(e.azimuth), math.degrees(e.credible_angle)]
+            if worth_an_arrow(e):
+                arrows = [min(max(e.distance or ANYWHERE, SHORTEST), LONGEST) * e.direction]
+        said = [answer.query] * len(arrows)
+        log(f"world/body/{name}", rerun.Arrows3D(vectors=arrows, colors=OURS, radii=0.02, labels=said))
         if name not in self._said:  # azimuths jump where they cross the back: dots, without lines over the plot
-            log(f"plots/angles/{name}/azimuth", rerun.SeriesPoints(marker_sizes=2.5), static=True)
-        for what, value in values.items():
-            log(f"plots/{'presence' if what == 'presence' else 'angles'}/{name}/{what}", rerun.Scalars([value]))
-        if self._said.get(name) != estimate.status:
-            self._said[name] = estimate.status
-            level = "WARN" if estimate.status == "stale" else "INFO"
-            text = f"“{answer.query}”: {estimate.status}: {answer_in_words(estimate)}"
-            log("status", rerun.TextLog(text, level=level))
+            dots = rerun.SeriesPoints(names=[f"{answer.query}: azimuth", "90 % cone"], marker_sizes=[2.5, 1.5])
+            log(f"plots/angles/{name}", dots, static=True)
+        log(f"plots/angles/{name}", rerun.Scalars(angles))
+        log(f"plots/presence/{name}", rerun.Scalars([e.presence]))
+        if self._said.get(name) != e.status:
+            self._said[name] = e.status
+            text = f"“{answer.query}”: {e.status}: {answer_in_words(e)}"
+            log("status", rerun.TextLog(text, level="WARN" if e.status == "stale" else "INFO"))
 
 
 def _layout() -> Any:
     """What the viewer shows at first."""
     import rerun.blueprint as view
 
-    turning, certain = view.ScalarAxis(range=(-180, 180)), view.ScalarAxis(range=(0, 1))
-    left = view.Vertical(
-        view.Spatial2DView(origin="picture", name="What was seen, and what is believed"),
-        view.TimeSeriesView(origin="plots/angles", name="Azimuth and 90 % cone, degrees", axis_y=turning),
-        view.TimeSeriesView(origin="plots/presence", name="Presence", axis_y=certain),
-        row_shares=[3, 2, 1],
-    )
+    half, share = view.ScalarAxis(range=(-180, 180)), view.ScalarAxis(range=(0, 1))
+    seen = view.Spatial2DView(origin="picture", name="What was seen, and what is believed")
+    angles = view.TimeSeriesView(origin="plots/angles", name="Azimuth and 90 % cone, degrees", axis_y=half)
+    presence = view.TimeSeriesView(origin="plots/presence", name="Presence", axis_y=share)
     world, status = view.Spatial3DView(origin="world", name="World"), view.TextLogView(origin="status", name="Status")
-    right = view.Vertical(world, status, row_shares=[3, 1])
+    left, right = view.Vertical(seen, angles, presence, row_shares=[3, 2, 1]), view.Vertical(world, status)
     return view.Blueprint(view.Horizontal(left, right, column_shares=[3, 2]), collapse_panels=True)
