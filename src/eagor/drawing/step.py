@@ -17,7 +17,7 @@ import numpy as np
 
 from eagor.drawing import style
 from eagor.drawing.heat import Heat, heat_in_view, heat_of
-from eagor.drawing.marks import ALONE, BEHIND, Marks, Mosaic, backdrop, outline, outline_of, paint_marks
+from eagor.drawing.marks import ALONE, Marks, Mosaic, backdrop, outline, outline_of, paint_marks
 from eagor.drawing.style import COLOURS, DARK, DESIGN, FAINT, SIDES, WORDS
 from eagor.drawing.timeline import Moment, TimeLine
 from eagor.errors import EagorError
@@ -104,9 +104,7 @@ class StepPainter:
         heat = heat_of(estimate)
         grid = self._grid = grid or (self._grid if picture is None else None)
         if grid is None:
-            self._show(
-                self._seen, (0, self.head, self.width, self.rows), pixels, picture, None if heat is None else heat.rgba
-            )
+            self._show(self._seen, (0, self.head, self.width, self.rows), pixels, picture, heat)
             paint_marks(self._seen, estimate, heat, more)
             for (at, name), side in zip(SIDES, ("left", "center", "center", "center", "right"), strict=True):
                 _name(self._seen, at, name, side, 9)
@@ -154,13 +152,8 @@ class StepPainter:
         if picture is not None:
             self.mosaic.add(picture, grid, estimate.world_R_body)
         view, around = self.boxes(grid)
-        there = None
-        if heat is not None:  # sampled about once per cell; to the pixels it is interpolated
-            cell = max(1.0, view[3] / grid.height * grid.focal * math.pi / len(heat.rgba))
-            there = heat_in_view(heat, grid, math.ceil(view[3] / cell), math.ceil(view[2] / cell))
-        self._show(self._seen, view, pixels, picture, there, (0, 1, 1, 0))
-        looked = self.mosaic.seen_from(estimate.world_R_body, BEHIND)
-        self._show(self._around, around, pixels, looked, None if heat is None else heat.rgba)
+        self._show(self._seen, view, pixels, picture, heat, grid)
+        self._show(self._around, around, pixels, self.mosaic.seen_from(estimate.world_R_body), heat)
         self._around.plot(*outline_of(grid).T, color="white", linewidth=1.6, zorder=5, path_effects=outline(3.2))
         for at, name in SIDES[1:-1]:
             _name(self._around, at, name, "center", 8)
@@ -170,7 +163,8 @@ class StepPainter:
         if estimate.direction is not None:
             colour = COLOURS[estimate.status]
             self._say(left, top + height + 14 * self._scale, style.sureness(estimate), 22, colour, va="top")
-        said = textwrap.fill(style.answer_in_words(estimate), max(12, int(width / (11.5 * self._scale))))
+        kept = style.answer_in_words(estimate).replace(" degrees", "\u00a0degrees")  # a number stays with its unit
+        said = textwrap.fill(kept, max(12, int(width / (11.5 * self._scale))))
         self._say(left, top + height + 56 * self._scale, said, 15, WORDS, va="top", linespacing=1.35)
 
     def _show(
@@ -179,14 +173,18 @@ class StepPainter:
         box: Box,
         pixels: np.ndarray,
         picture: np.ndarray | None,
-        heat: np.ndarray | None,
-        ends: tuple[float, float, float, float] = (180, -180, -90, 90),
+        heat: Heat | None,
+        grid: PerspectiveGrid | None = None,
     ) -> None:
-        """Paint a picture with heat on it, and move its axes there; `ends`: left, right, bottom and top of them."""
-        left, top, wide, high = box
-        pixels[top : top + high, left : left + wide] = backdrop(picture, heat, wide, high)
-        w, h = self.width, self.height
-        axes.set(position=(left / w, 1 - (top + high) / h, wide / w, high / h), xlim=ends[:2], ylim=ends[2:])
+        """Paint a panorama, or with `grid` an ordinary picture, with heat on it, and move its axes there."""
+        (left, top, wide, high), rgba = box, None if heat is None else heat.rgba
+        if heat is not None and grid is not None:  # sampled about once per cell; to the pixels it is interpolated
+            cell = max(1.0, high / grid.height * grid.focal * math.pi / len(heat.rgba))
+            rgba = heat_in_view(heat, grid, math.ceil(high / cell), math.ceil(wide / cell))
+        pixels[top : top + high, left : left + wide] = backdrop(picture, rgba, wide, high)
+        w, h, whole = self.width, self.height, grid is None
+        axes.set(position=(left / w, 1 - (top + high) / h, wide / w, high / h))
+        axes.set(xlim=(180, -180) if whole else (0, 1), ylim=(-90, 90) if whole else (1, 0))
 
     def _say(self, x: float, y: float, words: str, size: float, colour: str, **how: Any) -> None:
         """Words of this step, at pixels from the left upper corner."""
