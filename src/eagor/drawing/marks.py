@@ -32,7 +32,6 @@ __all__ = ["ALONE", "OURS", "TRUTH", "UNSEEN", "Marks", "Mosaic", "backdrop", "o
 OURS, TRUTH = "#00e5ff", "#39ff6a"
 # Markers and colours that can be told apart in grey and by the colour-blind; the first methods get the first ones.
 OTHERS = (("s", "#ffb000"), ("D", "#ff5fa8"), ("^", "#b197ff"), ("v", "#ff7043"), ("P", "#9ccc65"), ("X", "#90a4ae"))
-NEAR_SEAM = 172  # degrees of azimuth: a marker beyond it is drawn at both edges
 COLOUR, BRIGHTNESS = 0.72, 0.80  # of the panorama's own, so that heat and markers stand out
 UNSEEN = (40, 44, 52)  # where there is no picture
 MARGIN = 0.035  # of the picture's smaller side, between an arrow at the edge and the edge
@@ -55,32 +54,21 @@ def worth_an_arrow(estimate: Estimate) -> bool:
 
 
 def places(where: np.ndarray, grid: PerspectiveGrid | None = None) -> np.ndarray:
-    """Where a direction ``(3,)`` of the body is drawn ``(k, 2)``: on a panorama, or with `grid` in that picture.
+    """Where directions ``(..., 3)`` of the body are drawn ``(..., 2)``: on a panorama, or with `grid` in that picture.
 
-    Two places if it is at the seam of the panorama, none if it is not in the picture.
+    NaN for what is not in the picture.
     """
-    if grid is not None:
-        x, y, inside = grid.project(np.asarray(where, dtype=float))
-        return np.array([[float(x) / grid.width, float(y) / grid.height]]) if inside else np.zeros((0, 2))
-    azimuth, elevation = (math.degrees(float(angle)) for angle in azimuth_elevation(np.asarray(where)))
-    beyond = [(azimuth - math.copysign(360, azimuth), elevation)] if abs(azimuth) > NEAR_SEAM else []
-    return np.array([(azimuth, elevation), *beyond])
-
-
-def lines_in_view(lines: Sequence[np.ndarray], grid: PerspectiveGrid) -> list[np.ndarray]:
-    """Polylines ``(n, 2)`` of a panorama as places in this picture; NaN where they are not in it."""
-    found = []
-    for line in lines:
-        x, y, inside = grid.project(direction(*np.radians(line).T))
-        found.append(np.where(inside[:, None], np.stack([x / grid.width, y / grid.height], axis=-1), np.nan))
-    return found
+    if grid is None:
+        return np.degrees(np.stack(azimuth_elevation(where), axis=-1))
+    x, y, inside = grid.project(np.asarray(where, dtype=float))
+    return np.where(inside[..., None], np.stack([x / grid.width, y / grid.height], axis=-1), np.nan)
 
 
 def outline_of(grid: PerspectiveGrid) -> np.ndarray:
     """The outline of a view as a polyline ``(n, 2)`` on a panorama; NaN where it crosses the seam."""
     t, zero = np.linspace(0, 1, 99), np.zeros(99)
     x, y = np.concatenate([t, zero + 1, 1 - t, zero]), np.concatenate([zero, t, zero + 1, 1 - t])
-    found = np.degrees(np.stack(azimuth_elevation(grid.unproject(x * grid.width, y * grid.height)), axis=-1))
+    found = places(grid.unproject(x * grid.width, y * grid.height))
     found[np.abs(np.diff(found[:, 0], append=found[0, 0])) > 180] = np.nan
     return found
 
@@ -142,7 +130,7 @@ def paint_marks(
     if heat is not None and heat.missing and grid is None and scale == 1:
         _note(axes, heat.missing, scale)
     elif heat is not None and not heat.missing:
-        lines = list(heat.border) if grid is None else lines_in_view(heat.border, grid)
+        lines = [line if grid is None else places(direction(*np.radians(line).T), grid) for line in heat.border]
         for colour, width in (("black", 3.4), ("white", 1.6)):
             drawn = LineCollection(lines, colors=colour, linewidths=scale * width, zorder=3, capstyle="round")
             axes.add_collection(drawn, autolim=False)
@@ -157,28 +145,28 @@ def paint_marks(
         modes = () if estimate is None else [mode.direction for mode in estimate.modes]
     for index, mode in enumerate(modes):
         label = "candidate directions" if index == 0 else None
-        _ring(axes, places(mode, grid), "white", 15 * scale, 1.8 * scale, label)
+        _mark(axes, mode, grid, "o", "white", 15 * scale, label, 1.8 * scale)
     for (name, where), (marker, colour) in zip(more.others.items(), OTHERS * len(more.others), strict=False):
         if where is not None:
-            _dot(axes, places(where, grid), marker, colour, 8.5 * scale, name)
+            _mark(axes, where, grid, marker, colour, 8.5 * scale, name)
     if more.truth is not None:
-        _ring(axes, places(more.truth, grid), TRUTH, 21 * scale, 2.6 * scale, "truth")
+        _mark(axes, more.truth, grid, "o", TRUTH, 21 * scale, "truth", 2.6 * scale)
     if answer is not None:
-        _dot(axes, places(answer, grid), "o", OURS, 8.5 * scale, "estimate")
+        _mark(axes, answer, grid, "o", OURS, 8.5 * scale, "estimate")
 
 
-def _ring(axes: Axes, at: np.ndarray, colour: str, size: float, width: float, label: str | None) -> None:
-    """A bright ring at each place ``(k, 2)``, with a dark one below it."""
-    for place in at:
-        style = {"markersize": size, "mfc": "none", "zorder": 7}
-        axes.plot(*place, "o", mec="black", mew=width + 1.8, alpha=0.7, **style)
-        axes.plot(*place, "o", mec=colour, mew=width, label=label, **style)
-
-
-def _dot(axes: Axes, at: np.ndarray, marker: str, colour: str, size: float, label: str) -> None:
-    """A marker at each place ``(k, 2)``."""
-    for place in at:
-        axes.plot(*place, marker, markersize=size, mfc=colour, mec="black", mew=1.0, label=label, zorder=7)
+def _mark(
+    axes: Axes, where: np.ndarray, grid: PerspectiveGrid | None, marker: str, colour: str, size: float,
+    label: str | None, ring: float = 0.0,
+) -> None:  # fmt: skip
+    """A marker at a direction, at both edges of a panorama if it is at the seam; `ring`: the width of a hollow one."""
+    at = places(where, grid) + ([(0, 0), (360, 0), (-360, 0)] if grid is None else [(0, 0)])
+    how = {"markersize": size, "linestyle": "none", "zorder": 7}
+    if ring:  # a dark one below the bright one
+        axes.plot(*at.T, marker, mfc="none", mec="black", mew=ring + 1.8, alpha=0.7, **how)
+        axes.plot(*at.T, marker, mfc="none", mec=colour, mew=ring, label=label, **how)
+    else:
+        axes.plot(*at.T, marker, mfc=colour, mec="black", mew=1.0, label=label, **how)
 
 
 def _note(axes: Axes, text: str, scale: float = 1.0) -> None:
@@ -209,10 +197,10 @@ def _point(axes: Axes, estimate: Estimate, answer: np.ndarray, grid: Perspective
     """How sure it is: beside the answer in a picture, or at an arrow at the edge that points to it, with the angle."""
     said: dict[str, Any] = {"weight": "bold", "color": OURS, "path_effects": outline(3.2), "zorder": 8}
     pointed = worth_an_arrow(estimate) or estimate.status != "searching"
-    if len(at := places(answer, grid)):
+    if np.isfinite(at := places(answer, grid)).all():
         if pointed:
             beside: dict[str, Any] = {"xytext": (12, 12), "textcoords": "offset points", "annotation_clip": False}
-            axes.annotate(sureness(estimate), at[0], fontsize=14, **beside, **said)
+            axes.annotate(sureness(estimate), at, fontsize=14, **beside, **said)
         return
     if not pointed:
         _note(axes, "not in view; it may be anywhere")
@@ -221,7 +209,7 @@ def _point(axes: Axes, estimate: Estimate, answer: np.ndarray, grid: Perspective
     tip, way, angle = edge(answer, grid, *size)
     tail, words = ((tip - share * min(size) * way) / size for share in (0.16, 0.19))
     shape = {"arrowstyle": "simple,head_width=1.5,head_length=1.1,tail_width=0.5", "mutation_scale": 15}
-    shape |= {"facecolor": OURS, "edgecolor": "black", "shrinkA": 0, "shrinkB": 0, "path_effects": outline(4.0)}
+    shape |= {"facecolor": OURS, "edgecolor": "black", "shrinkA": 0, "shrinkB": 0, "path_effects": outline(5.0)}
     axes.annotate("", xy=tuple(tip / size), xytext=tuple(tail), arrowprops=shape, zorder=7)
     ha = "center" if abs(way[0]) < 0.5 else "right" if way[0] > 0 else "left"
     va = "center" if abs(way[1]) < 0.5 else "bottom" if way[1] > 0 else "top"

@@ -42,16 +42,6 @@ LARGEST = 92_000  # bytes of a picture
 ROWS = 1500  # of the table
 NAMED = 50  # problems that are listed
 WIDE = 914  # user units of the time line's axis, in the template
-AROUND = (  # what a picture of a panorama shows
-    "The middle of a picture is ahead of the camera, its edges are behind it. Cyan: the answer, with an arrow that "
-    "shows which way to turn where 90 % lie within 90 degrees of it."
-)
-IN_VIEW = (  # and one of an ordinary camera
-    "Large: the camera's picture. Small: all around, with straight ahead in the middle and the outline of the picture; "
-    "what was not looked at yet is dark. Cyan: the answer; out of view, an arrow at the edge of the picture leads to "
-    "it, unless it may be anywhere. “80 % sure”: the probability that it is here, and within 15 degrees of the answer "
-    "or half its own size."
-)
 
 
 class BeliefPage(AbstractContextManager["BeliefPage"]):
@@ -152,6 +142,7 @@ class BeliefPage(AbstractContextManager["BeliefPage"]):
         pictures_of = f"One of {self._pictures.stride} frames has a picture ({self._pictures.count} frames)."
         rows_of = f"The table has one of {self._rows.stride} frames."
         thinned = (self._pictures, pictures_of), (self._rows, rows_of)
+        scale = WIDE / self.line.span
         folder = files("eagor.drawing") / "templates"
         page, css = ((folder / name).read_text(encoding="utf-8") for name in ("track.html", "track.css"))
         return Template(page).substitute(
@@ -160,34 +151,20 @@ class BeliefPage(AbstractContextManager["BeliefPage"]):
             title=escape(f"Where is “{' '.join(self.query.split())}”?"),
             data=json.dumps(data, ensure_ascii=False).replace("<", "\\u003c").replace("&", "\\u0026"),
             answer=escape(self._answer()),
-            status=escape(self._status()),
+            told=escape(self._status()),
             shown=pictures[-1][0],
             said=escape(steps[-1]["said"]),
             most=len(pictures) - 1,
             count=len(pictures),
-            seen=IN_VIEW if self._ordinary else AROUND,
+            seen="ordinary" if self._ordinary else "whole",
             pictures=" ".join(text for kept, text in thinned if kept.stride > 1),
-            **self._time_line(),
+            scale=f"{scale:.6g}",
+            ticks="".join(f'<text x="{scale * at:.2f}">{name}</text>' for at, name in self.line.ticks()),
+            **{name: path(boxes) for name, boxes in self.line.boxes().items()},
             rows="\n".join(_row(index, name, moment, shown.get(index)) for index, name, moment in self._rows.items),
             used="".join(f"<dt>{escape(name)}</dt><dd>{escape(str(value))}</dd>" for name, value in used.items()),
             left_out="".join(f"<li>{escape(text)}</li>" for text in left_out or ["Nothing: every frame was used."]),
         )
-
-    def _time_line(self) -> dict[str, str]:
-        """What the template shows over time."""
-        line, scale = self.line, WIDE / self.line.span
-        spent = [(status, path([(begin, end, 0, 1)]), end - begin) for begin, end, status in line.stretches()]
-        return {
-            "scale": f"{scale:.6g}",
-            "ticks": "".join(f'<text x="{scale * at:.2f}">{name}</text>' for at, name in line.ticks()),
-            "bands": path(line.bands()),
-            "given": path(line.answers()[:, [0, 1, 2, 2]]),  # without a height
-            "presences": path(line.presence()),
-            "statuses": "".join(
-                f'<path class="{status}" d="{box}"><title>{status}, {time:.2f} s</title></path>'
-                for status, box, time in spent
-            ),
-        }
 
     def _answer(self) -> str:
         _, estimate, *_ = self._newest

@@ -53,20 +53,21 @@ class StepPainter:
     def __init__(
         self, width: int = DESIGN, span: float | None = None, bare: bool = False, mosaic: Mosaic | None = None
     ) -> None:
-        if isinstance(width, bool) or not isinstance(width, int | np.integer) or not NARROWEST <= width <= WIDEST:
+        if not (isinstance(width, int) and NARROWEST <= width <= WIDEST):
             raise EagorError(f"a picture {width!r} pixels wide; wanted a whole number from {NARROWEST} to {WIDEST}")
         self.line, self.mosaic = TimeLine(span), mosaic or Mosaic()
-        self.width = int(width) // 2 * 2  # videos have colours for two by two pixels
+        self.width = width // 2 * 2  # videos have colours for two by two pixels
         self._scale = scale = self.width / DESIGN
         self.rows, self.head = self.width // 4 * 2, 0 if bare else round(HEAD * scale)
         self.height = self.rows if bare else (self.head + self.rows + round(FOOT * scale)) // 2 * 2
+        self._pixels = np.empty((self.height, self.width, 3), dtype=np.uint8)
         self._figure = style.figure(self.width, self.height, 100 * scale)
         self._seen, self._around = (self._figure.add_axes((0, 0, 1, 1), autoscale_on=False) for _ in range(2))
         self._seen.set_axis_off()
         self._around.set_axis_off()
         self._grid: PerspectiveGrid | None = None  # of the step before
         self._bare, self._span = bare, 0.0
-        self._words: list[Any] = []
+        self._said: list[Any] = []  # artists of this step
         if not bare:
             self._strips = {name: self._strip(index) for index, (name, _, _) in enumerate(STRIPS)}
             self._drawn = self._artists()
@@ -96,20 +97,20 @@ class StepPainter:
 
         Raises `TimeError` unless the stamps grow, `EagorError` for a picture of another shape.
         """
-        pixels = np.full((self.height, self.width, 3), DARK, dtype=np.uint8)
+        self._pixels[:] = DARK
         for axes in (self._seen, self._around):
-            self._words += [*axes.lines, *axes.collections, *axes.patches, *axes.texts]
-        while self._words:
-            self._words.pop().remove()
+            self._said += [*axes.lines, *axes.collections, *axes.patches, *axes.texts]
+        while self._said:
+            self._said.pop().remove()
         heat = heat_of(estimate)
         grid = self._grid = grid or (self._grid if picture is None else None)
         if grid is None:
-            self._show(self._seen, (0, self.head, self.width, self.rows), pixels, picture, heat)
+            self._show(self._seen, (0, self.head, self.width, self.rows), picture, heat)
             paint_marks(self._seen, estimate, heat, more)
             for (at, name), side in zip(SIDES, ("left", "center", "center", "center", "right"), strict=True):
                 _name(self._seen, at, name, side, 9)
         else:
-            self._view(pixels, picture, estimate, heat, grid, more)
+            self._view(picture, estimate, heat, grid, more)
         if problem:
             self._seen.text(
                 0.5, 0.9, f"left out: {style.short(problem, LONGEST_PROBLEM)}", transform=self._seen.transAxes,
@@ -128,7 +129,7 @@ class StepPainter:
             self._say(left, second, answer, 11.5, WORDS, weight="normal")
             self._say(self.width - left, first, estimate.status, 14, COLOURS[estimate.status], ha="right")
             self._say(self.width - left, second, "   ".join(filter(None, told)), 11.5, FAINT, **right)
-        return style.painted(self._figure, pixels)
+        return style.painted(self._figure, self._pixels)
 
     def boxes(self, grid: PerspectiveGrid) -> tuple[Box, Box]:
         """Where an ordinary picture is, as large as leaves a place for the small panorama, and where that is."""
@@ -140,20 +141,14 @@ class StepPainter:
         return (0, self.head, wide, min(self.rows, round(wide / ratio))), around
 
     def _view(
-        self,
-        pixels: np.ndarray,
-        picture: np.ndarray | None,
-        estimate: Estimate,
-        heat: Heat | None,
-        grid: PerspectiveGrid,
-        more: Marks,
+        self, picture: np.ndarray | None, estimate: Estimate, heat: Heat | None, grid: PerspectiveGrid, more: Marks
     ) -> None:
         """What an ordinary camera saw, what is around it, how sure it is, and the answer in words."""
         if picture is not None:
             self.mosaic.add(picture, grid, estimate.world_R_body)
         view, around = self.boxes(grid)
-        self._show(self._seen, view, pixels, picture, heat, grid)
-        self._show(self._around, around, pixels, self.mosaic.seen_from(estimate.world_R_body), heat)
+        self._show(self._seen, view, picture, heat, grid)
+        self._show(self._around, around, self.mosaic.seen_from(estimate.world_R_body), heat)
         self._around.plot(*outline_of(grid).T, color="white", linewidth=1.6, zorder=5, path_effects=outline(3.2))
         for at, name in SIDES[1:-1]:
             _name(self._around, at, name, "center", 8)
@@ -168,20 +163,14 @@ class StepPainter:
         self._say(left, top + height + 56 * self._scale, said, 15, WORDS, va="top", linespacing=1.35)
 
     def _show(
-        self,
-        axes: Axes,
-        box: Box,
-        pixels: np.ndarray,
-        picture: np.ndarray | None,
-        heat: Heat | None,
-        grid: PerspectiveGrid | None = None,
+        self, axes: Axes, box: Box, picture: np.ndarray | None, heat: Heat | None, grid: PerspectiveGrid | None = None
     ) -> None:
         """Paint a panorama, or with `grid` an ordinary picture, with heat on it, and move its axes there."""
         (left, top, wide, high), rgba = box, None if heat is None else heat.rgba
         if heat is not None and grid is not None:  # sampled about once per cell; to the pixels it is interpolated
             cell = max(1.0, high / grid.height * grid.focal * math.pi / len(heat.rgba))
             rgba = heat_in_view(heat, grid, math.ceil(high / cell), math.ceil(wide / cell))
-        pixels[top : top + high, left : left + wide] = backdrop(picture, rgba, wide, high)
+        self._pixels[top : top + high, left : left + wide] = backdrop(picture, rgba, wide, high)
         w, h, whole = self.width, self.height, grid is None
         axes.set(position=(left / w, 1 - (top + high) / h, wide / w, high / h))
         axes.set(xlim=(180, -180) if whole else (0, 1), ylim=(-90, 90) if whole else (1, 0))
@@ -190,7 +179,7 @@ class StepPainter:
         """Words of this step, at pixels from the left upper corner."""
         how = {"va": "center", "weight": "bold", "family": style.family()} | how
         made = self._figure.text(x / self.width, 1 - y / self.height, words, fontsize=size, color=colour, **how)
-        self._words.append(made)
+        self._said.append(made)
 
     def _strip(self, index: int) -> Axes:
         """The axes of a strip of the time line, with its names and rules."""
@@ -207,31 +196,29 @@ class StepPainter:
             axes.annotate(words, (0, at), fontsize=8.5, color=FAINT, ha="right", va="center", **how)
         return axes
 
-    def _artists(self) -> dict[str, Any]:
-        """What grows along the time line, empty so far; and in words, what its colours mean."""
-        from matplotlib.collections import LineCollection, PolyCollection
+    def _artists(self) -> list[tuple[str, Any]]:
+        """What grows along the time line, by its name in `TimeLine.boxes`; and in words, what its colours mean."""
+        from matplotlib.collections import PolyCollection
 
         x = 1 - (RIGHT - 18) / DESIGN
         for index, (name, colour) in enumerate([*COLOURS.items(), ("90 % cone", BAND)]):
             y = (FOOT - 18 - 17.5 * index) * self._scale / self.height
             self._figure.text(x, y, "■", fontsize=9, color=colour, va="center")
             self._figure.text(x + 15 / DESIGN, y, name, fontsize=8.5, color=FAINT, va="center")
-        boxes = [("bands", "azimuth", BAND, 0.75), ("presence", "presence", COLOURS["tracking"], 0.65)]
-        boxes += [(status, "status", colour, 1.0) for status, colour in COLOURS.items()]
-        made: dict[str, Any] = {}
-        for what, strip, colour, alpha in boxes:
-            made[what] = PolyCollection([], facecolors=colour, alpha=alpha, linewidths=0, antialiaseds=False, zorder=2)
-            self._strips[strip].add_collection(made[what], autolim=False)
-        lines = (("black", 3.2), (COLOURS["tracking"], 2.0))
-        made["answers"] = [LineCollection([], colors=colour, linewidths=wide, zorder=4) for colour, wide in lines]
-        for each in made["answers"]:
-            self._strips["azimuth"].add_collection(each, autolim=False)
-        made["now"] = [strip.axvline(0, color=NOW, linewidth=1.4, zorder=7) for strip in self._strips.values()]
+        cyan, made = COLOURS["tracking"], []
+        kinds = [("bands", "azimuth", BAND, 0.75, 0.0), ("presence", "presence", cyan, 0.65, 0.0)]
+        kinds += [("answers", "azimuth", "black", 1.0, 3.2), ("answers", "azimuth", cyan, 1.0, 2.0)]
+        kinds += [(status, "status", colour, 1.0, 0.0) for status, colour in COLOURS.items()]
+        for name, strip, colour, alpha, edge in kinds:  # answers are boxes without a height
+            how: dict[str, Any] = {"linewidths": edge, "antialiaseds": False, "zorder": 4 if edge else 2}
+            drawn = PolyCollection([], facecolors=colour, edgecolors=colour, alpha=alpha, **how)
+            self._strips[strip].add_collection(drawn, autolim=False)
+            made.append((name, drawn))
         return made
 
     def _draw_line(self) -> None:
         """The time line, from all moments so far."""
-        line, drawn = self.line, self._drawn
+        line, boxes = self.line, self.line.boxes()
         if line.span != self._span:
             self._span = line.span
             for strip in self._strips.values():
@@ -239,20 +226,10 @@ class StepPainter:
             times, names = zip(*line.ticks(), strict=True)
             self._strips["status"].set_xticks(times, names)
             self._strips["status"].tick_params(colors=FAINT, labelsize=8.5, length=2, pad=2)
-        drawn["bands"].set_verts(_corners(line.bands()))
-        drawn["presence"].set_verts(_corners(line.presence()))
-        for each in drawn["answers"]:
-            each.set_segments(line.answers()[:, [[0, 2], [1, 2]]])
-        for status in COLOURS:
-            found = [(begin, end, 0, 1) for begin, end, what in line.stretches() if what == status]
-            drawn[status].set_verts(_corners(np.reshape(found, (-1, 4))))
-        for each in drawn["now"]:
-            each.set_xdata([line.now, line.now])
-
-
-def _corners(boxes: np.ndarray) -> np.ndarray:
-    """The corners ``(n, 4, 2)`` of boxes ``(n, 4)``: begin, end, low and high."""
-    return boxes[:, [[0, 2], [0, 3], [1, 3], [1, 2]]]
+        for name, drawn in self._drawn:
+            drawn.set_verts(boxes[name][:, [[0, 2], [0, 3], [1, 3], [1, 2]]])
+        for strip in self._strips.values():
+            self._said.append(strip.axvline(line.now, color=NOW, linewidth=1.4, zorder=7))
 
 
 def _name(axes: Axes, at: float, name: str, side: str, size: float) -> None:

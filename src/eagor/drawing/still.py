@@ -220,13 +220,11 @@ def draw_map(
     shade[free], shade[walls] = 1.0, (0.24, 0.27, 0.33)
     every = np.concatenate([path, np.reshape(target[:2], (1, 2))])
     low, high = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
-    lacking = np.maximum(0, np.max(high - low) / 1.5 - (high - low)) / 2  # not too narrow for the picture
-    (left, bottom), (right, top) = low - lacking, high + lacking
-    wide, foot = width - 58, 66  # pixels beside and below the map
-    tall = wide * (top - bottom) / (right - left)
-    height = round(tall + foot + 26)
-    sheet = figure(width, height)
-    axes = sheet.add_axes((44 / width, foot / height, wide / width, tall / height))
+    half = np.maximum(high - low, (high - low)[::-1] * (1.5, 1 / 1.5)) / 2  # the part of the plan is 3 by 2
+    (left, bottom), (right, top) = (low + high) / 2 - half, (low + high) / 2 + half
+    wide, tall = width - 58, round((width - 58) / 1.5)
+    sheet = figure(width, tall + 92)
+    axes = sheet.add_axes((44 / width, 66 / (tall + 92), wide / width, tall / (tall + 92)))
     axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
     axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.set_title(title, loc="left", fontsize=11, color=INK, weight="bold", pad=5)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from eagor.drawing.style import STATUS
 from eagor.errors import TimeError
 from eagor.tracking.estimate import Estimate
 
@@ -127,37 +128,32 @@ class TimeLine:
 
     def ticks(self) -> list[tuple[float, str]]:
         """Round times, seconds on the axis, and how they are called."""
-        rough = self.span / 8
-        decade = 10.0 ** math.floor(math.log10(rough))
-        step = next(step * decade for step in STEPS if step * decade >= rough)
-        times = [round(step * index, 9) for index in range(math.floor(self.span / step + 1e-9) + 1)]
+        from matplotlib.ticker import MaxNLocator
+
+        times = MaxNLocator(8, steps=STEPS).tick_values(0, self.span)
         begin = self.first if 0 <= self.first < CALENDAR else 0.0
-        return [(time, f"{begin + time:g} s") for time in times]
+        return [(time, f"{begin + time:g} s") for time in times if time <= self.span * (1 + 1e-9)]
 
-    def stretches(self) -> list[tuple[float, float, str]]:
-        """Begin and end (seconds on the axis) of each stretch of one status."""
-        ends = [begin for begin, _ in self._changes[1:]] + [self.end]
-        return [(begin, end, status) for (begin, status), end in zip(self._changes, ends, strict=False)]
+    def boxes(self) -> dict[str, np.ndarray]:
+        """What is drawn over time: boxes ``(n, 4)``, begin and end (seconds on the axis) and two values.
 
-    def presence(self) -> np.ndarray:
-        """Begin, end (seconds), 0 and presence of each moment ``(n, 4)``."""
-        return np.array([(begin, end, 0.0, m.presence) for begin, end, m in self._lasting()]).reshape(-1, 4)
-
-    def answers(self) -> np.ndarray:
-        """Begin, end (seconds) and azimuth (degrees) of each answer ``(n, 3)``."""
-        found = [(b, e, math.degrees(m.azimuth)) for b, e, m in self._lasting() if m.azimuth is not None]
-        return np.array(found).reshape(-1, 3)
-
-    def bands(self) -> np.ndarray:
-        """Begin, end (seconds), lowest and highest azimuth (degrees) of the 90 % cones ``(n, 4)``; cut at the seam."""
-        known = [(b, e, m.azimuth, m.half_width) for b, e, m in self._lasting() if m.azimuth is not None]
-        begin, end, middle, half = np.array(known).reshape(-1, 4).T
-        low, high = np.degrees(middle - half), np.degrees(middle + half)
-        cut = [(begin, end, np.maximum(low + turn, -180), np.minimum(high + turn, 180)) for turn in (0, 360, -360)]
-        found = np.concatenate([np.stack(each, axis=1) for each in cut])
-        return found[found[:, 2] < found[:, 3]]
-
-    def _lasting(self) -> list[tuple[float, float, Moment]]:
-        """The kept moments with begin and end (seconds on the axis)."""
-        begins = [moment.stamp - self.first for moment in self._kept.items]
-        return list(zip(begins, [*begins[1:], self.end], self._kept.items, strict=False))
+        `answers`: their azimuth in degrees, twice; `bands`: the lowest and highest azimuth of their 90 % cones, cut at
+        the seam; `presence`: from 0; and for each status from 0 to 1 where it lasted.
+        """
+        moments, changes = self._kept.items, np.array([*(begin for begin, _ in self._changes), self.end])
+        at = np.array([*(moment.stamp - self.first for moment in moments), self.end])
+        times = np.stack([at[:-1], at[1:]], axis=1)
+        angles = [(m.azimuth, m.half_width) if m.azimuth is not None else (math.nan, 0.0) for m in moments]
+        middle, half = np.degrees(angles).reshape(-1, 2).T[:, :, None]
+        presence = np.array([(0.0, moment.presence) for moment in moments]).reshape(-1, 2)
+        limits = [np.hstack([middle - half + turn, middle + half + turn]).clip(-180, 180) for turn in (0, 360, -360)]
+        bands = np.vstack([np.hstack([times, each]) for each in limits])
+        found = {
+            "answers": np.hstack([times, middle, middle])[np.isfinite(middle[:, 0])],
+            "bands": bands[bands[:, 2] < bands[:, 3]],
+            "presence": np.hstack([times, presence]),
+        }
+        for name in STATUS:
+            mine = [index for index, (_, status) in enumerate(self._changes) if status == name]
+            found[name] = np.array([(changes[k], changes[k + 1], 0.0, 1.0) for k in mine]).reshape(-1, 4)
+        return found

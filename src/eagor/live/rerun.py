@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -46,18 +47,17 @@ class RerunLog:
 
     def __init__(self, path: str | Path, title: str = "eagor", realtime: bool = False) -> None:
         need("a log for the Rerun viewer", "rerun", "rerun")
-        import rerun
-
         if Path(path).suffix != ".rrd":
             raise EagorError(f"{path} does not end in .rrd; name a file such as run.rrd")
-        self._log: Any = rerun.RecordingStream("eagor", send_properties=False)
+        self._rerun: Any = import_module("rerun")
+        self._log: Any = self._rerun.RecordingStream("eagor", send_properties=False)
         try:
             Path(path).write_bytes(b"")
             self._log.save(path, default_blueprint=_layout())
         except OSError as error:
             raise StorageError(f"{path} cannot be written ({error.strerror}); name a folder that can be") from error
         self._log.send_recording_name(title)
-        self._log.log("world", rerun.ViewCoordinates.FLU, static=True)
+        self._log.log("world", self._rerun.ViewCoordinates.FLU, static=True)
         self.problem: str | None = None
         self._realtime, self._taken = realtime, -math.inf
         self._thread, self._job = ThreadPoolExecutor(1), Future[None]()
@@ -95,50 +95,40 @@ class RerunLog:
         return error is not None
 
     def _write(self, answers: Sequence[Answer], frame: FrameCame | None, position: np.ndarray | None) -> None:
-        import rerun
-
-        first, log = answers[0], self._log.log
-        how = "timestamp" if first.stamp > CALENDAR else "duration"
-        self._log.set_time("time", **{how: first.stamp})
+        rerun, first, log = self._rerun, answers[0], self._log.log
+        self._log.set_time("time", **{"timestamp" if first.stamp > CALENDAR else "duration": first.stamp})
         place = np.zeros(3) if position is None else np.asarray(position, dtype=float)
         log("world/body", rerun.Transform3D(translation=place, mat3x3=first.estimate.world_R_body))
         if position is not None and (not self._path or np.linalg.norm(place - self._path[-1]) > 0.02):
             self._path.append(place)
             log("world/path", rerun.LineStrips3D([self._path], colors=PATH, radii=0.01))
+        said = [(text, "WARN" if wrong else "INFO") for text, wrong in self._faults.of(first.faults, first.stamp)]
         if frame is not None:
             others = Marks(others={answer.query: answer.direction for answer in answers[1:]})
-            seen = {"problem": frame.problem, "grid": frame.grid, "more": others}
-            pixels = self._painter.paint(frame.picture, first.estimate, **seen)
+            how: dict[str, Any] = {"problem": frame.problem, "grid": frame.grid, "more": others}
+            pixels = self._painter.paint(frame.picture, first.estimate, **how)
             log("picture", rerun.Image(pixels).compress(jpeg_quality=QUALITY))
-            if frame.problem:
-                log("status", rerun.TextLog(f"{frame.name} is left out: {frame.problem}", level="WARN"))
-        for text, wrong in self._faults.of(first.faults, first.stamp):
-            log("status", rerun.TextLog(text, level="WARN" if wrong else "INFO"))
+            said += [(f"{frame.name} is left out: {frame.problem}", "WARN")] if frame.problem else []
         for answer in answers:
-            self._answer(answer)
-
-    def _answer(self, answer: Answer) -> None:
-        """An arrow, points in the plots, and a line of text where the status changes."""
-        import rerun
-
-        e, log = answer.estimate, self._log.log
-        name = re.sub(r"[^\w\-]+", "_", answer.query).strip("_") or "target"
-        arrows, angles = [], [math.nan, math.nan]  # what is not known leaves a gap
-        if e.direction is not None and e.azimuth is not None:
-            angles = [math.degrees(e.azimuth), math.degrees(e.credible_angle)]
-            if worth_an_arrow(e):
-                arrows = [min(max(e.distance or ANYWHERE, SHORTEST), LONGEST) * e.direction]
-        said = [answer.query] * len(arrows)
-        log(f"world/body/{name}", rerun.Arrows3D(vectors=arrows, colors=OURS, radii=0.02, labels=said))
-        if name not in self._said:  # azimuths jump where they cross the back: dots, without lines over the plot
-            dots = rerun.SeriesPoints(names=[f"{answer.query}: azimuth", "90 % cone"], marker_sizes=[2.5, 1.5])
-            log(f"plots/angles/{name}", dots, static=True)
-        log(f"plots/angles/{name}", rerun.Scalars(angles))
-        log(f"plots/presence/{name}", rerun.Scalars([e.presence]))
-        if self._said.get(name) != e.status:
-            self._said[name] = e.status
-            text = f"“{answer.query}”: {e.status}: {answer_in_words(e)}"
-            log("status", rerun.TextLog(text, level="WARN" if e.status == "stale" else "INFO"))
+            e, name = answer.estimate, re.sub(r"[^\w\-]+", "_", answer.query).strip("_") or "target"
+            angles, arrows = [math.nan, math.nan], []  # what is not known leaves a gap
+            if e.direction is not None and e.azimuth is not None:
+                angles = [math.degrees(e.azimuth), math.degrees(e.credible_angle)]
+                far = min(max(e.distance or ANYWHERE, SHORTEST), LONGEST)
+                arrows = [far * e.direction] if worth_an_arrow(e) else []
+            labels = [answer.query] * len(arrows)
+            log(f"world/body/{name}", rerun.Arrows3D(vectors=arrows, colors=OURS, radii=0.02, labels=labels))
+            if name not in self._said:  # azimuths jump where they cross the back: dots, without lines over the plot
+                dots = rerun.SeriesPoints(names=[f"{answer.query}: azimuth", "90 % cone"], marker_sizes=[2.5, 1.5])
+                log(f"plots/angles/{name}", dots, static=True)
+            log(f"plots/angles/{name}", rerun.Scalars(angles))
+            log(f"plots/presence/{name}", rerun.Scalars([e.presence]))
+            if self._said.get(name) != e.status:
+                self._said[name] = e.status
+                text = f"“{answer.query}”: {e.status}: {answer_in_words(e)}"
+                said.append((text, "WARN" if e.status == "stale" else "INFO"))
+        for text, level in said:
+            log("status", rerun.TextLog(text, level=level))
 
 
 def _layout() -> Any:
