@@ -136,8 +136,8 @@ class Movie:
         context.gop_size = BETWEEN_KEYS
         context.colorspace = context.color_primaries = context.color_trc = BT709
         context.color_range = LIMITED
-        self._tick = -round(TICKS / nominal)  # of the last picture
-        self._durations: dict[int, int] = {}  # of pictures that the encoder holds, by tick
+        self._tick, self._long = -1, round(TICKS / nominal)  # of the last picture, and for how long one was shown
+        self._packet: Any = None  # how long its picture is shown, the next one tells
 
     def add(self, pixels: np.ndarray, stamp: float) -> None:
         """Append a picture ``(height, width, 3)`` uint8; `stamp` in seconds from the first one.
@@ -150,12 +150,12 @@ class Movie:
         tick = round(stamp * TICKS)
         if self._file is None:
             raise StorageError(f"{self.path} is closed")
-        if self.count and tick <= self._tick:
+        if tick <= self._tick:
             raise TimeError(f"a picture at {stamp:g} s, less than 1/{TICKS} s after the one before it")
         how: dict[str, Any] = {"format": "yuv420p", "dst_colorspace": "ITU709", "dst_color_range": "MPEG"}
         frame = av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(**how)
         frame.pts, frame.time_base = tick, Fraction(1, TICKS)
-        self._durations[tick], self._tick = tick - self._tick, tick
+        self._tick = tick
         self._encode(frame)
         self.count += 1
 
@@ -171,9 +171,12 @@ class Movie:
     def _encode(self, frame: Any) -> None:
         """Write a picture, or all that the encoder still holds; if that fails, end the file with what it has."""
         try:
-            for packet in self._stream.encode(frame):
-                packet.duration = self._durations.pop(packet.pts, 0)
-                self._file.mux(packet)
+            for packet in (*self._stream.encode(frame), *([None] if frame is None else [])):
+                if self._packet is not None:
+                    self._long = self._long if packet is None else packet.pts - self._packet.pts
+                    self._packet.duration = self._long
+                    self._file.mux(self._packet)
+                self._packet = packet
             if frame is None:
                 self._file.close()
         except OSError as error:

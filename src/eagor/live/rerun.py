@@ -64,7 +64,7 @@ class RerunLog:
         self._job.set_result(None)
         self._painter, self._faults = StepPainter(WIDTH, bare=True), FaultLog()
         self._frame: FrameCame | None = None  # that was not logged yet
-        self._position: np.ndarray | None = None
+        self._poses: list[PoseCame] = []  # the last one before an answer, and those after it: in turn, one is ahead
         self._path: list[np.ndarray] = []
         self._said: dict[str, str] = {}  # the last status, by query
 
@@ -73,11 +73,14 @@ class RerunLog:
         if isinstance(event, FrameCame):
             self._frame = event
         elif isinstance(event, PoseCame) and event.pose.position is not None:
-            self._position = event.pose.position
+            self._poses.append(event)
         late = self._realtime and answers and (not self._job.done() or answers[0].stamp - self._taken < INTERVAL)
         if answers and not late and not self._ended():
-            self._taken = answers[0].stamp
-            self._job = self._thread.submit(self._write, answers, self._frame, self._position)
+            self._taken = now = answers[0].stamp
+            while len(self._poses) > 1 and self._poses[1].arrival <= now:
+                del self._poses[0]
+            position = self._poses[0].pose.position if self._poses else None
+            self._job = self._thread.submit(self._write, answers, self._frame, position)
             self._frame = None
             if not self._realtime:
                 self._ended()
