@@ -49,12 +49,12 @@ def test_a_log_holds_the_answers_of_the_table(followed):
     log = read(followed / "run.rrd")
 
     def plotted(what: str) -> list[float]:
-        (name,) = (key for key in log if key.startswith(f"/plots/{what}/red ") and "scalars" in key)
+        (name,) = (key for key in log if key.startswith(f"/plots/{what} ") and "scalars" in key)
         assert [at for at, _ in log[name]] == [row["stamp"] for row in rows]
         return [float(value[0]) for _, value in log[name]]
 
-    np.testing.assert_allclose(plotted("angles"), [row["azimuth_deg"] for row in rows], atol=0.01)
-    np.testing.assert_allclose(plotted("presence"), [row["presence"] for row in rows], atol=1e-6)
+    np.testing.assert_allclose(plotted("angles/red/azimuth"), [row["azimuth_deg"] for row in rows], atol=0.01)
+    np.testing.assert_allclose(plotted("presence/red"), [row["presence"] for row in rows], atol=1e-6)
     (vectors,) = (value for key, value in log.items() if key.startswith("/world/body/red") and "vectors" in key)
     last = np.array(vectors[-1][1].tolist(), dtype=float)[-1]
     azimuth, elevation = azimuth_elevation(last / np.linalg.norm(last))

@@ -47,7 +47,7 @@ def test_pictures_answers_positions_and_faults_are_logged(tmp_path, realtime):
     assert log.problem is None
     found = read(path)
     for query in QUERIES.values():
-        (name,) = (key for key in found if key.startswith(f"/plots/angles/{query} ") and "scalars" in key)
+        (name,) = (key for key in found if key.startswith(f"/plots/angles/{query}/azimuth ") and "scalars" in key)
         assert [round(at - BEGIN, 2) for at, _ in found[name]] == [0, 1, 2, 3, 4, 5, 6, 7]
     (name,) = (key for key in found if key.startswith("/picture EncodedImage:blob"))
     assert len(found[name]) == 8

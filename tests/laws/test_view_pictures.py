@@ -12,7 +12,7 @@ import eagor
 from eagor import Evidence
 from eagor.cameras import Lens
 from eagor.drawing import BeliefPage, BeliefVideo, Mosaic, draw_belief, page
-from eagor.drawing.heat import heat_in_view, heat_of
+from eagor.drawing.heat import heat_of, reader_of_heat
 from eagor.drawing.marks import OURS, UNSEEN, edge, outline_of, places
 from eagor.drawing.step import StepPainter
 from eagor.errors import EagorError
@@ -108,7 +108,7 @@ def test_heat_and_border_are_those_of_the_panorama(grid):
     heat = heat_of(estimate)
     x, y, _ = ErpGrid(*heat.rgba.shape[:2]).project(grid.directions)
     there = heat.rgba[y.astype(int), x.astype(int)]
-    drawn = heat_in_view(heat, grid, *grid.shape).astype(int)
+    drawn = reader_of_heat(grid, *grid.shape)(heat.rgba).astype(int)
     assert np.abs(drawn - there).mean() < 2
     assert (drawn[..., 3] > 180).any()
     at = np.concatenate([places(direction(*np.radians(line).T), grid) for line in heat.border])

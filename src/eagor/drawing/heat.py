@@ -17,7 +17,7 @@ from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.thumbnail import undrawn
 from eagor.tracking.estimate import Estimate
 
-__all__ = ["MASS", "Heat", "heat_in_view", "heat_of"]
+__all__ = ["MASS", "Heat", "heat_of", "reader_of_heat"]
 
 ROWS, COARSE = 540, 180  # of the map, and of the cells on which the density is computed
 MARGIN = 4  # cells around the coarse ones, beyond the seam and the poles
@@ -68,14 +68,9 @@ def heat_of(belief: Estimate | Readable, rows: int = ROWS) -> Heat | None:
     return Heat(rgba, _contour(log_density, level), "", share, contrast)
 
 
-def heat_in_view(heat: Heat, grid: PerspectiveGrid, height: int, width: int) -> np.ndarray:
-    """The part of a belief's heat ``(height, width, 4)`` uint8 that is in view, linear between its cells."""
-    return _looked_at(grid, height, width, len(heat.rgba))(heat.rgba)
-
-
 @lru_cache(maxsize=4)
-def _looked_at(grid: PerspectiveGrid, height: int, width: int, rows: int) -> Sampler:
-    """What reads a panorama of so many rows where each pixel of a view looks."""
+def reader_of_heat(grid: PerspectiveGrid, height: int, width: int, rows: int = ROWS) -> Sampler:
+    """What reads `Heat.rgba` of so many rows where the pixels ``(height, width)`` of an ordinary picture look."""
     return Sampler(ErpGrid(rows, 2 * rows), grid.resized(height, width).directions)
 
 

@@ -200,7 +200,7 @@ def _point(axes: Axes, estimate: Estimate, answer: np.ndarray, grid: Perspective
     if np.isfinite(at := places(answer, grid)).all():
         if pointed:
             beside: dict[str, Any] = {"xytext": (12, 12), "textcoords": "offset points", "annotation_clip": False}
-            axes.annotate(sureness(estimate), at, fontsize=14, **beside, **said)
+            axes.annotate(sureness(estimate), tuple(at), fontsize=14, **beside, **said)
         return
     if not pointed:
         _note(axes, "not in view; it may be anywhere")
@@ -225,16 +225,13 @@ def backdrop(picture: np.ndarray | None, heat: np.ndarray | None, width: int, he
 
     Returns ``(height, width, 3)`` uint8. Without a picture the ground is plain. Raises `EagorError` for another shape.
     """
-    from PIL import Image
+    from PIL import Image, ImageEnhance
 
     if picture is None:
         ground = Image.new("RGB", (width, height), UNSEEN)
     else:
         own = Image.fromarray(_bytes(picture)).resize((width, height), Image.Resampling.BILINEAR, reducing_gap=1.0)
-        grey, colour = BRIGHTNESS * (1 - COLOUR) / 3, BRIGHTNESS * COLOUR
-        matrix = np.full((3, 4), grey) + colour * np.eye(3, 4)
-        matrix[:, 3] = 0
-        ground = own.convert("RGB", tuple(matrix.ravel()))
+        ground = ImageEnhance.Brightness(ImageEnhance.Color(own).enhance(COLOUR)).enhance(BRIGHTNESS)
     if heat is not None:
         over = Image.fromarray(heat).resize((width, height), Image.Resampling.BILINEAR)
         ground.paste(over, mask=over)

@@ -139,44 +139,37 @@ class BeliefPage(AbstractContextManager["BeliefPage"]):
         shown = {index: number for number, (_, index, _, _) in enumerate(pictures)}
         more = [f"and {len(self._problems) - NAMED} more frames"] if len(self._problems) > NAMED else []
         left_out = [*self.notes, *self._problems[:NAMED], *more]
-        pictures_of = f"One of {self._pictures.stride} frames has a picture ({self._pictures.count} frames)."
-        rows_of = f"The table has one of {self._rows.stride} frames."
-        thinned = (self._pictures, pictures_of), (self._rows, rows_of)
-        scale = WIDE / self.line.span
+        thinned = []
+        if (kept := self._pictures).stride > 1:
+            thinned.append(f"One of {kept.stride} frames has a picture ({kept.count} frames).")
+        if self._rows.stride > 1:
+            thinned.append(f"The table has one of {self._rows.stride} frames.")
+        scale, last, (_, estimate, *_) = WIDE / self.line.span, self._last[2], self._newest
+        words, far = candidates_in_words(estimate), far_in_words(estimate)
         folder = files("eagor.drawing") / "templates"
         page, css = ((folder / name).read_text(encoding="utf-8") for name in ("track.html", "track.css"))
         return Template(page).substitute(
             css=css,
             version=__version__,
-            title=escape(f"Where is “{' '.join(self.query.split())}”?"),
+            query=escape(" ".join(self.query.split())),
             data=json.dumps(data, ensure_ascii=False).replace("<", "\\u003c").replace("&", "\\u0026"),
-            answer=escape(self._answer()),
-            told=escape(self._status()),
+            answer=escape(f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}"),
+            status=last.status,
+            meaning=status_in_words(last.status, last.presence),
+            here=f"{last.presence:.2f}",
+            belief="" if last.cone is None else f"The belief: {estimate.certainty}.",
             shown=pictures[-1][0],
             said=escape(steps[-1]["said"]),
             most=len(pictures) - 1,
             count=len(pictures),
             seen="ordinary" if self._ordinary else "whole",
-            pictures=" ".join(text for kept, text in thinned if kept.stride > 1),
+            pictures=" ".join(thinned),
             scale=f"{scale:.6g}",
             ticks="".join(f'<text x="{scale * at:.2f}">{name}</text>' for at, name in self.line.ticks()),
             **{name: path(boxes) for name, boxes in self.line.boxes().items()},
             rows="\n".join(_row(index, name, moment, shown.get(index)) for index, name, moment in self._rows.items),
             used="".join(f"<dt>{escape(name)}</dt><dd>{escape(str(value))}</dd>" for name, value in used.items()),
             left_out="".join(f"<li>{escape(text)}</li>" for text in left_out or ["Nothing: every frame was used."]),
-        )
-
-    def _answer(self) -> str:
-        _, estimate, *_ = self._newest
-        words, far = candidates_in_words(estimate), far_in_words(estimate)
-        return f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}, in the last frame."
-
-    def _status(self) -> str:
-        last = self._last[2]
-        belief = "" if last.cone is None else f" The belief: {self._newest[1].certainty}."
-        return (
-            f"The status is {last.status}: {status_in_words(last.status, last.presence)}. The probability that it is "
-            f"here at all is {last.presence:.2f}.{belief}"
         )
 
 

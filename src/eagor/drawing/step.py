@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.drawing import style
-from eagor.drawing.heat import Heat, heat_in_view, heat_of
+from eagor.drawing.heat import Heat, heat_of, reader_of_heat
 from eagor.drawing.marks import ALONE, Marks, Mosaic, backdrop, outline, outline_of, paint_marks
 from eagor.drawing.style import COLOURS, DARK, DESIGN, FAINT, SIDES, WORDS
 from eagor.drawing.timeline import Moment, TimeLine
@@ -63,8 +63,7 @@ class StepPainter:
         self._pixels = np.empty((self.height, self.width, 3), dtype=np.uint8)
         self._figure = style.figure(self.width, self.height, 100 * scale)
         self._seen, self._around = (self._figure.add_axes((0, 0, 1, 1), autoscale_on=False) for _ in range(2))
-        self._seen.set_axis_off()
-        self._around.set_axis_off()
+        self._seen.axison = self._around.axison = False
         self._grid: PerspectiveGrid | None = None  # of the step before
         self._bare, self._span = bare, 0.0
         self._said: list[Any] = []  # artists of this step
@@ -169,7 +168,7 @@ class StepPainter:
         (left, top, wide, high), rgba = box, None if heat is None else heat.rgba
         if heat is not None and grid is not None:  # sampled about once per cell; to the pixels it is interpolated
             cell = max(1.0, high / grid.height * grid.focal * math.pi / len(heat.rgba))
-            rgba = heat_in_view(heat, grid, math.ceil(high / cell), math.ceil(wide / cell))
+            rgba = reader_of_heat(grid, math.ceil(high / cell), math.ceil(wide / cell))(heat.rgba)
         self._pixels[top : top + high, left : left + wide] = backdrop(picture, rgba, wide, high)
         w, h, whole = self.width, self.height, grid is None
         axes.set(position=(left / w, 1 - (top + high) / h, wide / w, high / h))

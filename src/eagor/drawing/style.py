@@ -93,16 +93,16 @@ def sureness(estimate: Estimate) -> str:
 
 
 def distance_in_words(distance: float | None, spread: float | None) -> str:
-    """The 90 % interval of a distance, such as "1.1 to 6.4 m"; "-" if not even its order of magnitude is known.
+    """The 90 % interval of a distance, such as "1.1 to 6.4 m"; "" if not even its order of magnitude is known.
 
     `distance` is its mean in metres, `spread` the standard deviation of its logarithm, as an `Estimate` gives them. The
     distance counts as log-normal, so its median is below its mean.
     """
     if distance is None or spread is None or not math.isfinite(distance * spread):
-        return "-"
+        return ""
     half = _SIGMAS_90 * spread
     if 2 * half > math.log(10):
-        return "-"
+        return ""
     median = distance * math.exp(-(spread**2) / 2)
     nearest, farthest = _rounded(median * math.exp(-half)), _rounded(median * math.exp(half))
     return f"{nearest} m" if nearest == farthest else f"{nearest} to {farthest} m"
@@ -110,10 +110,8 @@ def distance_in_words(distance: float | None, spread: float | None) -> str:
 
 def far_in_words(estimate: Estimate) -> str:
     """The distance of the answer as `distance_in_words`; "" while searching, without positions, or if unknown."""
-    if estimate.status == "searching":
-        return ""
-    found = distance_in_words(estimate.distance, estimate.distance_spread)
-    return "" if found == "-" else found
+    searching = estimate.status == "searching"
+    return "" if searching else distance_in_words(estimate.distance, estimate.distance_spread)
 
 
 def signed(angle: float | None) -> str:

@@ -78,8 +78,9 @@ class BeliefVideo(AbstractContextManager["BeliefVideo"]):
             raise EagorError(f"{path} ends in {path.suffix or 'nothing'}; wanted {wanted}")
         if rate is not None and not (math.isfinite(rate) and rate > 0):
             raise EagorError(f"{rate} pictures per second; wanted a number above 0")
-        if path.is_dir() or not path.absolute().parent.is_dir():
-            raise EagorError(f"{path} cannot be written: it is a folder, or its folder is not there; name a file")
+        if path.is_dir() or not os.access(path.absolute().parent, os.W_OK):
+            why = "it is a folder" if path.is_dir() else "there is no folder for it, or none that can be written to"
+            raise StorageError(f"{path} cannot be written: {why}; name a file")
         self.painter = StepPainter(size or (DESIGN if kind is Movie else SMALL), span)
         self._movie = kind(path, (self.painter.width, self.painter.height), rate)
 
@@ -112,7 +113,7 @@ class Movie:
         need("a video", "photos", "av")
         import av
 
-        self.path, self.count = Path(path), 0
+        self.path = Path(path)
         suffix = self.path.suffix.lower()
         container, codecs, options = VIDEOS[suffix]
         codec = next((name for name in codecs if name in av.codecs_available), None)
@@ -157,16 +158,15 @@ class Movie:
         frame.pts, frame.time_base = tick, Fraction(1, TICKS)
         self._tick = tick
         self._encode(frame)
-        self.count += 1
 
     def close(self) -> None:
         """Finish the file; nothing is left of a movie without pictures. Raises `StorageError`."""
         try:
-            if self._file is not None and self.count:
+            if self._file is not None and self._tick >= 0:
                 self._encode(None)
         finally:
             if self._file is not None:
-                self._end(self.count > 0)
+                self._end()
 
     def _encode(self, frame: Any) -> None:
         """Write a picture, or all that the encoder still holds; if that fails, end the file with what it has."""
@@ -180,27 +180,23 @@ class Movie:
             if frame is None:
                 self._file.close()
         except OSError as error:
-            self._end(_plays(self._part))
+            self._end()
             text = f"{self.path} takes no more ({error.strerror}); it has the pictures so far"
             raise StorageError(f"{text}. Make room, or name another place") from error
 
-    def _end(self, keep: bool) -> None:
-        """Close the file, and let it take its place, or remove it."""
+    def _end(self) -> None:
+        """Close the file, and let it take its place if there is a picture in it."""
+        import av
+
+        plays = False
         with suppress(OSError):
             self._file.close()
+        with suppress(OSError, ValueError, IndexError, StopIteration), av.open(str(self._part)) as file:
+            plays = next(file.decode(video=0)) is not None
         self._file = None
-        if keep:
+        if plays:
             self._part.replace(self.path)
         self._part.unlink(missing_ok=True)
-
-
-def _plays(path: Path) -> bool:
-    """Whether there is a picture in a video whose end is missing."""
-    import av
-
-    with suppress(OSError, StopIteration), av.open(str(path)) as file:
-        return next(file.decode(video=0)) is not None
-    return False
 
 
 class Animation:
@@ -209,8 +205,6 @@ class Animation:
     def __init__(self, path: Path, size: tuple[int, int], rate: float | None) -> None:
         self.path, self._last = path, 1 / (rate or NOMINAL)
         self._kept, self._end = Thinned(MOST), 0.0  # the end: the last stamp
-        if not os.access(path.absolute().parent, os.W_OK):
-            raise StorageError(f"{path} cannot be written; name a folder that can be written to")
 
     def add(self, pixels: np.ndarray, stamp: float) -> None:
         """Append a picture ``(height, width, 3)`` uint8; `stamp` in seconds from the first one."""

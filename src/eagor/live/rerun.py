@@ -114,17 +114,17 @@ class RerunLog:
             said += [(f"{frame.name} is left out: {frame.problem}", "WARN")] if frame.problem else []
         for answer in answers:
             e, name = answer.estimate, re.sub(r"[^\w\-]+", "_", answer.query).strip("_") or "target"
-            angles, arrows = [math.nan, math.nan], []  # what is not known leaves a gap
+            azimuth, cone, arrows = math.nan, math.nan, []  # what is not known leaves a gap
             if e.direction is not None and e.azimuth is not None:
-                angles = [math.degrees(e.azimuth), math.degrees(e.credible_angle)]
+                azimuth, cone = math.degrees(e.azimuth), math.degrees(e.credible_angle)
                 far = min(max(e.distance or ANYWHERE, SHORTEST), LONGEST)
                 arrows = [far * e.direction] if worth_an_arrow(e) else []
             labels = [answer.query] * len(arrows)
             log(f"world/body/{name}", rerun.Arrows3D(vectors=arrows, colors=OURS, radii=0.02, labels=labels))
             if name not in self._said:  # azimuths jump where they cross the back: dots, without lines over the plot
-                dots = rerun.SeriesPoints(names=[f"{answer.query}: azimuth", "90 % cone"], marker_sizes=[2.5, 1.5])
-                log(f"plots/angles/{name}", dots, static=True)
-            log(f"plots/angles/{name}", rerun.Scalars(angles))
+                log(f"plots/angles/{name}/azimuth", rerun.SeriesPoints(marker_sizes=2.5), static=True)
+            log(f"plots/angles/{name}/azimuth", rerun.Scalars([azimuth]))
+            log(f"plots/angles/{name}/cone", rerun.Scalars([cone]))
             log(f"plots/presence/{name}", rerun.Scalars([e.presence]))
             if self._said.get(name) != e.status:
                 self._said[name] = e.status
