@@ -107,12 +107,11 @@ def paint_belief(axes: Axes, panorama: np.ndarray, belief: Estimate | Readable, 
 
 def _legend(sheet: Figure) -> None:
     """One legend for everything that is drawn."""
-    drawn = [pair for axes in sheet.axes for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
-    found = {label: handle for handle, label in reversed(drawn)}
-    labels = sorted(
-        dict.fromkeys(label for _, label in drawn),
-        key=lambda label: (not label.startswith("estimate"), label != "truth"),
-    )
+    found: dict[str, Any] = {}
+    for axes in sheet.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    labels = sorted(found, key=lambda label: (not label.startswith("estimate"), label != "truth"))
     if labels:
         legend = sheet.legend(
             [found[label] for label in labels], labels, loc="lower center", ncols=len(labels), fontsize=10,

@@ -25,9 +25,7 @@ STATUS = {
     "ambiguous": "it is likely here, and several directions fit",
     "stale": "there was an answer, and nothing has been looked at for a while",
 }
-
 LIKELY = "it is likely here, but its direction is uncertain"  # searching, and it is present rather than not
-
 _SIGMAS_90 = 1.645  # standard deviations on either side that hold 90 % of a normal distribution
 
 
