@@ -97,7 +97,7 @@ def draw(seen: np.ndarray, estimate: eagor.Estimate, truth: np.ndarray, way: Way
     tall, head, foot = round(width * HIGHEST / 180), 34, 26
     sheet = figure(width, tall + head + foot)
     axes = sheet.add_axes((0, foot / (tall + head + foot), 1, tall / (tall + head + foot)))
-    paint_belief(axes, seen, estimate, truth, modes=())
+    paint_belief(axes, seen, estimate, truth=truth, modes=())
     axes.set_ylim(-HIGHEST, HIGHEST)
     axes.set_axis_off()
     off = "not known"

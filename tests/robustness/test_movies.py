@@ -147,7 +147,7 @@ def test_frames_out_of_order_are_refused(tmp_path):
 def test_places_that_cannot_be_written_to(tmp_path, monkeypatch):
     (tmp_path / "out.mp4").mkdir()
     for place in (tmp_path / "absent" / "out.mp4", tmp_path / "out.mp4"):
-        with pytest.raises(StorageError, match=r"it is a folder|there is no folder for it"):
+        with pytest.raises(EagorError, match=r"it is a folder|there is no folder for it"):
             BeliefVideo(place)
     for rate in (0, -1, float("nan")):
         with pytest.raises(EagorError, match="pictures per second; wanted a number above 0"):

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from eagor.live.events import Answer, Event
     from eagor.live.in_turn import Followed, Method
     from eagor.live.loop import Loop, Sink
+    from eagor.live.rerun import RerunLog
     from eagor.perception import Perception
     from eagor.perception.recordings import RecordedLooks
 
@@ -119,12 +120,14 @@ def track(options: Track) -> int:
             if result.query == queries[-1]:
                 advance()
 
+        log: RerunLog | None = None
         sinks: list[Sink] = [Notes(), ByFrame(each, partial(_rivals, spec) if options.compare else dict)]
         if options.rerun:
             from eagor.live.rerun import RerunLog
 
             title = f"{', '.join(queries)}: {options.rerun.name}"
-            sinks.append(RerunLog(checks.checked_out(options.rerun, "--rerun"), title))
+            log = RerunLog(checks.checked_out(options.rerun, "--rerun"), title)
+            sinks.append(log)
         loop = Loop(
             journey.source, journey.poses, perception, queries, sinks=sinks, config=config, looks=journey.looks,
             mask=mask,
@@ -136,6 +139,8 @@ def track(options: Track) -> int:
             if not run.frames or isinstance(error, ShapeError):
                 raise
             run.broken = str(error)
+        if log is not None and log.problem is not None:
+            terminal.warning(log.problem)
     return run.close(loop)
 
 

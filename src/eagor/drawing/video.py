@@ -64,8 +64,8 @@ class BeliefVideo(AbstractContextManager["BeliefVideo"]):
             of it: what was seen, the answer above it and the time line below.
         span: length of the clip in seconds, for the time line; None: the time line grows.
 
-    Raises `EagorError` for an unknown suffix, an impossible rate or size; `StorageError` if the folder is not there or
-    cannot be written to; `MissingExtraError` without PyAV.
+    Raises `EagorError` for an unknown suffix, an impossible rate or size, or a folder that is not there or cannot be
+    written to; `MissingExtraError` without PyAV.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class BeliefVideo(AbstractContextManager["BeliefVideo"]):
             raise EagorError(f"{rate} pictures per second; wanted a number above 0")
         if path.is_dir() or not os.access(path.absolute().parent, os.W_OK):
             why = "it is a folder" if path.is_dir() else "there is no folder for it, or none that can be written to"
-            raise StorageError(f"{path} cannot be written: {why}; name a file")
+            raise EagorError(f"{path} cannot be written: {why}; name a file")
         self.painter = StepPainter(size or (DESIGN if kind is Movie else SMALL), span)
         self._movie = kind(path, (self.painter.width, self.painter.height), rate)
 

@@ -25,7 +25,7 @@ __all__ = [
 
 MASS = 0.9  # of the region that is drawn
 BINS = 64  # of azimuth
-HEAT_ROWS = 360
+HEAT_ROWS, FINE_ROWS, SMALL = 180, 360, 0.008  # the latter for a region of so few steradians
 LONGEST = 240  # points of a line
 DEGREE, EVIDENCE_ROWS = 15, 64  # of what one look says
 QUALITY = 80  # of JPEG and WebP
@@ -72,7 +72,8 @@ def belief_of(estimate: Estimate) -> tuple[dict[str, Any] | None, bytes]:
     The header has the border of the region that holds `MASS` as lines of azimuth and elevation, degrees, and
     `undrawn`: why there is none, empty if there is.
     """
-    heat = heat_of(estimate.turned(estimate.stamp, np.eye(3), estimate.spread), HEAT_ROWS)
+    rows = FINE_ROWS if estimate.region(MASS)[1] < SMALL else HEAT_ROWS
+    heat = heat_of(estimate.turned(estimate.stamp, np.eye(3), estimate.spread), rows)
     if heat is None:
         return None, b""
     glow = heat.contrast**2 * heat.share  # a belief that is nearly uniform hardly glows
