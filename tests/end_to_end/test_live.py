@@ -212,7 +212,7 @@ def test_the_answers_end_with_the_file_however_long_the_detector_needs():
 
 def test_seconds_count_from_when_the_detector_is_loaded(monkeypatch, capsys):
     opened = Loop(Film(count=50), None, LoadedSlowly(), "red", True)
-    monkeypatch.setattr("eagor.cli.live.loop_of", lambda options, sinks: opened)
+    monkeypatch.setattr("eagor.cli.live.loop_of", lambda options, queries, sinks: opened)
     assert main(["live", "film", "red", "--perception", "colour", "--seconds", "0.6", "--json"]) == 0
     found = lines(capsys)
     assert found[-1]["stamp"] - found[0]["stamp"] > 2.0

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.options import Common, Detector, Flag, Rows, Whole, bare, given, pairs_of
+from eagor.cli.options import Common, Detector, Flag, Rows, Whole, bare, given, grouped, pairs_of
 from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:
@@ -164,22 +165,10 @@ class BenchFailures(Common):
     """Number of cases to list."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Bench:
-    """Run and compare methods, in simulated apartments and on published benchmarks."""
-
-    action: Annotated[
-        Annotated[BenchRun, subcommand("run")]
-        | Annotated[BenchReport, subcommand("report")]
-        | Annotated[BenchList, subcommand("list")]
-        | Annotated[BenchInfo, subcommand("info")]
-        | Annotated[BenchScore, subcommand("score")]
-        | Annotated[BenchCompare, subcommand("compare")]
-        | Annotated[BenchFailures, subcommand("failures")],
-        # Without a name, its options are listed with those of every command, and its text appears once in the help.
-        # (Help would show a comment above the field.)
-        arg(name=""),
-    ]
+Bench = grouped(
+    "Bench", "Run and compare methods, in simulated apartments and on published benchmarks.",
+    BenchRun, BenchReport, BenchList, BenchInfo, BenchScore, BenchCompare, BenchFailures,
+)  # fmt: skip
 
 
 PERCEPTION = "scout"
@@ -192,7 +181,7 @@ def bench_list(options: BenchList) -> int:
     """``eagor bench list``."""
     from eagor.lab import worlds
 
-    found = {name: _described(name, broken) for name, broken in _known().items()}
+    found = {name: _described(task) for name, task in _tasks().items()}
     if options.json:
         terminal.emit(found)
         return terminal.OK
@@ -209,38 +198,36 @@ def bench_list(options: BenchList) -> int:
     return terminal.OK
 
 
-def _known() -> dict[str, str]:
-    """The tasks by name, and why one of another package cannot be imported ("" if it can)."""
+def _tasks() -> dict[str, Any]:
+    """The tasks by name; of one that cannot be loaded the error. Those of other packages are tried elsewhere first."""
     from eagor import plugins
     from eagor.lab.tasks import task as tasks
 
-    why = {point.name: text for point, text in plugins.faults(plugins.brought(tasks.GROUP, tasks.BUILT_IN)).items()}
-    return {name: f"cannot be imported ({why[name]})" if name in why else "" for name in tasks.known()}
+    broken = {point.name: text for point, text in plugins.faults(plugins.brought(tasks.GROUP, tasks.BUILT_IN)).items()}
+    found: dict[str, Any] = {}
+    for name in tasks.known():
+        try:
+            if why := broken.get(name):
+                raise EagorError(f"cannot be imported ({why})")
+            found[name] = tasks.load(name)
+        except Exception as error:  # a broken plugin may raise anything
+            found[name] = error if isinstance(error, EagorError) else EagorError(repr(error))
+    return found
 
 
-def _load(name: str, broken: str) -> Any:
-    """A task of `_known`. Raises `EagorError`."""
-    from eagor.lab.tasks.task import load
-
-    if broken:
-        raise EagorError(broken)
-    return load(name)
-
-
-def _described(name: str, broken: str) -> dict[str, Any]:
-    """What ``eagor bench list --json`` says of a task."""
+def _described(task: Any) -> dict[str, Any]:
+    """What ``eagor bench list --json`` says of a task, or of the error that it has instead."""
     from eagor.lab import worlds
     from eagor.lab.tasks.task import options_of
 
-    try:
-        task = _load(name, broken)
-    except Exception as error:  # a broken plugin may raise anything
-        return {"unavailable": str(error) if isinstance(error, EagorError) else repr(error)}
-    data = {"kind": "published data", "agents": dict(task.agents)} if hasattr(task, "agents") else None
+    if isinstance(task, EagorError):
+        return {"unavailable": str(task)}
+    published = hasattr(task, "agents")
     return {
         "title": task.title,
         "what": task.what,
-        **(data or {"kind": "simulated", "worlds": sorted(worlds.known())}),
+        "kind": "published data" if published else "simulated",
+        **({"agents": dict(task.agents)} if published else {"worlds": sorted(worlds.known())}),
         "options": {
             name: {"default": default, "what": what, "choices": choices}
             for name, (default, what, choices) in options_of(task).items()
@@ -251,12 +238,18 @@ def _described(name: str, broken: str) -> dict[str, Any]:
 
 def bench_info(options: BenchInfo) -> int:
     """``eagor bench info``."""
+    from eagor.lab.tasks.task import load
+
     found: dict[str, dict[str, Any]] = {}
     refused: dict[str, list[str]] = {}
-    known, data = (_known(), Path(options.place)) if options.data is None else ({options.place: ""}, options.data)
-    for name, broken in known.items():
+    if options.data is None:
+        tasks, data = _tasks(), Path(options.place)
+    else:
+        tasks, data = {options.place: load(options.place)}, options.data
+    for name, task in tasks.items():
         try:
-            task = _load(name, broken)
+            if isinstance(task, EagorError):
+                raise task
             content = task.info(data) if hasattr(task, "info") else None
         except EagorError as error:
             refused.setdefault(str(error), []).append(name)
@@ -277,14 +270,19 @@ def bench_run(options: BenchRun) -> int:
     """``eagor bench run``."""
     from eagor.lab.eval import log, results, runner
     from eagor.lab.tasks.task import WORK, configure, load, settings_of
+    from eagor.perception import short_name
 
     task = load(options.task)
-    part, slash, parts = (options.shard or "1/1").partition("/")
-    if not (slash and part.isdecimal() and parts.isdecimal()):
+    if not (shard := re.fullmatch(r"(\d+)/(\d+)", options.shard or "1/1")):
         raise terminal.UsageError(f"--shard {options.shard}; wanted I/N, such as 1/4")
     config = configure(task, _values(options, task), pairs_of(options.set))  # wrong ones are said before the run begins
-    samples, settings = runner.samples_of(task, config, options.limit, (int(part), int(parts))), settings_of(config)
-    out = options.out or Path("runs") / _folder(settings)
+    samples, settings = (
+        runner.samples_of(task, config, options.limit, (int(shard[1]), int(shard[2]))),
+        settings_of(config),
+    )
+    who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
+    parts = task.name, settings.get("agent"), short_name(who) if who else "", settings.get("seed", "")
+    out = options.out or Path("runs") / "-".join(str(part) for part in parts if part not in ("", None))
     terminal.log(f"{task.name}: {len(samples)} units of work; records go to {out}")
     with terminal.progress(task.name, len(samples)) as advance:
 
@@ -333,15 +331,6 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
         methods += [name for name in variants(task) if name not in methods]  # type: ignore[arg-type]
     disturbances = NoiseModel.walking() if options.walking else NoiseModel()
     return values | {"perception": perception, "methods": methods, "disturbances": disturbances}
-
-
-def _folder(settings: dict[str, Any]) -> str:
-    """The default name of a run's folder."""
-    from eagor.perception import short_name
-
-    who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
-    parts = settings["task"], settings.get("agent"), short_name(who) if who else "", settings.get("seed", "")
-    return "-".join(str(part) for part in parts if part not in ("", None))
 
 
 def bench_score(options: BenchScore) -> int:

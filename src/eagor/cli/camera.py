@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
 from eagor.cli.answers import keep_picture
-from eagor.cli.options import Common, Flag, bare
+from eagor.cli.options import Common, Flag, bare, grouped
 
 if TYPE_CHECKING:
     import numpy as np
@@ -77,17 +77,7 @@ class CameraLatency(Common):
     """The largest latency to consider."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Camera:
-    """Lenses and latency of a camera."""
-
-    action: Annotated[
-        Annotated[CameraCalibrate, subcommand("calibrate")]
-        | Annotated[CameraView, subcommand("view")]
-        | Annotated[CameraLatency, subcommand("latency")],
-        arg(name=""),
-    ]
-
+Camera = grouped("Camera", "Lenses and latency of a camera.", CameraCalibrate, CameraView, CameraLatency)
 
 WANTED = 0.3  # degrees: a lens that is known so well everywhere needs no more pictures
 APART = 1.0  # degrees: a median gap in the overlap above it means that the rig does not fit

@@ -187,7 +187,7 @@ def check_looks(perception: str) -> None:
 
 
 def tracker_config(
-    perception: str, *, degree: int = 15, calibration: Path | None = None, detector: str | None = None,
+    perception: str, /, *, degree: int = 15, calibration: Path | None = None, detector: str | None = None,
     force: bool = False, static: bool = False, drift: float | None = None, **_: Any,
 ) -> TrackerConfig:  # fmt: skip
     """The tracker's configuration for these options of a command; what is `static` is so, whatever was fitted.

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,6 +14,7 @@ import numpy as np
 from eagor._files import written
 from eagor.cli.answers import keep_picture
 from eagor.cli.terminal import RunError, UsageError
+from eagor.drawing.page import as_address
 from eagor.drawing.style import in_words, looked_for
 from eagor.lab.agents.methods import NAMES, TrackerEstimator, make_estimator
 from eagor.lab.eval.results import OURS
@@ -73,12 +72,12 @@ class Looks:
 
     @property
     def azimuths(self) -> np.ndarray:
-        """Where the answer is in each picture ``(LOOKS,)``, radians."""
+        """Where the answer is in each picture ``(LOOKS,)``, radians: it crosses the seam because the camera turns."""
         return np.array([azimuth_elevation(pose.T @ self.answer)[0] for pose in self.poses])
 
     @property
     def crossings(self) -> int:
-        """How often the answer crosses the seam of the picture, because the camera turns."""
+        """How often it does."""
         return int(np.sum(np.abs(np.diff(self.azimuths)) > math.pi))
 
     def panorama(self, index: int) -> np.ndarray:
@@ -237,8 +236,5 @@ def highlights(looks: Looks) -> list[tuple[int, str]]:
 
 
 def _image(picture: Image, text: str) -> str:
-    """An element of a page with the picture in it, as JPEG."""
-    buffer = io.BytesIO()
-    picture.convert("RGB").save(buffer, format="JPEG", quality=88)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<img alt="{html.escape(text)}" src="data:image/jpeg;base64,{data}" style="width:100%;height:auto">'
+    """An element of a page with the picture in it."""
+    return f'<img alt="{html.escape(text)}" src="{as_address(np.asarray(picture))}" style="width:100%;height:auto">'

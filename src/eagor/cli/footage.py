@@ -142,10 +142,9 @@ class Tally:
 
     def check(self) -> None:
         """Raise `RunError` if all frames were bad, `ImageError` if none could be read: the input is wrong."""
+        if 0 < self.bad < self.frames:
+            terminal.log(f"{self.bad} of {self.frames} frames were left out")
         if self.bad == self.frames:
             error, what = (ImageError, "read") if self._unread == self.frames else (terminal.RunError, "used")
-            if self.frames == 1:
-                raise error(f"the only frame could not be {what}; the reason is above")
-            raise error(f"none of the {self.frames} frames could be {what}; the reasons are above")
-        if self.bad:
-            terminal.log(f"{self.bad} of {self.frames} frames were left out")
+            all_of_them = f"none of the {self.frames} frames could be {what}; the reasons are above"
+            raise error(all_of_them if self.bad > 1 else f"the only frame could not be {what}; the reason is above")

@@ -24,7 +24,6 @@ from eagor.cli.options import Axes, Flag, Following, bare
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer, NextLooks
-    from eagor.live.loop import Loop, Sink
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,22 +79,43 @@ def live(options: Live) -> int:
     if options.words[:1] == ("replay",):
         return _replay(options)
     from eagor.live.events import NextLooks
+    from eagor.live.loop import Loop
+    from eagor.live.threads import already_open
+    from eagor.media.camera_sources import open_source
+    from eagor.media.odometry import poses_for
 
     if len(options.words) < 2:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted SOURCE, then one or more QUERY")
-    queries, looks, log = checks.checked_queries(options.words[1:]), NextLooks(), None
+    source, queries = options.words[0], checks.checked_queries(options.words[1:])
     checks.checked_record(options.record)
     checks.check_outputs(options)
-    if options.rerun is not None:
-        from eagor.live.rerun import RerunLog
-
-        log = RerunLog(options.rerun, f"{', '.join(queries)}: {options.words[0]}", realtime=True)
+    spec = checks.perception_for(queries, options.perception)
+    config = replace(checks.tracker_config(spec, **vars(options)), floor_height=options.floor)
+    mask, rows = checks.mask_of(options.mask), checks.rows_for(spec, options.rows)
+    opens = partial(open_source, source, latency=options.latency, rows=rows, **checks.lens_of(options))
+    if source.startswith("ros:"):  # its publishers may not be there yet
+        terminal.log(f"waiting for pictures on {source}")
+    camera, looks, log = opens(), NextLooks(), None
     try:
-        loop = loop_of(options, queries, [looks, *([log] if log else [])])
+        if options.rerun is not None:
+            from eagor.live.rerun import RerunLog
+
+            log = RerunLog(options.rerun, f"{', '.join(queries)}: {source}", realtime=True)
+        dds = {"domain": options.domain, "interface": options.interface}
+        poses = poses_for(options.poses, camera, axes=options.axes, **dds)
+        loop = Loop(
+            already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast,
+            [looks, *([log] if log else [])], config=config, rate=options.rate, patience=options.patience,
+            record=options.record, pictures=options.pictures, mask=mask,
+        )  # fmt: skip
     except BaseException:
+        camera.close()
         if log is not None:
             log.close()
         raise
+    terminal.log(
+        f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
+    )
     told, until = _Told(options, queries, looks), math.inf
 
     def answered(answer: Answer) -> None:
@@ -121,37 +141,6 @@ def live(options: Live) -> int:
     if not counts.looks:
         raise terminal.RunError(f"nothing was looked at: {told.last or 'no picture came'}")
     return terminal.INCOMPLETE if loop.recording_problem else terminal.OK
-
-
-def loop_of(options: Live, queries: Sequence[str], sinks: Sequence[Sink]) -> Loop:
-    """The loop that the options ask for, with its camera open. Raises `UsageError`, `QueryError`, and as `Loop`."""
-    from eagor.live.loop import Loop
-    from eagor.live.threads import already_open
-    from eagor.media.camera_sources import open_source
-    from eagor.media.odometry import poses_for
-
-    source, spec = options.words[0], checks.perception_for(queries, options.perception)
-    config = replace(checks.tracker_config(spec, **vars(options)), floor_height=options.floor)
-    mask, rows = checks.mask_of(options.mask), checks.rows_for(spec, options.rows)
-    opens = partial(open_source, source, latency=options.latency, rows=rows, **checks.lens_of(options))
-    if source.startswith("ros:"):  # its publishers may not be there yet
-        terminal.log(f"waiting for pictures on {source}")
-    camera = opens()
-    try:
-        dds = {"domain": options.domain, "interface": options.interface}
-        poses = poses_for(options.poses, camera, axes=options.axes, **dds)
-        loop = Loop(
-            already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast, sinks,
-            config=config, rate=options.rate, patience=options.patience, record=options.record,
-            pictures=options.pictures, mask=mask,
-        )  # fmt: skip
-    except BaseException:
-        camera.close()
-        raise
-    terminal.log(
-        f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
-    )
-    return loop
 
 
 class _Told:

@@ -11,12 +11,12 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Annotated, Any
 
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import Positional, arg
 
 from eagor._extras import EXTRAS, how_to_install, is_older
 from eagor._version import __version__
 from eagor.cli import terminal
-from eagor.cli.options import Common
+from eagor.cli.options import Common, grouped
 from eagor.errors import MissingExtraError, QueryError
 from eagor.perception.coco import ABOUT, CLASSES, FETCHED, PACKAGE, install, model_file, state, wanted
 
@@ -34,14 +34,7 @@ class ModelsGet(Common):
     """Which one; `eagor models list` names them."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Models:
-    """Detectors for photographs that install by name."""
-
-    action: Annotated[
-        Annotated[ModelsList, subcommand("list")] | Annotated[ModelsGet, subcommand("get")],
-        arg(name=""),  # as in `Bench`
-    ]
+Models = grouped("Models", "Detectors for photographs that install by name.", ModelsList, ModelsGet)
 
 
 def models_list(options: ModelsList) -> int:

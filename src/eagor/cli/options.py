@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Union
 
-from tyro.conf import arg
+from tyro.conf import arg, subcommand
 
 from eagor.errors import EagorError
 
@@ -167,6 +167,16 @@ class Footage(Lens):
     odom_topic: Annotated[str | None, bare("TOPIC")] = None
     """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
     force: Force = False
+
+
+def grouped(name: str, text: str, *commands: type) -> Any:
+    """A command that is one of several: `commands`, whose names begin with its own."""
+    options = tuple(Annotated[each, subcommand(each.__name__.removeprefix(name).lower())] for each in commands)
+    # Without a name, options are listed with those of every command, and a text appears once in the help.
+    kind = Annotated[Union[options], arg(name="")]  # noqa: UP007
+    made = make_dataclass(name, [("action", kind)], frozen=True, kw_only=True)
+    made.__doc__ = text
+    return made
 
 
 def given(options: Common, names: Sequence[str]) -> list[str]:
