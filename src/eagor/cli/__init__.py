@@ -92,8 +92,8 @@ def _run(arguments: list[str]) -> int:
         raise terminal.UsageError(f"{COMPLETION} needs a shell: {', '.join(SHELLS)}")
     try:
         command = _parse(joined(arguments))
-    except SystemExit as stop:  # tyro has printed help, or a script
-        return stop.code if isinstance(stop.code, int) else 2
+    except SystemExit:  # tyro has printed help, or a script
+        return 0
     command = getattr(command, "action", command)  # `bench run` is an action of `bench`
     for name in LIMITS:
         if isinstance(value := getattr(command, name, None), int | float):

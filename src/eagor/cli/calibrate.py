@@ -57,7 +57,8 @@ def calibrate(options: Calibrate) -> int:
     kind = "replay" if given(options, TAKES["replay"]) else options.what
     for other, names in TAKES.items():
         if wrong := given(options, sorted({*names} - {*TAKES[kind]})):
-            raise terminal.UsageError(f"--{wrong[0]} has no meaning here: it is for eagor calibrate {other}")
+            value = getattr(options, wrong[0])
+            raise terminal.UsageError(f"--{wrong[0]} {value} is for eagor calibrate {other}")
     checks.check_outputs(options, [options.replay, options.truth, options.poses])
     return {"responses": responses, "heads": heads, "replay": replay}[kind](options)
 

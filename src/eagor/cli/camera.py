@@ -6,6 +6,8 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +20,7 @@ from eagor.cli.options import Common, Flag, bare, grouped
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.media import Frame, Pose
+    from eagor.media import Frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,17 +174,26 @@ def camera_latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
     from eagor.media.camera_sources import open_source
     from eagor.media.latency import check_turning, latency_between, steps_of
+    from eagor.media.odometry import open_poses
 
     source = open_source(options.source, rig=options.rig, rate=options.rate, rows=512)
+    poses: Any = partial(open_poses, str(options.poses))  # of a live camera they are read at the end
     try:
         if not source.live:
-            check_turning(_odometry(options.poses))  # what is wrong with it is told before the work
+            check_turning([*poses()])  # what is wrong with it is told before the work
         else:
             terminal.log(f"looking for {options.seconds:g} s: turn the camera left and right, briskly")
-        steps = steps_of(_for_a_while(source, options.seconds))
+        begin = time.monotonic()
+        with terminal.progress("looking", None) as advance:
+
+            def wanted(_: Frame) -> bool:
+                advance()
+                return not source.live or time.monotonic() - begin <= options.seconds
+
+            steps = steps_of(takewhile(wanted, source))
     finally:
         source.close()
-    found = latency_between(steps, _odometry(options.poses), most=options.most)
+    found = latency_between(steps, [*poses()], most=options.most)
     low, high = found.interval
     values = {"latency_s": found.seconds, "low_s": low, "high_s": high, "correlation": found.correlation}
     rounded: dict[str, Any] = {key: round(value, 5) for key, value in values.items()}
@@ -200,25 +211,6 @@ def camera_latency(options: CameraLatency) -> int:
     if high < 0:
         terminal.warning("pictures come before odometry: it is odometry that is late, or their clocks differ")
     return terminal.OK
-
-
-def _odometry(path: Path) -> list[Pose]:
-    """The poses in a file, in order of time."""
-    from eagor.media.odometry import open_poses
-
-    poses: Any = open_poses(str(path))
-    return [*poses]
-
-
-def _for_a_while(source: Any, seconds: float) -> Iterator[Frame]:
-    """The frames; of a live source, those of so many seconds. Shows progress."""
-    begin = time.monotonic()
-    with terminal.progress("looking", None) as advance:
-        for frame in source:
-            yield frame
-            advance()
-            if source.live and time.monotonic() - begin > seconds:
-                return
 
 
 def _pictures(text: str, rate: float | None = None) -> Iterator[Sequence[np.ndarray]]:

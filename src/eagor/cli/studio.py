@@ -17,7 +17,6 @@ from eagor.errors import EagorError
 
 if TYPE_CHECKING:
     from eagor.lab.eval.results import Run
-    from eagor.studio.messages import Opening
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +70,7 @@ def studio(options: Studio) -> int:
     if options.source is None and (mistaken := given(options, FOR_SOURCE)):
         raise terminal.UsageError(f"--{mistaken[0]} is for --source SOURCE, which is not given")
     need("eagor studio", "studio", "starlette", "uvicorn", "websockets")
+    from eagor.studio.messages import Opening
     from eagor.studio.server import is_loopback, serve
     from eagor.studio.sessions import Settings
 
@@ -85,39 +85,29 @@ def studio(options: Studio) -> int:
         raise terminal.UsageError(f"--runs {options.folder} is no folder; name the one that holds your runs")
     if options.perception is not None:
         checks.make_perception(options.perception)  # raises for what does not exist, before anything is started
-    live = None if options.source is None else _live(options, options.source)
-    taken = _listening(options.host, options.port)
+    live, source, query = None, options.source, options.query or ""
+    if source is not None:
+        simulated = source.startswith("apartment:")
+        if not (query or simulated):
+            raise terminal.UsageError(f"--source {source} needs --query: say what to look for at first")
+        lens = checks.lens_of(options)["camera"]
+        perception = options.perception or ("scout" if simulated else checks.perception_for([query], None))
+        rig = None if options.rig is None else str(options.rig)
+        live = Opening(source, source, query, perception, poses=options.poses, rig=rig, camera=lens)
+    try:
+        family = socket.getaddrinfo(options.host, options.port, type=socket.SOCK_STREAM)[0][0]
+        taken = socket.create_server((options.host, options.port), family=family, backlog=128)
+    except OSError as error:
+        raise terminal.UsageError(
+            f"--host {options.host} --port {options.port} cannot be used ({error.strerror or error}); another studio "
+            "may be running there: choose another port, or 0 for any free one"
+        ) from error
     name = f"[{options.host}]" if ":" in options.host else options.host
     address = f"http://{name}:{taken.getsockname()[1]}/" + (f"?token={token}" if token else "")
     terminal.give(options.json, {"address": address}, f"The studio: {address}  (Ctrl-C ends it)")
     settings = Settings(options.host, token, options.folder, options.perception, live)
     serve(settings, taken, address if options.open else None)
     return terminal.OK
-
-
-def _live(options: Studio, source: str) -> Opening:
-    """What the page opens on. Raises `UsageError`, `QueryError`."""
-    from eagor.studio.messages import Opening
-
-    simulated = source.startswith("apartment:")
-    if options.query is None and not simulated:
-        raise terminal.UsageError(f"--source {source} needs --query: say what to look for at first")
-    query, lens = options.query or "", checks.lens_of(options)["camera"]
-    perception = options.perception or ("scout" if simulated else checks.perception_for([query], None))
-    rig = None if options.rig is None else str(options.rig)
-    return Opening(source, source, query, perception, poses=options.poses, rig=rig, camera=lens)
-
-
-def _listening(host: str, port: int) -> socket.socket:
-    """A socket that listens there. Raises `UsageError` if that cannot be."""
-    try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        return socket.create_server((host, port), family=family, backlog=128)
-    except OSError as error:
-        raise terminal.UsageError(
-            f"--host {host} --port {port} cannot be used ({error.strerror or error}); another studio may be running "
-            "there: choose another port, or 0 for any free one"
-        ) from error
 
 
 def export(options: Studio) -> int:
