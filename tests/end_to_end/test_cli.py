@@ -12,7 +12,6 @@ import re
 import signal
 import subprocess
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import commands
@@ -153,34 +152,6 @@ def test_help_says_everything_once(words):
     assert sum(text.count(line) for line in told) == 1
     assert "default: None" not in text
     assert "default: False" not in text
-
-
-COMMANDS = [
-    (), ("locate",), ("track",), ("demo",), ("calibrate",), ("doctor",), ("bench",),
-    ("models",), ("models", "list"), ("models", "get"),
-    *(("bench", name) for name in ("run", "report", "list", "info", "score", "compare", "failures")),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "columns", [pytest.param(72, marks=pytest.mark.slow), 80, pytest.param(100, marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_help_breaks_lines_only_where_they_are_full(words, columns, monkeypatch):
-    printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
-    monkeypatch.setenv("COLUMNS", str(columns))
-    monkeypatch.setattr(sys, "stdout", printed)
-    assert main([*words, "--help"]) == 0
-    text = printed.buffer.getvalue().decode()
-    assert "its text stands once" not in text, "comments in the code are no help"
-    rows = [line[2:-2] for line in text.splitlines() if line.startswith("│ ")]
-    assert rows
-    for row, following in pairwise(rows):
-        start = len(following) - len(following.lstrip())
-        if start < 8 or not following.strip() or not row[start:].strip() or row[start - 2 : start] != "  ":
-            continue  # not the same text going on, or a new paragraph
-        word = re.match(r"[^\s,]+,?", following.lstrip())[0]
-        assert len(row.rstrip()) + 1 + len(word) > len(row), f"{word!r} would fit behind {row.strip()!r}"
 
 
 def test_version():
