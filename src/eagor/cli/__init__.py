@@ -1,4 +1,4 @@
-"""The command line. Each command is a frozen dataclass of options and a function, in one module; `commands` has all.
+"""The command line: each command is a dataclass of options, and a function of its name (`bench_run` of `BenchRun`).
 
 Exit codes:
 
@@ -19,9 +19,10 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
 from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from contextlib import redirect_stderr, suppress
 from typing import Any
 
 # Our matrices are small: threads in the matrix library cost far more than they gain (several times the time of the demo
@@ -33,6 +34,7 @@ if not sys.stderr.isatty():  # read by transformers: no progress bars without a 
 
 from eagor._version import __version__
 from eagor.cli import terminal
+from eagor.cli.checks import LIMITS, checked_number
 from eagor.errors import AnswerError, EagorError, ServerError, StorageError, WorkError
 from eagor.plugins import readable_lists
 
@@ -48,13 +50,7 @@ Exit codes: 0 success, 1 the run failed, 2 usage or input, 3 finished but some c
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
 COMPLETION, ROS_ARGS = "--tyro-print-completion", "--ros-args"
-# tyro completes a file after an option, but not in place of a positional argument. Bash and fish can offer files there
-# if nothing else fits.
-_FILES_TOO = {
-    "bash": ("complete -F ", "complete -o default -F "),
-    "zsh": ("", ""),
-    "fish": ("complete --no-files ", "complete "),
-}
+SHELLS = ("bash", "zsh", "fish")
 _LISTS = ("--set", "--methods", "--categories", "--queries")  # options that take several values
 
 
@@ -92,15 +88,19 @@ def _run(arguments: list[str]) -> int:
     if arguments in (["--version"], ["-V"]):
         print(f"eagor {__version__}")
         return 0
-    if arguments[:1] == [COMPLETION]:
-        print(_completion(arguments), end="")
-        return 0
+    if arguments[:1] == [COMPLETION] and (len(arguments) != 2 or arguments[1] not in SHELLS):
+        raise terminal.UsageError(f"{COMPLETION} needs a shell: {', '.join(SHELLS)}")
     try:
         command = _parse(joined(arguments))
-    except SystemExit as stop:  # tyro has printed help
-        return stop.code if isinstance(stop.code, int) else 2
-    command: Any = getattr(command, "action", command)  # `bench run` is an action of `bench`
-    return getattr(sys.modules[type(command).__module__], command.runs)(command)
+    except SystemExit:  # tyro has printed help, or a script
+        return 0
+    command = getattr(command, "action", command)  # `bench run` is an action of `bench`
+    for name in LIMITS:
+        if isinstance(value := getattr(command, name, None), int | float):
+            checked_number(value, f"--{name}")
+    kind = type(command)
+    name = getattr(kind, "runs", None) or re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind.__name__).lower()
+    return getattr(sys.modules[kind.__module__], name)(command)
 
 
 def joined(arguments: list[str]) -> list[str]:
@@ -128,7 +128,7 @@ def joined(arguments: list[str]) -> list[str]:
     return [part for word in found for part in (word, *values.pop(word, []))]
 
 
-def _parse(arguments: list[str]):
+def _parse(arguments: list[str]) -> Any:
     """The command with its options. Raises `UsageError`, or `SystemExit` after help."""
     import tyro
 
@@ -160,14 +160,3 @@ def _mistake(box: str) -> str:
     wrong = told[0 if "\u256d" in box else 1]  # without a box the title comes first
     near = lines[lines.index("Perhaps you meant:") + 1].split()[0] if "Perhaps you meant:" in lines else ""
     return f"{wrong}{f'; did you mean {near}?' if near else ''}; eagor --help describes all"
-
-
-def _completion(arguments: Sequence[str]) -> str:
-    """tyro's script for the shell that `arguments` name, which completes files too. Raises `UsageError`."""
-    if len(arguments) != 2 or arguments[1] not in _FILES_TOO:
-        raise terminal.UsageError(f"{COMPLETION} needs a shell: bash, zsh or fish")
-    printed = io.StringIO()
-    with redirect_stdout(printed), suppress(SystemExit):
-        _parse(list(arguments))
-    old, new = _FILES_TOO[arguments[1]]
-    return printed.getvalue().replace(old, new) if old else printed.getvalue()

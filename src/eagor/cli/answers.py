@@ -1,30 +1,32 @@
-"""Answers about frames: as lines of a table on the terminal, and as rows of a file, the same for every command.
+"""Answers about frames: lines of a table on the terminal, rows of a file, pictures; the same for every command.
 
-And answers from what `eagor look` has seen (``eagor track LOOKS.jsonl``): no detector runs, and no picture is read.
+And what `eagor look` has seen (``eagor track LOOKS.jsonl``): no detector runs, and no picture is read.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eagor._files import append_all, as_csv, redacted
+from eagor._files import append_all, as_csv, redacted, written
 from eagor.cli import terminal
-from eagor.cli.checks import checked_out
-from eagor.cli.options import Common, given
+from eagor.cli.options import Answering, Footage, given
 from eagor.cli.terminal import UsageError
 from eagor.errors import StorageError
 
 if TYPE_CHECKING:
     import numpy as np
+    from PIL import Image
 
     from eagor.live.in_turn import Followed
-    from eagor.perception.recordings import HiddenParts, RecordedLooks, ThingSeen
+    from eagor.perception.recordings import RecordedLooks
     from eagor.tracking.config import TrackerConfig
     from eagor.tracking.estimate import Estimate
 
@@ -56,18 +58,16 @@ def line(frame: Followed, begins: float = 0.0, several: bool = False) -> str:
 
     With other methods the distance and the number of candidates are left out.
     """
-    from eagor.drawing.style import far_in_words, signed
+    from eagor.drawing.style import far_in_words
 
-    e, stamp = frame.estimate, frame.stamp - begins
-    azimuth, elevation = signed(e.azimuth), signed(e.elevation)
-    cone = "-" if e.direction is None else signed(e.credible_angle)[1:]
+    e, stamp, last = frame.estimate, frame.stamp - begins, f"  {frame.query}" if several else ""
+    azimuth, elevation, cone = _signed(e)
     if not frame.others:
-        far = far_in_words(e) or "-"
-        ours = f"{stamp:10.3f}{azimuth:>9}{elevation:>11}{cone:>10}{far:>14}{len(e.modes):>7}"
-        return f"{ours}  {e.status:9}  {frame.query}" if several else f"{ours}  {e.status}"
+        ours = f"{stamp:10.3f}{azimuth:>9}{elevation:>11}{cone:>10}{far_in_words(e) or '-':>14}{len(e.modes):>7}"
+        return f"{ours}  {e.status:{9 if several else 0}}{last}"
+    cells = ("-" if each is None else "{:+.0f}/{:+.0f}".format(*_angles(each)) for each in frame.others.values())
     ours = f"{stamp:9.3f}{azimuth:>8}{elevation:>6}{cone:>6} {e.status:9}"
-    ours += "".join(f" {_cell(direction):>{CELL}}" for direction in frame.others.values())
-    return f"{ours}  {frame.query}" if several else ours
+    return ours + "".join(f" {cell:>{CELL}}" for cell in cells) + last
 
 
 def in_words(e: Estimate, query: str, seconds: float) -> str:
@@ -78,31 +78,18 @@ def in_words(e: Estimate, query: str, seconds: float) -> str:
     return f"{said} ({e.status}: {status_in_words(e.status, e.presence)})"
 
 
-def _cell(direction: np.ndarray | None) -> str:
-    """A direction ``(3,)`` as azimuth/elevation in whole degrees; "-" for None."""
-    if direction is None:
-        return "-"
-    azimuth, elevation = _angles(direction)
-    return f"{azimuth:+.0f}/{elevation:+.0f}"
+def _signed(e: Estimate) -> tuple[str, str, str]:
+    """Azimuth, elevation, and the half-angle of the cone that holds 90 %, in degrees."""
+    from eagor.drawing.style import signed
+
+    return signed(e.azimuth), signed(e.elevation), "-" if e.direction is None else signed(e.credible_angle)[1:]
 
 
-def _angles(direction: np.ndarray) -> tuple[float, float]:
+def _angles(direction: np.ndarray) -> list[float]:
     """Azimuth and elevation of a direction ``(3,)``, degrees."""
-    import numpy as np
-
     from eagor.sphere import azimuth_elevation
 
-    azimuth, elevation = np.degrees(azimuth_elevation(direction))
-    return float(azimuth), float(elevation)
-
-
-def methods_as_dict(directions: Mapping[str, np.ndarray]) -> dict[str, dict[str, float]]:
-    """The directions ``(3,)`` of other methods, for ``--json`` and for files."""
-    found = {name: _angles(direction) for name, direction in directions.items()}
-    return {
-        name: {"azimuth_deg": round(azimuth, 4), "elevation_deg": round(elevation, 4)}
-        for name, (azimuth, elevation) in found.items()
-    }
+    return [math.degrees(angle) for angle in azimuth_elevation(direction)]
 
 
 # --- in a file: CSV or JSON lines -----------------------------------------------------------------------------------
@@ -114,6 +101,22 @@ COLUMNS = (
 SUFFIXES = (".csv", ".jsonl")
 
 Entry = Mapping[str, Any]
+
+
+def entry_of(result: Followed, modes: int) -> dict[str, Any]:
+    """A frame for ``--json`` and for files, with at most so many candidates."""
+    entry = {"query": result.query, "frame": result.frame, **result.estimate.as_dict(modes), "stamp": result.stamp}
+    entry["looks"] = len(result.evidence)
+    if result.lost:
+        entry["lost"] = True
+    if result.problem is not None:
+        entry["problem"] = result.problem
+    names = ("azimuth_deg", "elevation_deg")
+    others = {
+        name: {key: round(angle, 4) for key, angle in zip(names, _angles(direction), strict=True)}
+        for name, direction in result.others.items()
+    }
+    return entry | ({"methods": others} if others else {})
 
 
 class Lines:
@@ -149,54 +152,69 @@ def table(path: Path, rivals: Sequence[str] = ()) -> Iterator[Callable[[Entry], 
     """The file `path`; the yielded function adds one answer, as ``--json`` shows it. The first one creates the file.
 
     It is flushed after every answer. `rivals` are the other methods that the answers have under "methods". Raises
-    `UsageError` before the first answer if the file cannot be written.
+    `UsageError` before the first answer if the file cannot be written. In CSV, `modes` is the number of candidates.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise UsageError(f"--out {path}: wanted a file name that ends in .csv or .jsonl")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"--out {path}: there is no folder {path.absolute().parent}; make it first")
-    checked_out(path)
-    columns = columns_of(rivals)
+    angles = [f"{name}_{angle}_deg" for name in rivals for angle in ("azimuth", "elevation")]
+    columns = [*COLUMNS, "modes", "problem", *angles]
     with Lines(path) as file:
         head = [columns]
 
         def write(entry: Entry) -> None:
             if suffix == ".jsonl":
                 file.add(json.dumps(entry) + "\n")
-            else:
-                file.add(as_csv([*head, row_of(entry, columns)], "\r\n"))
-                head.clear()
+                return
+            flat = {**entry, "modes": len(entry["modes"]), "problem": entry.get("problem", "")}
+            for name, found in entry.get("methods", {}).items():
+                flat |= {f"{name}_{angle}": value for angle, value in found.items()}
+            file.add(as_csv([*head, [flat.get(name) for name in columns]], "\r\n"))
+            head.clear()
 
         yield write
 
 
-def columns_of(rivals: Sequence[str]) -> list[str]:
-    """The columns of CSV; `modes` is the number of candidates."""
-    angles = (f"{name}_{angle}_deg" for name in rivals for angle in ("azimuth", "elevation"))
-    return [*COLUMNS, "modes", "problem", *angles]
+# --- in pictures ------------------------------------------------------------------------------------------------------
 
 
-def row_of(entry: Entry, columns: Sequence[str]) -> list[Any]:
-    """The values of an answer in these columns; None where it has none."""
-    flat = {**entry, "modes": len(entry["modes"]), "problem": entry.get("problem", "")}
-    for name, found in entry.get("methods", {}).items():
-        flat |= {f"{name}_{angle}": value for angle, value in found.items()}
-    return [flat.get(name) for name in columns]
+def draw(result: Followed, path: Path, most: int, when: str = "", mosaic: Any = None) -> None:
+    """Draw the belief over the frame of a result, with at most so many candidates; `when`: words for the title.
+
+    `mosaic`: what an ordinary camera was shown before. Raises `StorageError`.
+    """
+    from eagor.drawing import draw_belief
+    from eagor.drawing.style import answer_in_words
+
+    e = result.estimate
+    assert result.picture is not None
+    drawn = draw_belief(
+        result.picture, e, title=f"“{result.query}”{when}: {answer_in_words(e)} ({e.status})", grid=result.grid,
+        modes=[mode.direction for mode in e.modes[:most]], mosaic=mosaic,
+        others={name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others},
+    )  # fmt: skip
+    keep_picture(drawn, path)
+
+
+def keep_picture(picture: Image.Image, path: Path) -> None:
+    """Write a picture atomically, in the format of its name. Raises `StorageError`."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    picture.save(buffer, Image.registered_extensions()[path.suffix.lower()])
+    written(path, buffer.getvalue())
 
 
 # --- from a file of looks ---------------------------------------------------------------------------------------------
 
-# What belongs to footage: a file of looks has its poses and times, and no pictures.
-_OF_FOOTAGE = (
-    "poses", "rate", "start", "end", "image_topic", "odom_topic", "camera_info", "perception", "rig", "hfov", "camera",
-    "force",
-)  # fmt: skip
-_OF_PICTURES = ("video", "fps", "page", "picture", "rerun")
+# A file of looks has poses, times and the answers of a detector, and no pictures.
+_OF_PICTURES = ("video", "fps", "page", "pictures", "rerun")
 _OF_ONE = ("out", "compare")
 
 
-def recorded(options: Common, places: Sequence[Path]) -> RecordedLooks | None:
+def recorded(options: Footage, places: Sequence[Path]) -> RecordedLooks | None:
     """The file of looks that the one place is; None for footage.
 
     Raises `UsageError` for options that only footage has a use for, `FormatError` for a file that is none.
@@ -207,67 +225,42 @@ def recorded(options: Common, places: Sequence[Path]) -> RecordedLooks | None:
     from eagor.perception.replay import ReplayPerception
 
     looks = RecordedLooks(ReplayPerception(places[0]))
-    of = looks.about.of
-    if wrong := given(options, _OF_FOOTAGE):
+    common = {"json", "debug"}
+    if wrong := given(options, ["perception", *(each.name for each in fields(Footage) if each.name not in common)]):
         raise UsageError(f"--{wrong[0].replace('_', '-')} is for footage; {places[0]} has its looks and poses")
     if wrong := given(options, _OF_PICTURES):
-        name = "pictures" if wrong[0] == "picture" else wrong[0]
         raise UsageError(
-            f"--{name} needs pictures, and {places[0]} holds none; draw over the footage with the same answers: eagor "
-            f"track {of} QUERY --perception replay:{places[0]} --{name} ..."
+            f"--{wrong[0]} needs pictures, and {places[0]} holds none; draw over the footage with the same answers: "
+            f"eagor track {looks.about.of} QUERY --perception replay:{places[0]} --{wrong[0]} ..."
         )
     return looks
 
 
-def list_seen(options: Common, looks: RecordedLooks, config: TrackerConfig, hidden: HiddenParts, modes: int) -> int:
+def list_seen(options: Answering, looks: RecordedLooks, config: TrackerConfig) -> int:
     """Print what was seen where, the surest first; returns the exit code."""
-    from eagor.perception.recordings import asked_for, things_seen
+    from eagor.cli.checks import mask_of
+    from eagor.perception.recordings import NEAR, HiddenParts, asked_for, things_seen
 
     if wrong := given(options, _OF_ONE):
         raise UsageError(f"--{wrong[0]} is for one question: eagor track {looks.replay.name} QUERY --{wrong[0]}")
-    footage, queries = looks.about, asked_for(looks.replay)
+    about, queries, mask = looks.about, asked_for(looks.replay), mask_of(options.mask)
     with terminal.progress("adding up", len(queries), shown=not options.json) as advance:
-        found = things_seen(looks, config, hidden, advance)
-    if options.json:
-        about_it = {"of": footage.of, "perception": footage.perception, "poses": footage.poses}
-        terminal.emit(about_it | {"things": entries(found, modes)})
-    else:
-        say_things(found, footage.perception, footage.of, footage.begins)
-    return terminal.OK
-
-
-def say_things(found: Sequence[ThingSeen], perception: str, source: str, begins: float) -> None:
-    """Print a table of all that was seen in a source, which `begins` at this stamp; one line where that is nothing."""
+        found = things_seen(looks, config, HiddenParts([mask] if mask else []), advance)
+    near, things = round(math.degrees(NEAR)), []
+    lines = [f"{'thing':<16}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'sure':>7}{'presence':>10}{'looks':>9}"
+             f"{'last seen':>11}  status"]  # fmt: skip
+    for each in found:
+        e, counts = each.estimate, {"seen_in": each.looks, "looks": each.among, "last_seen": each.last}
+        things.append({"query": each.query, **e.as_dict(options.modes, near), **counts})
+        azimuth, elevation, cone = _signed(e)
+        lines.append(
+            f"{each.query:<16}{azimuth:>9}{elevation:>11}{cone:>10}{100 * each.sure:>5.0f} %{100 * e.presence:>8.0f} %"
+            f"{f'{each.looks}/{each.among}':>9}{each.last - about.begins:>11.2f}  {e.status}"
+        )
     if not found:
-        terminal.say(f"{perception} saw nothing in {source}")
-        return
-    end = found[0].estimate.stamp - begins
-    terminal.say(f"seen in {source} by {perception}; directions are those of the camera at {end:.2f} s")
-    terminal.say(f"{'thing':<16}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'sure':>7}{'presence':>10}{'looks':>9}"
-                 f"{'last seen':>11}  status")  # fmt: skip
-    terminal.say(*(_line(each, begins) for each in found))
-
-
-def entries(found: Sequence[ThingSeen], modes: int) -> list[dict[str, Any]]:
-    """The same for JSON, each with at most so many candidates."""
-    return [_entry(each, modes) for each in found]
-
-
-def _line(thing: ThingSeen, begins: float) -> str:
-    from eagor.drawing.style import signed
-
-    e = thing.estimate
-    cone = "-" if e.direction is None else signed(e.credible_angle)[1:]
-    many = f"{thing.looks}/{thing.among}"
-    return (
-        f"{thing.query:<16}{signed(e.azimuth):>9}{signed(e.elevation):>11}{cone:>10}{100 * thing.sure:>5.0f} %"
-        f"{100 * e.presence:>8.0f} %{many:>9}{thing.last - begins:>11.2f}  {e.status}"
-    )
-
-
-def _entry(thing: ThingSeen, modes: int) -> dict[str, Any]:
-    from eagor.perception.recordings import NEAR
-
-    near = round(math.degrees(NEAR))
-    about = {"query": thing.query, **thing.estimate.as_dict(modes, near)}
-    return about | {"seen_in": thing.looks, "looks": thing.among, "last_seen": thing.last}
+        lines = [f"{about.perception} saw nothing in {about.of}"]
+    else:
+        end = f"directions are those of the camera at {found[0].estimate.stamp - about.begins:.2f} s"
+        lines.insert(0, f"seen in {about.of} by {about.perception}; {end}")
+    told = {"of": about.of, "perception": about.perception, "poses": about.poses, "things": things}
+    return terminal.give(options.json, told, *lines)

@@ -1,16 +1,16 @@
-"""``eagor bench list``, ``info``, ``run`` and ``score``; `eagor.cli.results` has the other commands."""
+"""``eagor bench``: methods are run on tasks, and runs are reported and compared."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import Positional, arg
 
-from eagor.cli import terminal
-from eagor.cli.options import Common, DataOfRun, Detector, Flag, ForceRun, Rows, TaskOfRun, Whole, bare, given, pairs_of
-from eagor.cli.results import BenchCompare, BenchFailures, BenchReport
+from eagor.cli import checks, terminal
+from eagor.cli.options import Common, Detector, Flag, Rows, Whole, bare, given, grouped, pairs_of
 from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ class BenchRun(Common):
     tracking (follow a moving ball). One agent plays a task with published data (hstar-hos, hstar-hps, osr, eagle360),
     which needs --data; `eagor bench list` shows agents and options.
     """
-
-    runs: ClassVar[str] = "run"
 
     task: Annotated[str, Positional, arg(metavar="TASK")]
     """waypoint, navigation, tracking, an installed task, or one with data: hstar-hos, hstar-hps, osr, eagle360"""
@@ -84,7 +82,11 @@ class BenchRun(Common):
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of our tracker, from `eagor calibrate`."""
     detector: Detector = None
-    force: ForceRun = False
+    force: Annotated[bool, bare()] = False
+    (
+        "Accept a calibration that was fitted for another perception, and resume a run although the code, the data or "
+        "the model has changed."
+    )
     retry_failed: Flag = False
     """Run failed episodes again."""
 
@@ -93,14 +95,10 @@ class BenchRun(Common):
 class BenchList(Common):
     """List simulated tasks and benchmarks, with their agents and options."""
 
-    runs: ClassVar[str] = "list_tasks"
-
 
 @dataclass(frozen=True, kw_only=True)
 class BenchInfo(Common):
     """Describe a folder with a benchmark's published files."""
-
-    runs: ClassVar[str] = "info"
 
     place: Annotated[str, Positional, arg(metavar="DATA|TASK")]
     """The folder (all benchmarks that can read it tell of it), or a benchmark whose folder is --data."""
@@ -112,16 +110,16 @@ class BenchInfo(Common):
 class BenchScore(Common):
     """Score predictions from elsewhere, or a run by other rules; nothing is run."""
 
-    runs: ClassVar[str] = "score"
-
     predictions: Annotated[Path, Positional, arg(metavar="PRED")]
     (
         'A JSON lines file with one object per case: its id ("case"; or "doc_id", its number) and the answer '
         '("submit": [yaw, pitch], "text": the model\'s text, ...), such as the predictions.jsonl of a report. Or the '
         "folder of a run."
     )
-    task: TaskOfRun = None
-    data: DataOfRun = None
+    task: Annotated[str | None, bare("NAME")] = None
+    """The benchmark (default: that of the run)."""
+    data: Annotated[Path | None, bare("DIR")] = None
+    """Its published files (default: those of the run)."""
     set: Annotated[tuple[str, ...], bare("OPTION=VALUE ...")] = ()
     """Options of the benchmark, such as scoring=strict."""
     out: Annotated[Path | None, bare("RUN")] = None
@@ -129,21 +127,48 @@ class BenchScore(Common):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench:
-    """Run and compare methods, in simulated apartments and on published benchmarks."""
+class BenchReport(Common):
+    """Write the report of a run into its folder: report.html, tables.md and (to watch) episode.html.
 
-    action: Annotated[
-        Annotated[BenchRun, subcommand("run")]
-        | Annotated[BenchReport, subcommand("report")]
-        | Annotated[BenchList, subcommand("list")]
-        | Annotated[BenchInfo, subcommand("info")]
-        | Annotated[BenchScore, subcommand("score")]
-        | Annotated[BenchCompare, subcommand("compare")]
-        | Annotated[BenchFailures, subcommand("failures")],
-        # Without a name, its options are listed with those of every command, and its text appears once in the help.
-        # (Help would show a comment above the field.)
-        arg(name=""),
-    ]
+    The report of one run of a benchmark also has predictions.jsonl, which `eagor bench score` reads.
+    """
+
+    folders: Annotated[tuple[Path, ...], Positional, arg(metavar="RUN ...", help_behavior_hint="(required)")]
+    """The folder of the run; for benchmarks also several."""
+    out: Annotated[Path | None, bare("DIR")] = None
+    """Folder for the report (default: the first run's)."""
+    without_episode: Flag = False
+    """Leave out episode.html, for which the worst episode of a simulated task is played again."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchCompare(Common):
+    """Compare two runs, or two methods of one run, on the cases that both have."""
+
+    a: Annotated[Path, Positional, arg(metavar="A")]
+    """The folder of a run."""
+    b: Annotated[Path | None, Positional, bare("[B]")] = None
+    """The folder of another run; without it, two methods of A are compared."""
+    methods: Annotated[tuple[str, ...], bare("METHOD ...")] = ()
+    """Simulated tasks: one method for both runs, or one for A and one for B (default: eagor)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchFailures(Common):
+    """List the worst cases of a run; of a benchmark, also count failures by kind of question and by cause."""
+
+    run: Annotated[Path, Positional, arg(metavar="RUN")]
+    """The folder of the run."""
+    method: Annotated[str | None, bare("NAME")] = None
+    """Of a simulated task: whose episodes (default: eagor)."""
+    limit: Whole = 20
+    """Number of cases to list."""
+
+
+Bench = grouped(
+    "Bench", "Run and compare methods, in simulated apartments and on published benchmarks.",
+    BenchRun, BenchReport, BenchList, BenchInfo, BenchScore, BenchCompare, BenchFailures,
+)  # fmt: skip
 
 
 PERCEPTION = "scout"
@@ -152,62 +177,57 @@ GIVEN = (  # fields of tasks' configs that have a flag of the same name
 )  # fmt: skip
 
 
-def list_tasks(options: BenchList) -> int:
+def bench_list(options: BenchList) -> int:
     """``eagor bench list``."""
     from eagor.lab import worlds
 
-    found = {name: _described(name, broken) for name, broken in _known().items()}
+    found = {name: _described(task) for name, task in _tasks().items()}
     if options.json:
         terminal.emit(found)
         return terminal.OK
+    published = {name: entry for name, entry in found.items() if "agents" in entry}
     print("Simulated, no data needed (eagor bench run TASK)")
-    simulated = {name: entry for name, entry in found.items() if "agents" not in entry}
-    for entry in simulated.values():
-        entry["what"] = entry.get("what") or f"not available ({entry['unavailable']})"
-    terminal.columns({name: entry["what"] for name, entry in simulated.items()})
+    simulated = {name: entry for name, entry in found.items() if name not in published}
+    terminal.facts({n: e.get("what") or f"not available ({e['unavailable']})" for n, e in simulated.items()}, 4)
     print(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file")
-    for name, entry in found.items():
-        if name not in simulated:
-            print(f"\n{name}  {entry['title']} (eagor bench run {name} --data DIR)\n  agents")
-            terminal.columns(entry["agents"])
-            print("  options (--set OPTION=VALUE)")
-            defaults = {key: f"{value['what']} (default {value['default']})" for key, value in entry["options"].items()}
-            terminal.columns(defaults)
+    for name, entry in published.items():
+        print(f"\n{name}  {entry['title']} (eagor bench run {name} --data DIR)\n  agents")
+        terminal.facts(entry["agents"], 4)
+        print("  options (--set OPTION=VALUE)")
+        terminal.facts({k: f"{v['what']} (default {v['default']})" for k, v in entry["options"].items()}, 4)
     return terminal.OK
 
 
-def _known() -> dict[str, str]:
-    """The tasks by name, and why one of another package cannot be imported ("" if it can)."""
+def _tasks() -> dict[str, Any]:
+    """The tasks by name; of one that cannot be loaded the error. Those of other packages are tried elsewhere first."""
     from eagor import plugins
     from eagor.lab.tasks import task as tasks
 
-    why = {point.name: text for point, text in plugins.faults(plugins.brought(tasks.GROUP, tasks.BUILT_IN)).items()}
-    return {name: f"cannot be imported ({why[name]})" if name in why else "" for name in tasks.known()}
+    broken = {point.name: text for point, text in plugins.faults(plugins.brought(tasks.GROUP, tasks.BUILT_IN)).items()}
+    found: dict[str, Any] = {}
+    for name in tasks.known():
+        try:
+            if why := broken.get(name):
+                raise EagorError(f"cannot be imported ({why})")
+            found[name] = tasks.load(name)
+        except Exception as error:  # a broken plugin may raise anything
+            found[name] = error if isinstance(error, EagorError) else EagorError(repr(error))
+    return found
 
 
-def _load(name: str, broken: str) -> Any:
-    """A task of `_known`. Raises `EagorError`."""
-    from eagor.lab.tasks.task import load
-
-    if broken:
-        raise EagorError(broken)
-    return load(name)
-
-
-def _described(name: str, broken: str) -> dict[str, Any]:
-    """What ``eagor bench list --json`` says of a task."""
+def _described(task: Any) -> dict[str, Any]:
+    """What ``eagor bench list --json`` says of a task, or of the error that it has instead."""
     from eagor.lab import worlds
     from eagor.lab.tasks.task import options_of
 
-    try:
-        task = _load(name, broken)
-    except Exception as error:  # a broken plugin may raise anything
-        return {"unavailable": str(error) if isinstance(error, EagorError) else repr(error)}
-    data = {"kind": "published data", "agents": dict(task.agents)} if hasattr(task, "agents") else None
+    if isinstance(task, EagorError):
+        return {"unavailable": str(task)}
+    published = hasattr(task, "agents")
     return {
         "title": task.title,
         "what": task.what,
-        **(data or {"kind": "simulated", "worlds": sorted(worlds.known())}),
+        "kind": "published data" if published else "simulated",
+        **({"agents": dict(task.agents)} if published else {"worlds": sorted(worlds.known())}),
         "options": {
             name: {"default": default, "what": what, "choices": choices}
             for name, (default, what, choices) in options_of(task).items()
@@ -216,14 +236,20 @@ def _described(name: str, broken: str) -> dict[str, Any]:
     }
 
 
-def info(options: BenchInfo) -> int:
+def bench_info(options: BenchInfo) -> int:
     """``eagor bench info``."""
+    from eagor.lab.tasks.task import load
+
     found: dict[str, dict[str, Any]] = {}
     refused: dict[str, list[str]] = {}
-    known, data = (_known(), Path(options.place)) if options.data is None else ({options.place: ""}, options.data)
-    for name, broken in known.items():
+    if options.data is None:
+        tasks, data = _tasks(), Path(options.place)
+    else:
+        tasks, data = {options.place: load(options.place)}, options.data
+    for name, task in tasks.items():
         try:
-            task = _load(name, broken)
+            if isinstance(task, EagorError):
+                raise task
             content = task.info(data) if hasattr(task, "info") else None
         except EagorError as error:
             refused.setdefault(str(error), []).append(name)
@@ -235,26 +261,28 @@ def info(options: BenchInfo) -> int:
         raise FormatError(f"{data} holds the data of no known task; {reasons or 'name one that has data'}")
     if options.json:
         terminal.emit(found)
-    else:
-        for content in found.values():
-            terminal.facts(content)
+    for content in () if options.json else found.values():
+        terminal.facts(content)
     return terminal.OK
 
 
-def run(options: BenchRun) -> int:
+def bench_run(options: BenchRun) -> int:
     """``eagor bench run``."""
     from eagor.lab.eval import log, results, runner
     from eagor.lab.tasks.task import WORK, configure, load, settings_of
+    from eagor.perception import short_name
 
     task = load(options.task)
-    if options.workers < 1:
-        raise terminal.UsageError(f"--workers {options.workers}; wanted 1 or more")
-    part, slash, parts = (options.shard or "1/1").partition("/")
-    if not (slash and part.isdecimal() and parts.isdecimal()):
+    if not (shard := re.fullmatch(r"(\d+)/(\d+)", options.shard or "1/1")):
         raise terminal.UsageError(f"--shard {options.shard}; wanted I/N, such as 1/4")
     config = configure(task, _values(options, task), pairs_of(options.set))  # wrong ones are said before the run begins
-    samples, settings = runner.samples_of(task, config, options.limit, (int(part), int(parts))), settings_of(config)
-    out = options.out or Path("runs") / _folder(settings)
+    samples, settings = (
+        runner.samples_of(task, config, options.limit, (int(shard[1]), int(shard[2]))),
+        settings_of(config),
+    )
+    who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
+    parts = task.name, settings.get("agent"), short_name(who) if who else "", settings.get("seed", "")
+    out = options.out or Path("runs") / "-".join(str(part) for part in parts if part not in ("", None))
     terminal.log(f"{task.name}: {len(samples)} units of work; records go to {out}")
     with terminal.progress(task.name, len(samples)) as advance:
 
@@ -277,8 +305,6 @@ def run(options: BenchRun) -> int:
 
 def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     """The settings of a run by field. Raises `UsageError` for an option that the task does not have."""
-    from eagor.cli.checks import calibrated, check_looks, checked_number
-
     fields = task.Config.__struct_fields__
     simulated = "methods" in fields
     more = () if simulated else ("ablations", "walking", "detector")
@@ -287,7 +313,7 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     values = {name: getattr(options, name) for name in GIVEN if name in fields}
     values |= {name: str(value) for name, value in values.items() if isinstance(value, Path)}
     perception = options.perception or (PERCEPTION if simulated else "")
-    made = calibrated(perception, options.calibration, options.detector, options.force)
+    made = checks.calibrated(perception, options.calibration, options.detector, options.force)
     values["calibrated"] = made.as_json() if made else None
     if not simulated:
         if "data" in fields and options.data is None:
@@ -297,10 +323,9 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     from eagor.lab.envs.rules import NoiseModel
     from eagor.lab.tasks.sim.task import split_methods, variants
 
-    checked_number(options.rows, "--rows")
     if options.engine == "threads":
         raise terminal.UsageError("--engine threads is for models on servers; use processes or ray for simulated tasks")
-    check_looks(perception)
+    checks.check_looks(perception)
     methods = split_methods(options.methods) or list(default_methods(perception))
     if options.ablations:
         methods += [name for name in variants(task) if name not in methods]  # type: ignore[arg-type]
@@ -308,16 +333,7 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     return values | {"perception": perception, "methods": methods, "disturbances": disturbances}
 
 
-def _folder(settings: dict[str, Any]) -> str:
-    """The default name of a run's folder."""
-    from eagor.perception import short_name
-
-    who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
-    parts = settings["task"], settings.get("agent"), short_name(who) if who else "", settings.get("seed", "")
-    return "-".join(str(part) for part in parts if part not in ("", None))
-
-
-def score(options: BenchScore) -> int:
+def bench_score(options: BenchScore) -> int:
     """``eagor bench score``."""
     from eagor.lab.eval.predictions import keep, score_predictions
 
@@ -347,3 +363,93 @@ def _summarised(run: Run, out: Path | None, as_json: bool, more: dict[str, Any] 
         terminal.error(f"no {getattr(run.task, 'case', 'case')} could be run" + (f"; {out} says why" if out else ""))
         return terminal.FAILED
     return terminal.INCOMPLETE if summary["failed"] else terminal.OK
+
+
+def bench_report(options: BenchReport) -> int:
+    """``eagor bench report``. Raises `StorageError` if it cannot be written."""
+    from eagor._extras import need
+    from eagor.lab.eval.report import write_report
+    from eagor.lab.eval.results import read
+
+    if not options.folders:
+        raise terminal.UsageError("no run was given; wanted the folder of a run")
+    need("a report", "report", "jinja2")  # before an episode is played for it
+    checks.check_outputs(options, out="folder")
+    episode, out = None, options.out or options.folders[0]
+    runs = [read(folder) for folder in options.folders]
+    if len(runs) == 1 and not options.without_episode:
+        from eagor.cli.studio import beside_report
+
+        episode = beside_report(runs[0], out)
+    page = write_report(options.folders, out, episode)
+    counts = []
+    for folder, run in zip(options.folders, runs, strict=True):
+        planned, there = run.planned, len(run.records)
+        counts.append({"folder": str(folder), "records": there, "planned": planned})
+        if planned is not None and there < planned:
+            terminal.warning(
+                f"{folder} has {there} of {planned} records; the figures are about these. The command of the run, "
+                "without --limit and --shard, plays the rest"
+            )
+    shown = None if episode is None else str(out / episode)
+    lines = [f"The report: {page}", *([f"The worst episode, to watch: {shown}"] if shown else [])]
+    return terminal.give(options.json, {"report": str(page), "episode": shown, "runs": counts}, *lines)
+
+
+def bench_compare(options: BenchCompare) -> int:
+    """``eagor bench compare``."""
+    from eagor.lab.eval import report, results
+    from eagor.lab.tasks.sim.task import split_methods
+
+    methods = split_methods(options.methods)
+    if options.b is None and len(methods) != 2:
+        raise terminal.UsageError("name a second run, or two methods of this one with --methods")
+    a = results.read(options.a)
+    found = report.compare(a, a if options.b is None else results.read(options.b), methods)
+    return terminal.give(options.json, found, *report.comparison_in_words(found, a))
+
+
+def bench_failures(options: BenchFailures) -> int:
+    """``eagor bench failures``."""
+    from eagor.lab.eval import results, tables
+    from eagor.lab.tasks.task import sample_of
+
+    if options.limit < 0:
+        raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
+    run = results.read(options.run)
+    summary, method, layers = results.summarise(run), _method(run, options.method), []
+    found = {key: summary[key] for key in ("task", "episodes", "failed", "failures")}
+    if run.simulated:
+        found["method"], lines, cases = method, [], []
+        for result in results.rank(run, method)[::-1]:
+            case, episode = sample_of(result.record), result.record["episode"]
+            figures = {metric.key: metric.of(result.answer) for metric in run.task.metrics}
+            cause, scene = run.task.failure(result.record), episode.get("scene")
+            cases.append({"case": case, "query": episode["query"], "cause": cause, "figures": figures, "scene": scene})
+            lines.append(f"{case}  {episode['query']!r}  {tables.figures_of(result.record, run.task, method)}")
+    else:
+        (part,) = summary["answers"].values()
+        found |= {"agent": run.settings.get("agent"), "tags": part["tags"], "causes": part["causes"]}
+        keys = ("case", "tags", "answer", "error")
+        cases = [{**{key: r.get(key) for key in keys}, "cause": cause} for r, cause in tables.failures(run)]
+        lines, layers = tables.failed_lines(run), tables.failure_tables(run.task, part)
+    shown = lines[: options.limit]
+    if not lines:
+        shown = ["No case failed." if summary["episodes"] else "No case has a result."]
+    if len(lines) > options.limit:
+        shown.append(f"... and {len(lines) - options.limit} more (--limit)")
+    shown += [f"could not be run: {f['key']} (attempt {f['attempt']}): {f['error']}" for f in summary["failures"]]
+    above = [line for table in layers for line in (table.title, *table.lines(tables.WIDTH), "")]
+    return terminal.give(options.json, found | {"cases": cases[: options.limit]}, *above, *shown)
+
+
+def _method(run: Run, name: str | None) -> str:
+    """Whose cases are listed: ours, else the first that has played. Raises `EagorError` for one that has not."""
+    from eagor.lab.eval.results import OURS
+
+    names = list(run.results())
+    if not run.simulated and name:
+        raise EagorError(f"a run of {run.task.name} has one agent; leave out the method {name}")
+    if name and names and name not in names:
+        raise EagorError(f"the run has no method {name!r}; it has {', '.join(names)}")
+    return name or (OURS if OURS in names else next(iter(names), OURS))

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from eagor.cli import terminal
-from eagor.cli.checks import check_looks, check_not_read, checked_number, checked_out
+from eagor.cli import checks, terminal
 from eagor.cli.options import Common, Rows, Whole, bare, given
 from eagor.errors import EagorError, PoseError
 
@@ -18,8 +17,6 @@ from eagor.errors import EagorError, PoseError
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Common):
     """Calibrate a perception by log score, fit a detector on labelled looks, or find a model's heads."""
-
-    runs: ClassVar[str] = "calibrate"
 
     what: Annotated[Literal["responses", "heads"], Positional, arg(metavar="WHAT")] = "responses"
     """responses: calibrate any perception. heads: find the heads of a local model (Qwen2.5-VL, Gemma 3, ...)."""
@@ -60,11 +57,9 @@ def calibrate(options: Calibrate) -> int:
     kind = "replay" if given(options, TAKES["replay"]) else options.what
     for other, names in TAKES.items():
         if wrong := given(options, sorted({*names} - {*TAKES[kind]})):
-            raise terminal.UsageError(f"--{wrong[0]} has no meaning here: it is for eagor calibrate {other}")
-    checked_number(options.rows, "--rows")
-    for name in ("episodes", "trials", "workers", "take"):
-        if getattr(options, name) < 1:
-            raise terminal.UsageError(f"--{name} {getattr(options, name)}; wanted 1 or more")
+            value = getattr(options, wrong[0])
+            raise terminal.UsageError(f"--{wrong[0]} {value} is for eagor calibrate {other}")
+    checks.check_outputs(options, [options.replay, options.truth, options.poses])
     return {"responses": responses, "heads": heads, "replay": replay}[kind](options)
 
 
@@ -74,13 +69,13 @@ def responses(options: Calibrate) -> int:
     from eagor.perception import short_name
 
     name = options.perception
-    check_looks(name)
+    checks.check_looks(name)
     if options.episodes <= PER_PLACE * len(TASKS):
         raise terminal.UsageError(
             f"--episodes {options.episodes} are all in one apartment; wanted {1 + PER_PLACE * len(TASKS)} or more: one "
             "half of the apartments fits, the other half judges"
         )
-    out = checked_out(options.out or Path(f"calibration-{short_name(name)}.json"))
+    out = options.out or Path(f"calibration-{short_name(name)}.json")
     with terminal.progress("looking", options.episodes) as advance:
         recordings = record_episodes(name, options.episodes, options.seed, options.rows, advance, terminal.warning)
     with terminal.progress("fitting", options.trials) as advance:
@@ -107,8 +102,7 @@ def replay(options: Calibrate) -> int:
 
     if options.what == "heads" or options.replay is None or options.truth is None:
         raise terminal.UsageError("--replay FILE and --truth FILE belong together, and not to eagor calibrate heads")
-    out = checked_out(options.out or Path("calibration-replay.json"))
-    check_not_read(out, "--out", [path for path in (options.replay, options.truth, options.poses) if path is not None])
+    out = options.out or Path("calibration-replay.json")
     truths, pose = read_truth(options.truth), []
     if options.poses is not None:
         path = str(options.poses)
@@ -146,21 +140,17 @@ def replay(options: Calibrate) -> int:
     if judged is None:
         lines.append("One look is not enough to judge the fit")
     else:
-        low, high = judged.interval.low, judged.interval.high
-        gain = f"{judged.difference:.3f} [{low:.3f} {high:.3f}]"
+        gain = f"{judged.difference:.3f} [{judged.interval.low:.3f} {judged.interval.high:.3f}]"
         lines.append(f"On looks that the fit had not seen, the log score gains {gain} per look over the default model")
-        if low <= 0:
+        if judged.interval.low <= 0:
             terminal.warning("the fit is not surely better than the default model on looks that it has not seen")
     return _finish(options, fitted.as_json() | {"left_out": len(left_out)}, out, lines)
 
 
 def _finish(options: Calibrate, result: dict[str, Any], out: Path, lines: list[str], use: str = "") -> int:
     """Give the result that is in `out`: as JSON, or in words that end with what it is of `use` for."""
-    if options.json:
-        terminal.emit(result | {"out": str(out)})
-    else:
-        terminal.say(*lines, f"Written to {out}; {use or f'other commands take it as --calibration {out}'}")
-    return terminal.OK
+    use = use or f"other commands take it as --calibration {out}"
+    return terminal.give(options.json, result | {"out": str(out)}, *lines, f"Written to {out}; {use}")
 
 
 def heads(options: Calibrate) -> int:
@@ -183,7 +173,7 @@ def heads(options: Calibrate) -> int:
         examples = apartment_labels(count, options.seed, options.rows or rows_of(perception))
     else:
         examples = read_labelled(options.labels, read_panorama)
-    out = checked_out(options.out or Path(f"heads-{short_name(name)}.json"))
+    out = options.out or Path(f"heads-{short_name(name)}.json")
     with terminal.progress("looking", count) as advance:
         try:
             result = perception.find_heads((example for example in examples if not advance()), options.take)

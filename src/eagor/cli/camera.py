@@ -6,19 +6,21 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import Positional, arg
 
-from eagor.cli import terminal
-from eagor.cli.checks import check_not_read, checked_number, checked_out, checked_picture, keep_picture, rig_of
-from eagor.cli.options import Common, Flag, bare
+from eagor.cli import checks, terminal
+from eagor.cli.answers import keep_picture
+from eagor.cli.options import Common, Flag, bare, grouped
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.media import Frame, Pose
+    from eagor.media import Frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +30,6 @@ class CameraCalibrate(Common):
     The lenses are tied together where both see the same. Pictures of a camera that turned in place (--turned) also fix
     the inside of each lens: put it on a tripod, and take 8 or more pictures, 45 degrees apart.
     """
-
-    runs: ClassVar[str] = "calibrate"
 
     pictures: Annotated[tuple[str, ...], Positional, arg(metavar="PICTURE ...", help_behavior_hint="(required)")]
     (
@@ -50,8 +50,6 @@ class CameraCalibrate(Common):
 class CameraView(Common):
     """Show a stitched picture, and how far the lenses disagree where both see the same."""
 
-    runs: ClassVar[str] = "view"
-
     picture: Annotated[str, Positional, arg(metavar="PICTURE")]
     """A picture of the lenses, FRONT.jpg,BACK.jpg, or a video, of which the first is taken."""
     rig: Annotated[Path | None, bare("FILE.yaml")] = None
@@ -67,8 +65,6 @@ class CameraLatency(Common):
     Turn the robot or camera left and right, briskly, for half a minute.
     """
 
-    runs: ClassVar[str] = "latency"
-
     source: Annotated[str, Positional, arg(metavar="SOURCE")]
     """A live camera (as for `eagor live`), a video or a folder."""
     poses: Annotated[Path, arg(metavar="CSV")]
@@ -83,30 +79,19 @@ class CameraLatency(Common):
     """The largest latency to consider."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Camera:
-    """Lenses and latency of a camera."""
-
-    action: Annotated[
-        Annotated[CameraCalibrate, subcommand("calibrate")]
-        | Annotated[CameraView, subcommand("view")]
-        | Annotated[CameraLatency, subcommand("latency")],
-        arg(name=""),
-    ]
-
+Camera = grouped("Camera", "Lenses and latency of a camera.", CameraCalibrate, CameraView, CameraLatency)
 
 APART = 1.0  # degrees: a median gap in the overlap above it means that the rig does not fit
 IDEAL = 200.0  # degrees across the circles of a camera of which nothing is known
 
 
-def calibrate(options: CameraCalibrate) -> int:
+def camera_calibrate(options: CameraCalibrate) -> int:
     """``eagor camera calibrate``."""
     from eagor.media.calibration import calibrate as fit
     from eagor.media.rigs import write_rig
 
-    checked_number(options.every, "--every")
-    out, rig = checked_out(options.out), rig_of(options.rig)
-    check_not_read(out, "--out", [Path(part) for text in options.pictures for part in text.split(",")])
+    out, rig = options.out, checks.rig_of(options.rig)
+    checks.check_outputs(options, [Path(part) for text in options.pictures for part in text.split(",")])
     moments = [*_pictures(options.pictures[0], 1 / options.every)] if len(options.pictures) == 1 else [
         next(_pictures(text)) for text in options.pictures
     ]  # fmt: skip
@@ -116,16 +101,16 @@ def calibrate(options: CameraCalibrate) -> int:
     both, later = found.pairs
     text = f"{both} + {later} pairs, median gap {gap:.3f} degrees (before: {before:.3f})"
     write_rig(found.rig, out, [f"By eagor camera calibrate, from {len(moments)} pictures: {text}."])
-    if options.json:
-        fitted = {"moments": len(moments), "pairs": [both, later], "gap_deg": gap, "before_deg": before}
-        terminal.emit({"out": str(out), "turned": options.turned} | fitted)
-    else:
-        print(f"{len(moments)} pictures; seen twice: {both} things by both lenses, {later} in two pictures")
-        print(f"gap between their rays, median: {gap:.3f} deg (before the fit {before:.3f})")
-        for lens in found.rig.lenses:
-            x, y = lens.centre
-            print(f"  {lens.name:6s} centre {x:.1f}, {y:.1f}, {2 * math.degrees(lens.reach):.1f} deg from rim to rim")
-        print(f"Written to {out}; other commands take it as --rig {out}")
+    fitted = {"moments": len(moments), "pairs": [both, later], "gap_deg": gap, "before_deg": before}
+    terminal.give(
+        options.json,
+        {"out": str(out), "turned": options.turned} | fitted,
+        f"{len(moments)} pictures; seen twice: {both} things by both lenses, {later} in two pictures",
+        f"gap between their rays, median: {gap:.3f} deg (before the fit {before:.3f})",
+        *(f"  {lens.name:6s} centre {lens.centre[0]:.1f}, {lens.centre[1]:.1f}, {2 * math.degrees(lens.reach):.1f} deg "
+          "from rim to rim" for lens in found.rig.lenses),
+        f"Written to {out}; other commands take it as --rig {out}",
+    )  # fmt: skip
     if not options.turned:
         terminal.warning(
             "the overlap does not tell what is inside the circles, where the lenses are taken to be nearly equidistant "
@@ -134,7 +119,7 @@ def calibrate(options: CameraCalibrate) -> int:
     return terminal.OK
 
 
-def view(options: CameraView) -> int:
+def camera_view(options: CameraView) -> int:
     """``eagor camera view``."""
     import numpy as np
     from PIL import Image
@@ -143,31 +128,27 @@ def view(options: CameraView) -> int:
     from eagor.media.calibration import overlap_of
     from eagor.media.stitching import sizes_of
 
-    if options.out is not None:
-        check_not_read(checked_picture(options.out, "--out"), "--out", [Path(p) for p in options.picture.split(",")])
-    rig, pictures = rig_of(options.rig), next(_pictures(options.picture))
+    checks.check_outputs(options, [Path(part) for part in options.picture.split(",")], picture="", out="picture")
+    rig, pictures = checks.rig_of(options.rig), next(_pictures(options.picture))
     if rig is None:
         if len(pictures) > 1:
             raise terminal.UsageError("several pictures of one moment need --rig FILE.yaml, which says where they look")
         rig = dual_fisheye(*sizes_of(pictures)[0], math.radians(IDEAL))
         terminal.log(f"no --rig: two ideal lenses of {IDEAL:g} degrees are taken, side by side")
     share, gaps, grey, drawn = overlap_of(rig, pictures)
+    median, ninety = np.degrees(np.quantile(gaps, [0.5, 0.9])).round(4).tolist() if len(gaps) else (None, None)
+    told = {"picture": options.picture, "overlap_share": round(share, 5), "points": len(gaps)}
+    lines = [f"overlap      {100 * share:.1f} % of the sphere is seen by two lenses"]
+    if median is None:
+        lines.append("directions   nothing was found that both lenses see")
+    else:
+        lines.append(f"directions   {median:.2f} deg apart (median of {len(gaps)} things; 90 % within {ninety:.2f})")
+    if grey is not None:
+        lines.append(f"brightness   {grey:.1f} grey levels of 255 apart, on average")
     if options.out is not None:
         keep_picture(Image.fromarray(drawn), options.out)
-    median, ninety = np.degrees(np.quantile(gaps, [0.5, 0.9])).round(4).tolist() if len(gaps) else (None, None)
-    if options.json:
-        told = {"picture": options.picture, "overlap_share": round(share, 5), "points": len(gaps)}
-        terminal.emit(told | {"median_deg": median, "ninety_deg": ninety, "grey_levels": grey})
-        return terminal.OK
-    print(f"overlap      {100 * share:.1f} % of the sphere is seen by two lenses")
-    if median is None:
-        print("directions   nothing was found that both lenses see")
-    else:
-        print(f"directions   {median:.2f} deg apart (median of {len(gaps)} things; 90 % within {ninety:.2f})")
-    if grey is not None:
-        print(f"brightness   {grey:.1f} grey levels of 255 apart, on average")
-    if options.out is not None:
-        print(f"Drawn in {options.out}: the panorama, and below it where the lenses differ")
+        lines.append(f"Drawn in {options.out}: the panorama, and below it where the lenses differ")
+    terminal.give(options.json, told | {"median_deg": median, "ninety_deg": ninety, "grey_levels": grey}, *lines)
     if median is not None and median > APART:
         terminal.warning(
             f"the lenses disagree by {median:.1f} degrees: this rig does not fit the camera, or things in the overlap "
@@ -176,33 +157,39 @@ def view(options: CameraView) -> int:
     return terminal.OK
 
 
-def latency(options: CameraLatency) -> int:
+def camera_latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
     from eagor.media.calibration import check_turning, latency_between, steps_of
     from eagor.media.camera_sources import open_source
+    from eagor.media.odometry import open_poses
 
-    for name in ("rate", "seconds", "most"):
-        checked_number(getattr(options, name), f"--{name}")
     source = open_source(options.source, rig=options.rig, rate=options.rate, rows=512)
+    poses: Any = partial(open_poses, str(options.poses))  # of a live camera they are read at the end
     try:
         if not source.live:
-            check_turning(_odometry(options.poses))  # what is wrong with it is told before the work
+            check_turning([*poses()])  # what is wrong with it is told before the work
         else:
             terminal.log(f"looking for {options.seconds:g} s: turn the camera left and right, briskly")
-        steps = steps_of(_for_a_while(source, options.seconds))
+        begin = time.monotonic()
+        with terminal.progress("looking", None) as advance:
+
+            def wanted(_: Frame) -> bool:
+                advance()
+                return not source.live or time.monotonic() - begin <= options.seconds
+
+            steps = steps_of(takewhile(wanted, source))
     finally:
         source.close()
-    found = latency_between(steps, _odometry(options.poses), most=options.most)
+    found = latency_between(steps, [*poses()], most=options.most)
     low, high = found.interval
-    if options.json:
-        values = {"latency_s": found.seconds, "low_s": low, "high_s": high, "correlation": found.correlation}
-        rounded: dict[str, Any] = {key: round(value, 5) for key, value in values.items()}
-        terminal.emit(rounded | {"steps": found.steps, "mirrored": found.mirrored})
-    else:
-        print(f"latency      {found.seconds:.3f} s, with 95 % from {low:.3f} to {high:.3f}")
-        print(f"correlation  {found.correlation:.2f}, over {found.steps} steps from picture to picture")
-        if found.seconds >= 0:
-            print(f"Other commands take it as --latency {found.seconds:.3f}")
+    values = {"latency_s": found.seconds, "low_s": low, "high_s": high, "correlation": found.correlation}
+    rounded: dict[str, Any] = {key: round(value, 5) for key, value in values.items()}
+    terminal.give(
+        options.json, rounded | {"steps": found.steps, "mirrored": found.mirrored},
+        f"latency      {found.seconds:.3f} s, with 95 % from {low:.3f} to {high:.3f}",
+        f"correlation  {found.correlation:.2f}, over {found.steps} steps from picture to picture",
+        *([f"Other commands take it as --latency {found.seconds:.3f}"] if found.seconds >= 0 else []),
+    )  # fmt: skip
     if found.mirrored:
         terminal.warning(
             "the pictures turn the other way than odometry: the camera is upside down, its pictures are mirrored, or "
@@ -211,25 +198,6 @@ def latency(options: CameraLatency) -> int:
     if high < 0:
         terminal.warning("pictures come before odometry: it is odometry that is late, or their clocks differ")
     return terminal.OK
-
-
-def _odometry(path: Path) -> list[Pose]:
-    """The poses in a file, in order of time."""
-    from eagor.media.odometry import open_poses
-
-    poses: Any = open_poses(str(path))
-    return [*poses]
-
-
-def _for_a_while(source: Any, seconds: float) -> Iterator[Frame]:
-    """The frames; of a live source, those of so many seconds. Shows progress."""
-    begin = time.monotonic()
-    with terminal.progress("looking", None) as advance:
-        for frame in source:
-            yield frame
-            advance()
-            if source.live and time.monotonic() - begin > seconds:
-                return
 
 
 def _pictures(text: str, rate: float | None = None) -> Iterator[Sequence[np.ndarray]]:

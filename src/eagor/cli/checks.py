@@ -6,22 +6,20 @@ usage errors come at once.
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from eagor.cli.terminal import RunError, UsageError, log, warning
-from eagor.errors import EagorError, ImageError, QueryError
+from eagor.cli.terminal import UsageError, log, warning
+from eagor.errors import EagorError, QueryError
 
 if TYPE_CHECKING:
-    from PIL import Image
-
     from eagor.cameras import Rig
+    from eagor.cli.options import Lens
     from eagor.evidence import BodyMask, Evidence
     from eagor.media.intrinsics import Camera
     from eagor.perception import Perception
@@ -29,15 +27,16 @@ if TYPE_CHECKING:
     from eagor.tracking.config import TrackerConfig
 
 SHARED = ("coco", "onnx")  # perceptions that look at several views at the same time, one core each
-SECONDS, RATE = "seconds above 0", "a number per second above 0"
-LIMITS = {  # least, most, and what is wanted
-    "--degree": (1, 63, "1 to 63 (15 resolves about 12 degrees)"), "--rows": (8, math.inf, "8 or more"),
-    "--modes": (1, math.inf, "1 or more"), "--drift": (0, 90, "degrees from 0 to 90"),
-    "--latency": (0, math.inf, "seconds, 0 or more"), "--seconds": (math.ulp(0), math.inf, SECONDS),
-    "--patience": (math.ulp(0), math.inf, SECONDS), "--every": (math.ulp(0), math.inf, SECONDS),
-    "--most": (math.ulp(0), math.inf, SECONDS), "--rate": (math.ulp(0), math.inf, RATE),
-    "--fps": (math.ulp(0), math.inf, RATE),
+ABOVE = math.ulp(0)
+SECONDS, RATE, SOME = (ABOVE, math.inf, "seconds above 0"), "a number per second above 0", (1, math.inf, "1 or more")
+LIMITS = {  # of an option of any command: least, most, and what is wanted
+    "degree": (1, 63, "1 to 63 (15 resolves about 12 degrees)"), "rows": (8, math.inf, "8 or more"), "modes": SOME,
+    "drift": (0, 90, "degrees from 0 to 90"), "latency": (0, math.inf, "seconds, 0 or more"), "seconds": SECONDS,
+    "patience": SECONDS, "every": SECONDS, "most": SECONDS, "rate": (ABOVE, 1000, f"{RATE}, up to 1000"),
+    "fps": (ABOVE, math.inf, RATE), "workers": SOME, "trials": SOME, "take": SOME, "episodes": SOME,
+    "port": (0, 65535, "a port from 0 to 65535"),
 }  # fmt: skip
+OUTPUTS = {"out": "file", "picture": "picture", "pictures": "folder", "video": "file", "page": "file", "rerun": "file"}
 
 _Number = TypeVar("_Number", int, float, "int | None", "float | None")
 
@@ -47,15 +46,10 @@ _Number = TypeVar("_Number", int, float, "int | None", "float | None")
 
 def checked_number(value: _Number, option: str) -> _Number:
     """`value` of `option`; None is an option that was left out. Raises `UsageError` outside of `LIMITS`."""
-    least, most, wanted = LIMITS[option]
+    least, most, wanted = LIMITS[option.removeprefix("--")]
     if value is not None and not (least <= value <= most and value < math.inf):
         raise UsageError(f"{option} {value:g}; wanted {wanted}")
     return value
-
-
-def checked_drift(drift: float | None) -> float | None:
-    """``--drift``, in radians."""
-    return None if drift is None else math.radians(checked_number(drift, "--drift"))
 
 
 def checked_query(query: str) -> str:
@@ -86,13 +80,6 @@ def checked_out(path: Path, option: str = "--out", *, folder: bool = False) -> P
     return path
 
 
-def checked_picture(path: Path, option: str = "--picture") -> Path:
-    """`path` of a picture, likewise; it has a picture's suffix."""
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
-        raise UsageError(f"{option} {path}: wanted a file name that ends in .png, .jpg or .webp")
-    return checked_out(path, option)
-
-
 def checked_record(path: Path | None) -> Path | None:
     """``--record``: a folder that is not there yet."""
     if path is not None and checked_out(path, "--record", folder=True).exists():
@@ -105,11 +92,6 @@ def places_of(words: Sequence[str], rig: bool) -> list[Path]:
     if rig:
         words = [part for word in words for part in ([word] if os.path.exists(word) else word.split(","))]
     return [Path(word) for word in words]
-
-
-def in_quotes(query: str) -> str:
-    """What to change about a query that came as several words."""
-    return f'Write a query of several words in quotes: "{query}"'
 
 
 def frames_and_queries(words: Sequence[str]) -> tuple[Sequence[str], list[str]]:
@@ -126,29 +108,20 @@ def frames_and_queries(words: Sequence[str]) -> tuple[Sequence[str], list[str]]:
     return words[:first], checked_queries(words[first:])
 
 
-def nothing_of(frames: int, unread: int) -> EagorError:
-    """The error where none of so many frames could be used; the input is wrong if all are `unread`."""
-    error, what = (ImageError, "read") if unread == frames else (RunError, "used")
-    if frames == 1:
-        return error(f"the only frame could not be {what}; the reason is above")
-    return error(f"none of the {frames} frames could be {what}; the reasons are above")
+def check_outputs(options: object, inputs: Sequence[Path | None] = (), **kinds: str) -> None:
+    """Raise `UsageError` if an output of the command cannot be written, or is one of its `inputs`.
 
-
-def check_not_read(path: Path | None, option: str, inputs: Sequence[Path]) -> None:
-    """Raise `UsageError` if the output `path` is one of the `inputs`, which would be overwritten."""
-    if path is not None and os.path.realpath(path) in map(os.path.realpath, inputs):
-        raise UsageError(f"{option} {path} is an input; name another place to write to")
-
-
-def keep_picture(picture: Image.Image, path: Path) -> None:
-    """Write a picture atomically, in the format of its name. Raises `StorageError`."""
-    from PIL import Image
-
-    from eagor._files import written
-
-    buffer = io.BytesIO()
-    picture.save(buffer, Image.registered_extensions()[path.suffix.lower()])
-    written(path, buffer.getvalue())
+    `kinds` of outputs, where they are not those of `OUTPUTS`: file, picture, folder.
+    """
+    read = [os.path.realpath(path) for path in inputs if path is not None]
+    for name, kind in (OUTPUTS | kinds).items():
+        if not isinstance(path := getattr(options, name, None), Path):
+            continue
+        if os.path.realpath(path) in read:
+            raise UsageError(f"--{name} {path} is an input; name another place to write to")
+        if kind == "picture" and path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
+            raise UsageError(f"--{name} {path}: wanted a file name that ends in .png, .jpg or .webp")
+        checked_out(path, f"--{name}", folder=kind == "folder")
 
 
 # --- perceptions and the tracker's settings ------------------------------------------------------------------------
@@ -173,7 +146,7 @@ def perception_for(queries: Sequence[str], spec: str | None) -> str:
     if 0 < len(nouns) < len(queries):
         raise QueryError(
             "coco and colour would each answer some of the queries; name one with --perception. Is it one thing? "
-            f"{in_quotes(' '.join(queries))}"
+            f'Write a query of several words in quotes: "{" ".join(queries)}"'
         )
     return "coco" if nouns else "colour"
 
@@ -214,20 +187,19 @@ def check_looks(perception: str) -> None:
 
 
 def tracker_config(
-    degree: int,
-    perception: str,
-    calibration: Path | None = None,
-    detector: str | None = None,
-    force: bool = False,
-    static: bool = False,
-) -> TrackerConfig:
-    """The tracker's configuration for ``--degree``, the result of `calibrated`, and ``--static``, which wins."""
+    perception: str, /, *, degree: int = 15, calibration: Path | None = None, detector: str | None = None,
+    force: bool = False, static: bool = False, drift: float | None = None, **_: Any,
+) -> TrackerConfig:  # fmt: skip
+    """The tracker's configuration for these options of a command; what is `static` is so, whatever was fitted.
+
+    The floor is left out: the poses have to be above it.
+    """
     from eagor.tracking.config import MotionModel, TrackerConfig
 
-    config = TrackerConfig(degree=checked_number(degree, "--degree"))
-    found = calibrated(perception, calibration, detector, force)
-    if found is not None:
+    config = TrackerConfig(degree=degree)
+    if (found := calibrated(perception, calibration, detector, force)) is not None:
         config = config.fitted(found.calibration, found.detector, found.forgetting)
+    config = config if drift is None else replace(config, drift=math.radians(drift))
     return replace(config, target_motion=MotionModel.still()) if static else config
 
 
@@ -278,22 +250,22 @@ def ordinary(
 
     if rig is not None and not (hfov is None and path is None and eyes is None):
         raise UsageError(f"--rig {rig} has the lenses of its pictures; leave out --hfov, --camera and --eyes")
-    if info is not None and (other := next((each for each in (rig, path, hfov) if each is not None), None)) is not None:
-        raise UsageError(f"--camera-info {info} and {other}: both tell the lens of the pictures; wanted one of them")
+    if info is not None and (others := [each for each in (rig, path, hfov) if each is not None]):
+        both = f"--camera-info {info} and {others[0]}"
+        raise UsageError(f"{both}: both tell the lens of the pictures; wanted one of them")
     return camera_of(hfov, path, eyes)
+
+
+def lens_of(options: Lens, info: str | None = None) -> dict[str, Any]:
+    """What took the pictures, as `eagor.open_source` takes it. Raises as `ordinary` and `rig_of`."""
+    lens = ordinary(options.hfov, options.camera, options.rig, info, options.eyes)
+    return {"camera": lens, "rig": rig_of(options.rig)}
 
 
 def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:
     """Warn if ``--detector`` has no effect because all looks are response maps."""
     if detector is not None and looks and all(evidence.detections is None for evidence in looks):
         warning(f"--detector {detector} is for detections, and this perception gives response maps: it has no effect")
-
-
-def say_of_video(name: str, facts: Sequence[str], duration: float | None) -> None:
-    """Say on stderr what a video tells of itself: `facts` (of which the first is its format), seconds."""
-    first = facts[0] if duration is None else f"{facts[0]}, {duration:.1f} s"
-    for fact in (first, *facts[1:]):
-        log(f"{name}: {fact}")
 
 
 def say_of_replay(perception: Perception, query: str, looks: int) -> None:

@@ -5,7 +5,7 @@ What is heavy is imported by the function of a command: help and usage errors co
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Union
 
 from tyro.conf import subcommand
 
@@ -23,19 +23,7 @@ from eagor.cli.ros import Ros
 from eagor.cli.studio import Studio
 from eagor.cli.track import Track
 
-Command = (
-    Annotated[Locate, subcommand("locate")]
-    | Annotated[Look, subcommand("look")]
-    | Annotated[Track, subcommand("track")]
-    | Annotated[Live, subcommand("live")]
-    | Annotated[Ros, subcommand("ros")]
-    | Annotated[Robot, subcommand("robot")]
-    | Annotated[Demo, subcommand("demo")]
-    | Annotated[Studio, subcommand("studio")]
-    | Annotated[Bench, subcommand("bench")]
-    | Annotated[Export, subcommand("export")]
-    | Annotated[Calibrate, subcommand("calibrate")]
-    | Annotated[Camera, subcommand("camera")]
-    | Annotated[Models, subcommand("models")]
-    | Annotated[Doctor, subcommand("doctor")]
-)
+_ALL = (
+    Locate, Look, Track, Live, Ros, Robot, Demo, Studio, Bench, Export, Calibrate, Camera, Models, Doctor
+)  # fmt: skip
+Command = Union[tuple(Annotated[each, subcommand(each.__name__.lower())] for each in _ALL)]  # noqa: UP007

@@ -5,26 +5,17 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated
 
 from tyro.conf import arg
 
-from eagor.cli import terminal
-from eagor.cli.checks import check_looks, checked_out, checked_query, make_perception, perception_for
+from eagor.cli import checks, terminal
 from eagor.cli.options import Common, Name, Whole, bare, given
-
-if TYPE_CHECKING:
-    import numpy as np
-
-
-AUTO = "auto"  # the default of --perception
 
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Common):
     """Search in a furnished apartment, or in a photograph of yours, and write a report with pictures."""
-
-    runs: ClassVar[str] = "demo"
 
     photo: Annotated[Path | None, bare("PICTURE")] = None
     """Turn a camera in this panorama of yours, an equirectangular image, instead of walking in an apartment."""
@@ -50,10 +41,6 @@ def demo(options: Demo) -> int:
         return _photo(options, options.photo)
     if options.query is not None:
         raise terminal.UsageError("--query is for --photo PICTURE; in the apartment the search is chosen by --episode")
-    return _apartment(options)
-
-
-def _apartment(options: Demo) -> int:
     from eagor.cli import demo_apartment
     from eagor.lab.envs.episodes import PER_PLACE
     from eagor.lab.envs.places import SEEDS
@@ -62,31 +49,32 @@ def _apartment(options: Demo) -> int:
         raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {SEEDS - 1}")
     if not 0 <= options.episode < PER_PLACE:
         raise terminal.UsageError(f"--episode {options.episode}; wanted 0 to {PER_PLACE - 1}")
-    checked_out(options.out, folder=True)
-    perception = "scout" if options.perception == AUTO else options.perception
-    check_looks(perception)
+    checks.check_outputs(options, out="folder")
+    perception = "scout" if options.perception == "auto" else options.perception
+    checks.check_looks(perception)
     search = demo_apartment.play(options.seed, options.episode, perception, say=not options.json)
-    report = demo_apartment.write_report(search, options.out)
-    if options.json:
-        terminal.emit(demo_apartment.as_json(search) | {"report": str(report)})
-    else:
-        _print(
-            demo_apartment.summary(search), [*demo_apartment.as_text(search), "", demo_apartment.STUDY_IN_WORDS], report
-        )
-    return terminal.OK
+    found = demo_apartment.as_json(search) | {"report": str(demo_apartment.write_report(search, options.out))}
+    table = [*demo_apartment.as_text(search), "", demo_apartment.STUDY_IN_WORDS]
+    return _told(options, found, demo_apartment.summary(search), table)
 
 
 def _photo(options: Demo, path: Path) -> int:
+    from eagor.media.footage import FrameCheck, ShapeError
+    from eagor.perception import short_name
+
     if mistaken := given(options, ("seed", "episode")):
         raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")
-    checked_out(options.out, folder=True)
+    checks.check_outputs(options, out="folder")
     spec = options.perception
-    if spec == AUTO:  # without a query the detector chooses one, so it has to be one that knows things
-        spec = "coco" if options.query is None else perception_for([checked_query(options.query)], None)
-    check_looks(spec)
-    image, perception = _read(path), make_perception(spec)
+    if spec == "auto":  # without a query the detector chooses one, so it has to be one that knows things
+        spec = "coco" if options.query is None else checks.perception_for([checks.checked_query(options.query)], None)
+    checks.check_looks(spec)
+    try:
+        image = FrameCheck(say=terminal.log).read(path).picture
+    except ShapeError as error:
+        raise ShapeError(f"{re.split('[;.] ', str(error))[0]}; wanted a whole panorama: pad it to 2:1 first") from None
+    perception = checks.make_perception(spec)
     from eagor.cli import demo_photo
-    from eagor.perception import short_name
 
     query = options.query or demo_photo.best_query(perception, image)
     if not options.json:
@@ -95,22 +83,11 @@ def _photo(options: Demo, path: Path) -> int:
     with terminal.progress("looking", demo_photo.LOOKS, shown=not options.json) as advance:
         played = demo_photo.play(image, perception, spec, query, advance)
     report = demo_photo.write_report(played, spec, path.name, options.out)
-    if options.json:
-        terminal.emit(demo_photo.as_json(played, spec, path.name) | {"report": str(report)})
-    else:
-        _print(demo_photo.as_text(played), demo_photo.summary(played), report)
-    return terminal.OK
+    found = demo_photo.as_json(played, spec, path.name) | {"report": str(report)}
+    return _told(options, found, demo_photo.as_text(played), demo_photo.summary(played))
 
 
-def _read(path: Path) -> np.ndarray:
-    from eagor.media.footage import FrameCheck, ShapeError
-
-    try:
-        return FrameCheck(say=terminal.log).read(path).picture
-    except ShapeError as error:
-        raise ShapeError(f"{re.split('[;.] ', str(error))[0]}; wanted a whole panorama: pad it to 2:1 first") from None
-
-
-def _print(above: list[str], below: list[str], report: Path) -> None:
-    print("\n" + "\n".join(above) + "\n\n" + "\n".join(below))
-    print(f"\nThe report with pictures: {report}")
+def _told(options: Demo, found: dict[str, str], above: list[str], below: list[str]) -> int:
+    return terminal.give(
+        options.json, found, "", *above, "", *below, "", f"The report with pictures: {found['report']}"
+    )

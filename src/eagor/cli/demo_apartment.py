@@ -6,7 +6,7 @@ The looks of the walk go to every method, so that all answer the same question. 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ import numpy as np
 
 from eagor._files import written
 from eagor.cli import terminal
-from eagor.cli.checks import keep_picture
+from eagor.cli.answers import keep_picture
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
 from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerEstimator
@@ -36,11 +36,6 @@ if TYPE_CHECKING:
 
 PICTURE_ROWS = 320  # of a panorama
 NEWEST = "the highest response of the newest look"
-PICTURES = (  # what each shows
-    "Four panoramas with our belief as heat, our estimate, the answer of the look alone, and the truth",
-    "Direction error over time of our tracker and of the newest look alone, on a logarithmic axis",
-    "Floor plan with the way of the camera from the start to where it ended",
-)
 SPOKEN = {PLAIN: "the newest look alone", OURS: "our tracker"}
 PARTS = {parts.SEEN: "once it was seen", parts.IN_SIGHT: "in sight", parts.HIDDEN: "hidden again"}
 # 200 searches in apartments that no setting was chosen on, as docs/results/navigation.md has them: degrees of error in
@@ -74,14 +69,9 @@ class Search:
     perception: str
 
     @property
-    def episode(self) -> dict[str, Any]:
-        """What was asked where."""
-        return self.record["episode"]
-
-    @property
     def thing(self) -> str:
         """The query."""
-        return self.episode["query"]
+        return self.record["episode"]["query"]
 
     @property
     def walk(self) -> dict[str, Any]:
@@ -143,31 +133,24 @@ def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
 
 def as_text(search: Search) -> list[str]:
     """The errors of this walk, and those of the study."""
-    lines = [f"{'mean error':28}" + "".join(f"{text:>24}" for text in PARTS.values())]
     means = search.means
-    for name in (PLAIN, OURS):
-        cells = [means[name][part] for part in PARTS]
-        lines.append(f"{SPOKEN[name] + ', here':28}" + "".join(f"{_degrees(cell):>24}" for cell in cells))
-    for name, cells in STUDY.items():
-        lines.append(f"{name:28}" + "".join(f"{_interval(cell):>24}" for cell in cells))
+    rows = {f"{SPOKEN[name]}, here": [_degrees(means[name][part]) for part in PARTS] for name in (PLAIN, OURS)}
+    rows = {"mean error": PARTS.values(), **rows} | {name: map(_interval, cells) for name, cells in STUDY.items()}
+    lines = [f"{name:28}" + "".join(f"{cell:>24}" for cell in cells) for name, cells in rows.items()]
     return [*lines, f"here: this walk; the others: 200 searches, with 95 % intervals ({STUDY_COMMAND})"]
 
 
 def as_json(search: Search) -> dict[str, Any]:
     """The result for ``--json``."""
     return {
-        "query": search.thing,
-        "scene": search.episode["scene"],
-        "seed": search.spec.seed,
-        "episode": search.spec.index,
-        "perception": search.perception,
-        "walk": search.walk["metrics"],
+        "query": search.thing, "scene": search.record["episode"]["scene"], "seed": search.spec.seed,
+        "episode": search.spec.index, "perception": search.perception, "walk": search.walk["metrics"],
         "visible": search.visible,
         "errors_deg": {name: found.round(3).tolist() for name, found in search.errors.items()},
         "means_deg": search.means,
         "what": {name: DESCRIPTIONS.get(name, SPOKEN[PLAIN]) for name in search.errors},
         "summary": summary(search),
-    }
+    }  # fmt: skip
 
 
 def summary(search: Search) -> list[str]:
@@ -179,23 +162,24 @@ def summary(search: Search) -> list[str]:
         f"The camera {ended} the {search.thing} in {metrics['steps']} steps ({metrics['steps'] * seconds:.0f} s). It "
         f"was out of sight in {away} of {len(search.visible)} looks."
     ]
-    means = search.means
-    if means[OURS][parts.HIDDEN] is not None:
-        ours, alone = (_degrees(means[name][parts.HIDDEN]) for name in (OURS, PLAIN))
-        lines.append(f"While it was hidden again, {SPOKEN[OURS]} was off by {ours}, {SPOKEN[PLAIN]} by {alone}.")
-    if means[OURS][parts.IN_SIGHT] is not None:
-        ours, alone = (_degrees(means[name][parts.IN_SIGHT]) for name in (OURS, PLAIN))
-        lines.append(f"In sight: {ours} and {alone}.")
+    ours, alone = ({part: _degrees(mean) for part, mean in search.means[name].items()} for name in (OURS, PLAIN))
+    if ours[parts.HIDDEN] != NONE:
+        away, said = ours[parts.HIDDEN], alone[parts.HIDDEN]
+        lines.append(f"While it was hidden again, {SPOKEN[OURS]} was off by {away}, {SPOKEN[PLAIN]} by {said}.")
+    if ours[parts.IN_SIGHT] != NONE:
+        lines.append(f"In sight: {ours[parts.IN_SIGHT]} and {alone[parts.IN_SIGHT]}.")
     return lines
 
 
+NONE = "-"
+
+
 def _degrees(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}°"
+    return NONE if value is None else f"{value:.1f}°"
 
 
 def _interval(cell: tuple[float, float, float]) -> str:
-    mean, low, high = cell
-    return f"{mean:.1f}° ({low:.1f} to {high:.1f})"
+    return "{:.1f}° ({:.1f} to {:.1f})".format(*cell)
 
 
 # --- the report -------------------------------------------------------------------------------------------------------
@@ -203,100 +187,83 @@ def _interval(cell: tuple[float, float, float]) -> str:
 
 def write_report(search: Search, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
-    place = load_place(search.spec.world, search.spec.seed, Camera().radius)
-    pictures = {"beliefs": _strip(search, place), "errors": _errors(search), "map": _map(search, place)}
-    for name, picture in pictures.items():
-        keep_picture(picture, folder / f"{name}.png")
-    beliefs, errors, above = (
-        Pictures([(address_of(picture), words)], "wide")
-        for picture, words in zip(pictures.values(), PICTURES, strict=True)
-    )
-    means, rules, heads = search.means, search.rules, tuple(PARTS.values())
-    every = [([_degrees(means[name][part]) for part in PARTS], name) for name in EVERY]
-    rows = [
-        Row(n, _cells([*cells, DESCRIPTIONS.get(n) or NEWEST]), "text ours" if n == OURS else "text")
-        for cells, n in every
-    ]
-    study = [
-        Row(name, _cells(map(_interval, cells)), "ours" if name == SPOKEN[OURS] else "")
-        for name, cells in STUDY.items()
-    ]
+    place, seconds = load_place(search.spec.world, search.spec.seed, Camera().radius), Camera().seconds
+    times = [step * seconds for step in range(len(search.visible))]
+    shaded = [(times[begin], times[end], "out of sight") for begin, end in search.hidden]
+    curves = {SPOKEN[name]: search.errors[name].tolist() for name in (OURS, PLAIN)}
+    words = "Four panoramas with our belief as heat, our estimate, the answer of the look alone, and the truth"
+    beliefs = _kept(_strip(search, place), folder / "beliefs.png", words)
+    words = "Direction error over time of our tracker and of the newest look alone, on a logarithmic axis"
+    errors = _kept(draw_errors(times, curves, shaded), folder / "errors.png", words)
+    words = "Floor plan with the way of the camera from the start to where it ended"
+    above = _kept(_map(search, place), folder / "map.png", words)
+    means, heads, rows = search.means, ("mean error", *PARTS.values()), list[Row]()
+    for name in EVERY:
+        cells = [*(_degrees(means[name][part]) for part in PARTS), DESCRIPTIONS.get(name) or NEWEST]
+        rows.append(Row(name, _cells(cells), "text ours" if name == OURS else "text"))
+    ours = SPOKEN[OURS]
+    study = [Row(name, _cells(map(_interval, cells)), "ours" * (name == ours)) for name, cells in STUDY.items()]
     lead = Text(
         f"A camera walks through {APARTMENT} {search.spec.seed} and looks for it. Heat is what our tracker believes, "
         f"and the white line holds 90 % of that. {' '.join(summary(search))}"
     )
     way = Text(
-        f"Each step goes {Camera().step} m, sliding along walls; the search is over within {rules.success_distance} m "
-        f"(of walking) of the {search.thing}, or after {rules.max_steps} steps. Our tracker steers, without a map: it "
-        "walks by the floor that its looks have shown. All methods get its looks, through the perception "
-        f"{search.perception}.", "note",
+        f"Each step goes {Camera().step} m, sliding along walls; the search is over within "
+        f"{search.rules.success_distance} m (of walking) of the {search.thing}, or after {search.rules.max_steps} "
+        "steps. Our tracker steers, without a map: it walks by the floor that its looks have shown. All methods get "
+        f"its looks, through the perception {search.perception}.", "note",
     )  # fmt: skip
-    repeat = f"The perception is scout, and intervals are of 95 %. Repeat it: {STUDY_COMMAND}"
-    walk = Table("Every method on this walk", ("mean error", *heads, "what it is"), tuple(rows))
+    repeat = Text(f"The perception is scout, and intervals are of 95 %. Repeat it: {STUDY_COMMAND}", "note")
+    walk = Table("Every method on this walk", (*heads, "what it is"), rows)
+    more = Section("The way from above, and every method on the same looks", [above, way, walk])
     sections = [
-        Section("Is that luck?", [
-            Text(STUDY_IN_WORDS), Table("200 searches", ("mean error", *heads), tuple(study)),
-            Text(repeat, "note"),
-        ], "luck"),
-        Section("The error on this walk", [
-            errors, Section("The way from above, and every method on the same looks", [above, way, walk]),
-        ], "error"),
-    ]  # fmt: skip
+        Section("Is that luck?", [Text(STUDY_IN_WORDS), Table("200 searches", heads, study), repeat], "luck"),
+        Section("The error on this walk", [errors, more], "error"),
+    ]
     return written(folder / "report.html", page(f"Where is the {search.thing}?", [lead, beliefs], sections))
 
 
-def _cells(cells: Iterable[str]) -> tuple[Cell, ...]:
-    return tuple(map(Cell, cells))
+def _kept(picture: Image, path: Path, words: str) -> Pictures:
+    """A picture of the page, which is written as a file as well."""
+    keep_picture(picture, path)
+    return Pictures([(address_of(picture), words)], "wide")
+
+
+def _cells(cells: Iterable[str]) -> list[Cell]:
+    return [*map(Cell, cells)]
 
 
 def _strip(search: Search, place: Place) -> Image:
     """What the camera saw at four moments, what we believed, and what that look alone says."""
     trace, panels = search.walk["trace"], []
     for index, what in _moments(search):
-        pose = trace["pose"][index]
-        turned = rotation_from_wxyz(np.array(pose[3:]))
-        seen = place.renderer.panorama(np.array(pose[:3]), turned, PICTURE_ROWS, range=False, ids=False)
+        pose = np.array(trace["pose"][index])
+        seen = place.renderer.panorama(pose[:3], rotation_from_wxyz(pose[3:]), PICTURE_ROWS, range=False, ids=False)
         true = direction(*(math.radians(trace[f"true_{part}_deg"][index]) for part in ("azimuth", "elevation")))
         ours, alone = (search.errors[name][index] for name in (OURS, PLAIN))
-        panels.append(
-            {
-                "panorama": seen.rgb,
-                "belief": search.estimates[index],
-                "modes": (),
-                "truth": true,
-                "others": {SPOKEN[PLAIN]: search.answers[PLAIN][index]},
-                "title": f"{index * Camera().seconds:g} s, {what}: ours off by {ours:.0f}°, the look by {alone:.0f}°",
-            }
-        )
+        title = f"{index * Camera().seconds:g} s, {what}: ours off by {ours:.0f}°, the look by {alone:.0f}°"
+        others = {SPOKEN[PLAIN]: search.answers[PLAIN][index]}
+        shown = {"panorama": seen.rgb, "belief": search.estimates[index], "modes": (), "truth": true}
+        panels.append(shown | {"others": others, "title": title})
     return draw_strip(panels)
 
 
-def _moments(search: Search) -> Iterator[tuple[int, str]]:
+def _moments(search: Search) -> list[tuple[int, str]]:
     """At most four moments for pictures, in order of time: chosen by what is in sight, not by who is right."""
-    last = len(search.visible) - 1
     chosen = {0: "the first look"}
-    seen = [index for index, here in enumerate(search.visible) if here]
-    again = [(begin, end) for begin, end in search.hidden if seen and begin > seen[0]]
-    if seen:
+    if seen := [index for index, here in enumerate(search.visible) if here]:
         chosen.setdefault(seen[0], "in sight for the first time")
-    if again:
-        begin, end = max(again, key=lambda stretch: stretch[1] - stretch[0])
-        chosen.setdefault((begin + end) // 2, "hidden again")
-    chosen.setdefault(last, "the last look")
-    yield from sorted(chosen.items())
-
-
-def _errors(search: Search) -> Image:
-    times = [step * Camera().seconds for step in range(len(search.visible))]
-    shaded = [(times[begin], times[end], "out of sight") for begin, end in search.hidden]
-    return draw_errors(times, {SPOKEN[name]: search.errors[name].tolist() for name in (OURS, PLAIN)}, shaded)
+        if again := [(begin, end) for begin, end in search.hidden if begin > seen[0]]:
+            begin, end = max(again, key=lambda stretch: stretch[1] - stretch[0])
+            chosen.setdefault((begin + end) // 2, "hidden again")
+    chosen.setdefault(len(search.visible) - 1, "the last look")
+    return sorted(chosen.items())
 
 
 def _map(search: Search, place: Place) -> Image:
-    ground = place.ground
+    ground, (x, y) = place.ground, place.ground.origin
     rows, cols = ground.free.shape
-    x0, y0 = ground.origin
-    target = place.scene.instances[search.episode["targets"][0]].centre
-    extent = (float(x0), float(x0 + cols * ground.cell), float(y0), float(y0 + rows * ground.cell))
+    target = place.scene.instances[search.record["episode"]["targets"][0]].centre
+    extent = (float(x), float(x + cols * ground.cell), float(y), float(y + rows * ground.cell))
     way = np.array(search.walk["trace"]["pose"])[:, :2]
     return draw_map(ground.structure, ground.free, extent, way, target, "the way of the camera")

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class Export(Common):
     """Write apartments as a dataset folder for Habitat, laid out as HM3D, with ObjectNav episodes."""
-
-    runs: ClassVar[str] = "habitat"
 
     to: Annotated[Literal["habitat"], Positional, arg(metavar="habitat")]
     """The simulator."""
@@ -43,7 +41,7 @@ class Export(Common):
     """Radius of the body for which starts, view points and distances are made."""
 
 
-def habitat(options: Export) -> int:
+def export(options: Export) -> int:
     """``eagor export habitat``."""
     from eagor.lab.worlds.objectnav import export_dataset, has_meshes
 
@@ -67,13 +65,14 @@ def habitat(options: Export) -> int:
             "habitat_sim is not installed here, so there are no .navmesh files: habitat-lab and eagor make them when "
             "they open a scene; in Habitat-Sim, call recompute_navmesh with the settings in <scene>.navmesh.json"
         )
-    if options.json:
-        terminal.emit({"episodes_file": str(path), "config": str(config), "meshes": has_meshes(), "scenes": found})
-        return terminal.OK
     total = sum(each["episodes"] for each in found)
-    print(f"{terminal.many(len(found), 'scene')}, {terminal.many(total, 'episode')} in {options.out}")
-    terminal.facts({"episodes": str(path), "scenes": str(config)}, indent=2)
-    return terminal.OK
+    return terminal.give(
+        options.json,
+        {"episodes_file": str(path), "config": str(config), "meshes": has_meshes(), "scenes": found},
+        f"{terminal.many(len(found), 'scene')}, {terminal.many(total, 'episode')} in {options.out}",
+        f"  episodes  {path}",
+        f"  scenes    {config}",
+    )
 
 
 def scenes_of(words: tuple[str, ...]) -> dict[str, Callable[[], Scene]]:

@@ -1,4 +1,4 @@
-"""Footage as the commands open it: the recording, its poses, and what is said of both on stderr."""
+"""Footage as the commands open it: the recording, its poses, what is said of both on stderr, and what was left out."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from eagor.cli import checks, terminal
 from eagor.cli.options import Footage, given
+from eagor.errors import ImageError
 
 if TYPE_CHECKING:
     from eagor.perception import Perception
@@ -23,9 +24,9 @@ BY_SIGHT = 10.0  # frames per second from which an ordinary camera's turn is fou
 class Journey:
     """The recording and its poses, as `eagor.Loop` takes them; `told` says in words where the poses are from.
 
-    `looks` per second (None: at every picture); `shown`: frames per second, where they are regular; `span`: seconds
-    from the first frame to the last, if known; `begins`: the stamp of the first frame, where stamps are those of
-    another clock; `count`: how many frames come, if known.
+    `count`: how many frames come, if known; `looks` per second (None: at every picture); `shown`: frames per second,
+    where they are regular; `span`: seconds from the first frame to the last, if known; `begins`: the stamp of the first
+    frame, where stamps are those of another clock.
     """
 
     source: Any
@@ -56,40 +57,41 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     looks = (options.rate or RATE) if moves else None
     rate = max(looks, shown or 0) if looks else options.rate
     words = [f"{places[0]}?topic={options.image_topic}"] if options.image_topic else places
-    how: dict[str, Any] = {
-        "rig": checks.rig_of(options.rig),
-        "camera": checks.ordinary(options.hfov, options.camera, options.rig, options.camera_info, options.eyes),
+    how = checks.lens_of(options, options.camera_info) | {
         "rows": max(rows_of(perception), LEAST_ROWS) if moves else None,
         "start": options.start, "end": options.end, "force": options.force, "info": options.camera_info,
-        "say": terminal.log,
     }  # fmt: skip
-    source = open_footage(words, **how, rate=rate)
+    source = open_footage(words, **how, rate=rate, say=terminal.log)
     if isinstance(source.frames, VideoFrames):
-        video = source.frames.video
-        checks.say_of_video(places[0].name, video.facts, video.duration)
+        say_of_video(places[0].name, source.frames.video)
     found = open_poses(poses, source, axes=options.axes, say=terminal.log)
     told = poses_in_words(found)
     if looks and rate and rate < BY_SIGHT and source.ordinary and "pictures themselves" in told:
-        rate, how["say"] = BY_SIGHT, lambda text: None
-        source = open_footage(words, **how, rate=rate)
-    frames = source.frames
+        rate = BY_SIGHT
+        source = open_footage(words, **how, rate=rate, say=lambda text: None)
+    frames = source.frames  # with the times that a file of poses tells
     if isinstance(frames, BagFrames):
         camera = frames.camera
         terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
         terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
         return Journey(source, found, told, None, looks, rate, None, camera.begins)
     if isinstance(frames, VideoFrames):
-        video = frames.video
-        looks = looks or RATE
+        video, looks = frames.video, looks or RATE
         terminal.log(f"{min(looks, video.frame_rate or looks):g} looks per second (--rate {looks:g}), {told}")
         end = options.end or video.duration
         return Journey(source, found, told, video.count, looks, rate, None if end is None else end - options.start)
-    stamps = frames.stamps or [number / frames.rate for number in range(len(frames.paths))]
-    if not frames.stamps:
+    if not (stamps := frames.stamps):
         many = terminal.many(frames.count, "image")
         terminal.log(f"{many}, taken at {frames.rate:g} per second (--rate), {told}")
-    shown = None if frames.stamps else frames.rate
-    return Journey(source, found, told, frames.count, None, shown, stamps[-1] - stamps[0])
+        return Journey(source, found, told, frames.count, None, frames.rate, (len(frames.paths) - 1) / frames.rate)
+    return Journey(source, found, told, frames.count, span=stamps[-1] - stamps[0])
+
+
+def say_of_video(name: str, video: Any) -> None:
+    """Say on stderr what a video tells of itself; the first of it is its format."""
+    first, *more = video.facts
+    for fact in (first if video.duration is None else f"{first}, {video.duration:.1f} s", *more):
+        terminal.log(f"{name}: {fact}")
 
 
 def _checked(options: Footage, places: Sequence[Path], bag: bool, moves: bool) -> str:
@@ -97,7 +99,6 @@ def _checked(options: Footage, places: Sequence[Path], bag: bool, moves: bool) -
     poses = options.poses
     if poses not in WORDS and not os.path.exists(poses):
         raise terminal.UsageError(f"there is no file {poses}; --poses takes {', '.join(WORDS)} or a CSV file")
-    checks.checked_number(options.rate, "--rate")
     if options.axes != "auto" and poses in WORDS:
         raise terminal.UsageError(f"--axes {options.axes} is for a file of poses; give one with --poses")
     if not bag and given(options, ("image_topic", "odom_topic", "camera_info")):
@@ -112,3 +113,38 @@ def _checked(options: Footage, places: Sequence[Path], bag: bool, moves: bool) -
     if poses != "auto":
         raise terminal.UsageError(f"--poses {poses} and --odom-topic: wanted one of them")
     return f"ros:{options.odom_topic}"
+
+
+class Tally:
+    """How many frames came, and which of them could not be used, each of which is said; `broken`: why they ended early.
+
+    What was computed before they did is kept.
+    """
+
+    def __init__(self) -> None:
+        self.frames = self.bad = self._unread = 0
+        self.broken = ""
+
+    def add(self, name: str, problem: str | None, read: bool) -> None:
+        """A frame; `read`: whether it has a picture."""
+        self.frames += 1
+        if problem is not None:
+            terminal.warning(f"{name} is left out: {problem}")
+            self.bad, self._unread = self.bad + 1, self._unread + (not read)
+
+    def end(self, left_out: Sequence[str]) -> bool:
+        """Say what is missing; returns whether anything is. Raises `RunError` if no frame came."""
+        for text in [*left_out, *([f"the frames end early: {self.broken}"] if self.broken else [])]:
+            terminal.warning(text)
+        if not self.frames:
+            raise terminal.RunError("there was no frame to look at")
+        return bool(self.bad or self.broken or left_out)
+
+    def check(self) -> None:
+        """Raise `RunError` if all frames were bad, `ImageError` if none could be read: the input is wrong."""
+        if 0 < self.bad < self.frames:
+            terminal.log(f"{self.bad} of {self.frames} frames were left out")
+        if self.bad == self.frames:
+            error, what = (ImageError, "read") if self._unread == self.frames else (terminal.RunError, "used")
+            all_of_them = f"none of the {self.frames} frames could be {what}; the reasons are above"
+            raise error(all_of_them if self.bad > 1 else f"the only frame could not be {what}; the reason is above")

@@ -9,14 +9,13 @@ import json
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from eagor.cli import terminal
+from eagor.cli import checks, terminal
 from eagor.cli.answers import Lines
-from eagor.cli.checks import check_not_read, checked_out, checked_queries, make_perception, nothing_of, places_of
-from eagor.cli.footage import journey_of
+from eagor.cli.footage import Tally, journey_of
 from eagor.cli.options import Footage
 from eagor.errors import ImageError, PoseError
 
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class Look(Footage):
     """Look through footage once with a detector, and keep all that it sees: eagor track LOOKS.jsonl then answers."""
-
-    runs: ClassVar[str] = "look"
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES", help_behavior_hint="(required)")]
     """A picture, a video, a folder, several image files, or a ROS 2 bag: panoramas, or of an ordinary camera."""
@@ -45,70 +42,58 @@ def look(options: Look) -> int:
     from eagor.media.posed_frames import PosedFrames, prefetched
     from eagor.perception.recordings import HiddenParts, first_line, looked_at
 
-    queries = checked_queries(options.queries)
-    places = places_of(options.words, options.rig is not None)
-    check_not_read(options.out, "--out", [*places, Path(options.poses)])
+    queries = checks.checked_queries(options.queries)
+    places = checks.places_of(options.words, options.rig is not None)
     if options.out.suffix.lower() != ".jsonl":
         raise terminal.UsageError(f"--out {options.out}: wanted a file name that ends in .jsonl")
-    checked_out(options.out)
+    checks.check_outputs(options, [*places, Path(options.poses)])
     views = _views(options, queries)
     journey = journey_of(options, places, views)
     of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
-    hidden, looks, bad, unread, last, broken = HiddenParts(say=terminal.log), 0, 0, 0, 0.0, None
-    labels: Counter[str] = Counter()
+    tally, last, labels = Tally(), 0.0, Counter[str]()
     with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:
         head = [first_line(of, options.perception, views, journey.told, journey.begins)]
         frames = PosedFrames(journey.source, journey.poses, journey.looks, terminal.log)
         try:
-            for posed, entries in looked_at(prefetched(frames), views, queries, hidden):
+            for posed, entries in looked_at(prefetched(frames), views, queries, HiddenParts(say=terminal.log)):
                 file.add("".join(f"{line}\n" for line in [*head, *map(json.dumps, entries)]))
                 head.clear()
                 if not posed.looked:
                     continue
-                problem, last = entries[-1].get("problem"), posed.frame.stamp
-                looks, bad = looks + (problem is None), bad + (problem is not None)
-                if problem is not None:
-                    terminal.warning(f"{posed.frame.name} is left out: {problem}")
-                    unread += posed.frame.picture is None
+                tally.add(posed.frame.name, entries[-1].get("problem"), posed.frame.picture is not None)
+                last = posed.frame.stamp
                 for entry in entries:
                     found = [box for view in entry.get("views", ()) for box in view["boxes"]]
                     labels.update(entry.get("query") or box.get("label", "") for box in found)
                 advance()
         except (ImageError, PoseError) as error:
-            if not looks:
+            if tally.bad == tally.frames:
                 raise
-            broken = str(error)
-            terminal.warning(f"the frames end early: {broken}")
+            tally.broken = str(error)
         except KeyboardInterrupt:
-            if looks:
+            if looks := tally.frames - tally.bad:
                 terminal.log(f"kept: {options.out}, {terminal.many(looks, 'look')} to {last - journey.begins:.2f} s")
             raise
-    for text in frames.left_out:
-        terminal.warning(text)
-    if not looks:
-        raise nothing_of(bad, unread) if bad else terminal.RunError("there was no frame to look at")
-    if bad:
-        terminal.log(f"{bad} of {bad + looks} frames were left out")
-    if options.json:
-        terminal.emit(
-            {"of": of, "perception": options.perception, "poses": journey.told, "looks": looks, "left_out": bad,
-             "boxes": dict(labels.most_common()), "out": str(options.out)}
-        )  # fmt: skip
-    else:
-        example = next(iter(dict(labels.most_common(1))), None) or next(iter([*queries, *(views.classes or ())]))
-        terminal.say(
-            f"{labels.total()} boxes of {len(labels)} things in {terminal.many(looks, 'look')}: {options.out}",
-            f"what there is:  eagor track {options.out}",
-            f'where it is:    eagor track {options.out} "{example}"',
-        )
-    return terminal.INCOMPLETE if bad or broken or frames.left_out else terminal.OK
+    incomplete = tally.end(frames.left_out)
+    tally.check()
+    looks = tally.frames - tally.bad
+    told = {"of": of, "perception": options.perception, "poses": journey.told, "looks": looks, "left_out": tally.bad}
+    told |= {"boxes": dict(labels.most_common()), "out": str(options.out)}
+    example = next(iter([*told["boxes"], *queries, *(views.classes or ())]))
+    terminal.give(
+        options.json, told,
+        f"{labels.total()} boxes of {len(labels)} things in {terminal.many(looks, 'look')}: {options.out}",
+        f"what there is:  eagor track {options.out}",
+        f'where it is:    eagor track {options.out} "{example}"',
+    )  # fmt: skip
+    return terminal.INCOMPLETE if incomplete else terminal.OK
 
 
 def _views(options: Look, queries: list[str]) -> Detector:
     """The detector in its views. Raises `UsageError` for a perception that has none, or wants queries."""
     from eagor.perception.views import Detector
 
-    views = make_perception(options.perception, busy=True)
+    views = checks.make_perception(options.perception, busy=True)
     if not isinstance(views, Detector):
         raise terminal.UsageError(
             f"--perception {options.perception} gives no boxes that can be kept for later questions; wanted a detector "

@@ -5,83 +5,74 @@ from __future__ import annotations
 import platform
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, PackageNotFoundError, version
 from importlib.util import find_spec
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import Positional, arg
 
 from eagor._extras import EXTRAS, how_to_install, is_older
 from eagor._version import __version__
 from eagor.cli import terminal
-from eagor.cli.options import Common
+from eagor.cli.options import Common, grouped
 from eagor.errors import MissingExtraError, QueryError
-from eagor.perception.coco import ABOUT, CLASSES, FETCHED, PACKAGE, install, model_file, state, wanted
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelsList(Common):
     """What can be installed by name: whether it is, how large and how good, where it comes from, its licence."""
 
-    runs: ClassVar[str] = "listed"
-
 
 @dataclass(frozen=True, kw_only=True)
 class ModelsGet(Common):
     """Fetch a model with npm, check it, convert it, and keep it in the cache ($EAGOR_CACHE, else ~/.cache/eagor)."""
 
-    runs: ClassVar[str] = "get"
-
     name: Annotated[str, Positional, arg(metavar="NAME")]
     """Which one; `eagor models list` names them."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Models:
-    """Detectors for photographs that install by name."""
-
-    action: Annotated[
-        Annotated[ModelsList, subcommand("list")] | Annotated[ModelsGet, subcommand("get")],
-        arg(name=""),  # as in `Bench`
-    ]
+Models = grouped("Models", "Detectors for photographs that install by name.", ModelsList, ModelsGet)
 
 
-def listed(options: ModelsList) -> int:
+def models_list(options: ModelsList) -> int:
     """``eagor models list``."""
-    if options.json:
-        terminal.emit({"models": [_coco()]})
-    else:
-        steps = "".join(f"; before it can run: {step}" for step in wanted())
-        terminal.say(f"coco: {state()} at {model_file()}{steps}")
-        terminal.columns(ABOUT, 2)
+    from eagor.perception import coco
+
+    steps = "".join(f"; before it can run: {step}" for step in coco.wanted())
+    terminal.give(options.json, {"models": [_coco()]}, f"coco: {coco.state()} at {coco.model_file()}{steps}")
+    if not options.json:
+        terminal.facts(coco.ABOUT, 2)
     return terminal.OK
 
 
-def get(options: ModelsGet) -> int:
+def models_get(options: ModelsGet) -> int:
     """``eagor models get``. Raises `ServerError` or `StorageError`, and what is missing as `MissingExtraError`."""
+    from eagor.perception import coco
+
     if options.name != "coco":
         raise QueryError(f"there is no model {options.name!r} to install; wanted coco")
-    there = state() == "installed"
+    there = coco.state() == "installed"
     if not there:
-        terminal.log(f"fetching {PACKAGE}, {FETCHED}, with npm")
+        terminal.log(f"fetching {coco.PACKAGE}, {coco.FETCHED}, with npm")
     with terminal.progress("fetching", None, shown=not there):
-        path = install()
-    if options.json:
-        terminal.emit(_coco() | {"was_there": there})
-    else:
-        said = f"coco {'was there already' if there else 'is installed'}: {path}"
-        terminal.say(said, *(f"before it can run: {step}" for step in wanted()))
-    return terminal.OK
+        path = coco.install()
+    lines = [f"coco {'was there already' if there else 'is installed'}: {path}"]
+    lines += [f"before it can run: {step}" for step in coco.wanted()]
+    return terminal.give(options.json, _coco() | {"was_there": there}, *lines)
 
 
 def _coco() -> dict[str, Any]:
     """For ``--json``."""
+    from eagor.perception.coco import ABOUT, model_file, state, wanted
+
     return {"name": "coco", "state": state(), "path": str(model_file()), **ABOUT, "wanted": wanted()}
 
 
 def how_to_find(query: str) -> str:
     """Why `query` cannot be answered, and what to type: the small detector if it knows `query`, else other models."""
+    from eagor.perception.coco import CLASSES, wanted
     from eagor.perception.words import by_colour_alone, for_any_words, meant
 
     own = "a detector of your own is --perception onnx:MODEL.onnx, my.py:FUNCTION or replay:FILE.jsonl"
@@ -123,36 +114,34 @@ READY = "ready"
 class Doctor(Common):
     """Show what works here, plugins too, and then what each of the others would need."""
 
-    runs: ClassVar[str] = "doctor"
-
 
 def doctor(options: Doctor) -> int:
     """Run the command; exit code 1 if a required package is missing."""
     from eagor import plugins
 
-    names = (*PACKAGES, *(name for packages in EXTRAS.values() for name in packages))
-    packages = {name: version_of(name) for name in dict.fromkeys(names)}
+    names = dict.fromkeys([*PACKAGES, *(name for packages in EXTRAS.values() for name in packages)])
+    packages = {name: version_of(name) for name in names}
     states, left_out = _plugins()
+    left_out += plugins.unreadable()
     extras = {extra: _missing(extra) for extra in EXTRAS}
     extras["ros"] = [] if find_spec("rclpy") else ["rclpy: a ROS 2 installation, or on x86-64 Linux the extra 'ros'"]
     missing = [name for name in PACKAGES if packages[name] is None]
-    left_out += plugins.unreadable()
-    if options.json:
-        result = {"eagor": __version__, "python": platform.python_version(), "platform": platform.platform()}
-        result |= {"packages": packages, **states, "extras": extras, "left_out": left_out, "healthy": not missing}
-        terminal.emit(result)
-        return terminal.FAILED if missing else terminal.OK
-    terminal.say(f"eagor {__version__}, Python {platform.python_version()} on {platform.platform()}")
-    terminal.say("with " + ", ".join(f"{name} {number}" for name, number in packages.items() if number), "")
-    terminal.say("These work now:")
+    about = {"eagor": __version__, "python": platform.python_version(), "platform": platform.platform()}
     works = {"commands": "locate and track, with one of these perceptions"}
     works |= {kind: ", ".join(name for name, why in found.items() if why == READY) for kind, found in states.items()}
     wants = {f"{kind[:-1]} {name}": why for kind, each in states.items() for name, why in each.items() if why != READY}
     for extra, lacks in extras.items():
         (wants if lacks else works)[f"extra {extra}"] = ": ".join([USES[extra], *lacks])
-    terminal.columns(works, 2)
+    if options.json:
+        found = {"packages": packages, **states, "extras": extras, "left_out": left_out, "healthy": not missing}
+        terminal.emit(about | found)
+        return terminal.FAILED if missing else terminal.OK
+    terminal.say("eagor {eagor}, Python {python} on {platform}".format(**about))
+    terminal.say("with " + ", ".join(f"{name} {number}" for name, number in packages.items() if number), "")
+    terminal.say("These work now:")
+    terminal.facts(works, 2)
     terminal.say("", "These need something first:")
-    terminal.columns(wants or {"nothing": ""}, 2)
+    terminal.facts(wants or {"nothing": ""}, 2)
     for line in left_out:
         terminal.say(f"left out: {line}")
     if missing:
@@ -165,6 +154,7 @@ def _plugins() -> tuple[dict[str, dict[str, str]], list[str]]:
     from eagor import perception, plugins
     from eagor.lab import worlds
     from eagor.lab.tasks import task
+    from eagor.perception.coco import wanted
 
     parts = (perception, worlds, task)
     theirs = [point for part in parts for point in plugins.brought(part.GROUP, part.BUILT_IN)]
@@ -176,9 +166,8 @@ def _plugins() -> tuple[dict[str, dict[str, str]], list[str]]:
         states[kind] = {name: _state(known[name], known[name] in theirs, faults) for name in sorted(known)}
         left_out += [line for point in known.values() for line in plugins.left_out(point, kind[:-1])]
     own = {name: "; ".join(_missing(extra)) for name, extra in WANTS.items()}
+    own["coco"] = "; then ".join(wanted())
     states["perceptions"] |= {name: lacks for name, lacks in own.items() if lacks}
-    if steps := wanted():
-        states["perceptions"]["coco"] = "; then ".join(steps)
     if find_spec("habitat_sim") is None:
         states["worlds"]["habitat"] = "Habitat-Sim, from its conda channel aihabitat or from source"
     return states, left_out
@@ -186,14 +175,12 @@ def _plugins() -> tuple[dict[str, dict[str, str]], list[str]]:
 
 def _state(point: EntryPoint, theirs: bool, faults: Mapping[EntryPoint, str]) -> str:
     """Whether `point` can be imported, or why not; plugins were tried in another process."""
-    why = faults.get(point)
-    if not theirs:
-        try:
-            point.load()
-        except MissingExtraError as error:
-            return str(error)
-        except Exception as error:  # a broken installation may raise anything
-            why = f"{type(error).__name__}: {error}"
+    try:
+        why = faults.get(point) if theirs else point.load() and None
+    except MissingExtraError as error:
+        return str(error)
+    except Exception as error:  # a broken installation may raise anything
+        why = f"{type(error).__name__}: {error}"
     return f"cannot be imported ({why})" if why else READY
 
 
@@ -212,7 +199,6 @@ def _missing(extra: str) -> list[str]:
 
 def version_of(name: str) -> str | None:
     """The version of a package, or None if it is not installed."""
-    try:
+    with suppress(PackageNotFoundError):
         return version(name)
-    except PackageNotFoundError:
-        return None
+    return None

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Union
 
-from tyro.conf import arg
+from tyro.conf import arg, subcommand
 
 from eagor.errors import EagorError
 
@@ -20,8 +20,6 @@ def bare(metavar: str | None = None, help: str | None = None) -> Any:
 Name = Annotated[str, arg(metavar="NAME")]
 Whole = Annotated[int, arg(metavar="N")]
 Flag = Annotated[bool, bare()]
-TaskOfRun = Annotated[str | None, bare("NAME", "The benchmark (default: that of the run).")]
-DataOfRun = Annotated[Path | None, bare("DIR", "Its published files (default: those of the run).")]
 Rows = Annotated[
     int | None,
     bare("N", "Rows of rendered panoramas (default: those of the perception, else 256; truth reads ids instead)."),
@@ -41,13 +39,6 @@ Detector = Annotated[
         "are right, by which scores are read.",
     ),
 ]
-Drift = Annotated[
-    float | None,
-    bare(
-        "DEG_PER_S",
-        "Heading drift of the poses in the first second, degrees (default: learnt); it grows with the root of time.",
-    ),
-]
 Axes = Annotated[
     Literal["auto", "body", "optical", "opengl", "euroc"],
     arg(
@@ -56,46 +47,9 @@ Axes = Annotated[
         "euroc: x up, y right, z ahead."
     ),
 ]
-Modes = Annotated[int, arg(metavar="K", help="Maximum number of candidate directions in the output.")]
-Floor = Annotated[
-    float | None,
-    bare(
-        "Z",
-        "Height of the floor in the world of the poses, metres. Objects stand on it, so distances are known sooner. "
-        "In locate the camera is at height 0: a floor 1.3 m below it is at -1.3.",
-    ),
-]
 Static = Annotated[
     bool,
     bare(help="What is looked for never moves, comes or goes: what is out of view stays where it was seen."),
-]
-Out = Annotated[
-    Path | None,
-    bare("FILE", "Write the answer, one line per frame, to FILE.csv or FILE.jsonl."),
-]
-Rerun = Annotated[
-    Path | None,
-    bare("FILE.rrd", "Log panorama, belief, directions, pose and status for the Rerun viewer (extra rerun)."),
-]
-RigFile = Annotated[
-    Path | None,
-    bare("FILE.yaml", "Lenses, for pictures that are not stitched: their circles (eagor camera calibrate)."),
-]
-Hfov = Annotated[
-    float | None,
-    bare("DEGREES", "An ordinary camera: its field of view across the picture's width (default: as its file says)."),
-]
-CameraFile = Annotated[
-    Path | None,
-    bare("FILE", "An ordinary camera: its calibration by ROS, OpenCV, Kalibr or COLMAP, or a rig with one lens."),
-]
-CameraInfo = Annotated[
-    str | None,
-    bare(
-        "TOPIC",
-        "An ordinary camera: the CameraInfo of its pictures (default: camera_info beside them, if they are not 2:1); "
-        "of several cameras, with commas between.",
-    ),
 ]
 Eyes = Annotated[
     Literal["mono", "left-right", "right-left", "top-bottom", "bottom-top", "vr180", "vr180-top-bottom"] | None,
@@ -117,13 +71,6 @@ Force = Annotated[
         "was fitted for another perception."
     ),
 ]
-ForceRun = Annotated[
-    bool,
-    bare(
-        help="Accept a calibration that was fitted for another perception, and resume a run although the code, the "
-        "data or the model has changed."
-    ),
-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,8 +84,60 @@ class Common:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Footage(Common):
-    """Options of the commands that go through footage: how the camera moved, what of it is looked at, its lens."""
+class Lens(Common):
+    """Options of the commands that open a camera or pictures: what took them."""
+
+    hfov: Annotated[float | None, bare("DEGREES")] = None
+    """An ordinary camera: its field of view across the picture's width (default: as its file says)."""
+    camera: Annotated[Path | None, bare("FILE")] = None
+    """An ordinary camera: its calibration by ROS, OpenCV, Kalibr or COLMAP, or a rig with one lens."""
+    eyes: Eyes = None
+    rig: Annotated[Path | None, bare("FILE.yaml")] = None
+    """Lenses, for pictures that are not stitched: their circles (eagor camera calibrate), or ordinary cameras."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answering(Lens):
+    """Options of the commands that answer where something is: who looks, and how the looks are added up."""
+
+    perception: Annotated[str | None, bare("NAME")] = None
+    (
+        "The detector (default: coco, or colour for a bare colour such as 'red'): colour (the colour that the query "
+        "names; colour:rows=512 for things of 1 degree), coco (a small network for everyday things, `eagor models get "
+        "coco`), replay:FILE.jsonl (output of any detector), onnx:MODEL.onnx (a detector's file, options after ?), "
+        "my.py:FUNCTION (a function of yours), a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, "
+        "endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed one; `eagor doctor` lists them."
+    )
+    modes: Annotated[int, arg(metavar="K")] = 10
+    """Maximum number of candidate directions in the output."""
+    floor: Annotated[float | None, bare("Z")] = None
+    (
+        "Height of the floor in the world of the poses, metres. Objects stand on it, so distances are known sooner. In "
+        "locate the camera is at height 0: a floor 1.3 m below it is at -1.3."
+    )
+    degree: Whole = 15
+    """Degree of the spherical harmonics, 1 to 63; the resolution is about 180 / N degrees."""
+    calibration: Annotated[Path | None, bare("FILE.json")] = None
+    """Calibration of the perception and of forgetting, from `eagor calibrate`."""
+    detector: Detector = None
+    mask: Mask = None
+    force: Force = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Following(Answering):
+    """Options of the commands that follow something over time."""
+
+    static: Static = False
+    drift: Annotated[float | None, bare("DEG_PER_S")] = None
+    """Heading drift of the poses in the first second, degrees (default: learnt); it grows with the root of time."""
+    rerun: Annotated[Path | None, bare("FILE.rrd")] = None
+    """Log panorama, belief, directions, pose and status for the Rerun viewer (extra rerun)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Footage(Lens):
+    """Options of the commands that go through footage: how the camera moved, and what of it is looked at."""
 
     poses: Annotated[str, arg(metavar="CSV|auto|level|still")] = "auto"
     (
@@ -160,14 +159,24 @@ class Footage(Common):
     """Where to stop in a video or bag (default: at its end)."""
     image_topic: Annotated[str | None, bare("TOPIC")] = None
     """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
-    camera_info: CameraInfo = None
+    camera_info: Annotated[str | None, bare("TOPIC")] = None
+    (
+        "An ordinary camera: the CameraInfo of its pictures (default: camera_info beside them, if they are not 2:1); "
+        "of several cameras, with commas between."
+    )
     odom_topic: Annotated[str | None, bare("TOPIC")] = None
     """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
-    hfov: Hfov = None
-    camera: CameraFile = None
-    eyes: Eyes = None
-    rig: RigFile = None
     force: Force = False
+
+
+def grouped(name: str, text: str, *commands: type) -> Any:
+    """A command that is one of several: `commands`, whose names begin with its own."""
+    options = tuple(Annotated[each, subcommand(each.__name__.removeprefix(name).lower())] for each in commands)
+    # Without a name, options are listed with those of every command, and a text appears once in the help.
+    kind = Annotated[Union[options], arg(name="")]  # noqa: UP007
+    made = make_dataclass(name, [("action", kind)], frozen=True, kw_only=True)
+    made.__doc__ = text
+    return made
 
 
 def given(options: Common, names: Sequence[str]) -> list[str]:

@@ -188,7 +188,7 @@ def robot_run(options: RobotRun) -> int:
     # In a rendered house the network for such pictures is better than a colour alone.
     spec = "scout" if options.sim and options.perception is None else perception_for([query], options.perception)
     check_looks(spec)
-    config = tracker_config(options.degree, spec, options.calibration, options.detector, options.force, options.static)
+    config = tracker_config(spec, **vars(options))
     config = replace(config, floor_height=FLOOR)
     mask = mask_of(options.mask)
     deadman = options.deadman or ("none" if options.sim or not options.arm else "remote")

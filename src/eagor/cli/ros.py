@@ -52,7 +52,8 @@ def setup(values: Mapping[str, Any], queries: Sequence[str]) -> tuple[str, Track
         return Path(values[name]) if values[name] else None
 
     perception = perception_for(queries, told("perception"))
-    config = tracker_config(15, perception, path("calibration"), told("detector"), static=values["static"])
+    fitted = {"calibration": path("calibration"), "detector": told("detector")}
+    config = tracker_config(perception, **fitted, static=values["static"])
     lens, rig = ordinary(told("hfov_deg"), path("intrinsics"), path("rig")), rig_of(path("rig"))
     lenses = {"rows": rows_for(perception), "rig": rig, "camera": lens}
     return perception, replace(config, floor_height=told("floor")), lenses

@@ -6,29 +6,25 @@ import secrets
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
 from eagor._extras import need
-from eagor.cli import terminal
-from eagor.cli.checks import checked_out, make_perception, ordinary, perception_for, rig_of
-from eagor.cli.options import CameraFile, Common, Flag, Hfov, RigFile, bare, given
+from eagor.cli import checks, terminal
+from eagor.cli.options import Flag, Lens, bare, given
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:
     from eagor.lab.eval.results import Run
-    from eagor.studio.messages import Opening
 
 
 @dataclass(frozen=True, kw_only=True)
-class Studio(Common):
+class Studio(Lens):
     """Open a page in the browser: walk in an apartment, look through runs and pictures, watch a camera, live.
 
     `eagor studio export RUN --out page.html` writes one episode of a run as a page that needs no server.
     """
-
-    runs: ClassVar[str] = "studio"
 
     words: Annotated[tuple[str, ...], Positional, bare("[export RUN]")] = ()
     """Nothing, for the page; or: export, and the folder of a run."""
@@ -50,9 +46,6 @@ class Studio(Common):
     """With --source: what to look for at first."""
     poses: Annotated[str, arg(metavar="SOURCE")] = "auto"
     """With --source: how the camera turns and moves, as for live (auto, level, still, ros:/odom, go2, CSV)."""
-    rig: RigFile = None
-    hfov: Hfov = None
-    camera: CameraFile = None
     out: Annotated[Path | None, bare("FILE.html")] = None
     """With export: the page to write."""
     episode: Annotated[str | None, bare("NAME")] = None
@@ -61,7 +54,7 @@ class Studio(Common):
 
 SHORTEST = 16  # letters of a token
 FOR_EXPORT = ("out", "episode")
-FOR_SOURCE = ("query", "poses", "rig", "hfov", "camera")
+FOR_SOURCE = ("query", "poses", "rig", "hfov", "camera", "eyes")
 FOR_SERVING = ("port", "open", "host", "token", "folder", "perception", *FOR_SOURCE, "source")
 EPISODE = "episode.html"  # beside a report
 
@@ -77,6 +70,7 @@ def studio(options: Studio) -> int:
     if options.source is None and (mistaken := given(options, FOR_SOURCE)):
         raise terminal.UsageError(f"--{mistaken[0]} is for --source SOURCE, which is not given")
     need("eagor studio", "studio", "starlette", "uvicorn", "websockets")
+    from eagor.studio.messages import Opening
     from eagor.studio.server import is_loopback, serve
     from eagor.studio.sessions import Settings
 
@@ -90,46 +84,30 @@ def studio(options: Studio) -> int:
     if options.folder.exists() and not options.folder.is_dir():
         raise terminal.UsageError(f"--runs {options.folder} is no folder; name the one that holds your runs")
     if options.perception is not None:
-        make_perception(options.perception)  # raises for what does not exist, before anything is started
-    live = None if options.source is None else _live(options, options.source)
-    taken = _listening(options.host, options.port)
+        checks.make_perception(options.perception)  # raises for what does not exist, before anything is started
+    live, source, query = None, options.source, options.query or ""
+    if source is not None:
+        simulated = source.startswith("apartment:")
+        if not (query or simulated):
+            raise terminal.UsageError(f"--source {source} needs --query: say what to look for at first")
+        lens = checks.lens_of(options)["camera"]
+        perception = options.perception or ("scout" if simulated else checks.perception_for([query], None))
+        rig = None if options.rig is None else str(options.rig)
+        live = Opening(source, source, query, perception, poses=options.poses, rig=rig, camera=lens)
+    try:
+        family = socket.getaddrinfo(options.host, options.port, type=socket.SOCK_STREAM)[0][0]
+        taken = socket.create_server((options.host, options.port), family=family, backlog=128)
+    except OSError as error:
+        raise terminal.UsageError(
+            f"--host {options.host} --port {options.port} cannot be used ({error.strerror or error}); another studio "
+            "may be running there: choose another port, or 0 for any free one"
+        ) from error
     name = f"[{options.host}]" if ":" in options.host else options.host
     address = f"http://{name}:{taken.getsockname()[1]}/" + (f"?token={token}" if token else "")
-    if options.json:
-        terminal.emit({"address": address})
-    else:
-        print(f"The studio: {address}  (Ctrl-C ends it)", flush=True)
+    terminal.give(options.json, {"address": address}, f"The studio: {address}  (Ctrl-C ends it)")
     settings = Settings(options.host, token, options.folder, options.perception, live)
     serve(settings, taken, address if options.open else None)
     return terminal.OK
-
-
-def _live(options: Studio, source: str) -> Opening:
-    """What the page opens on. Raises `UsageError`, `QueryError`."""
-    from eagor.studio.messages import Opening
-
-    simulated = source.startswith("apartment:")
-    if options.query is None and not simulated:
-        raise terminal.UsageError(f"--source {source} needs --query: say what to look for at first")
-    query, lens = options.query or "", ordinary(options.hfov, options.camera, options.rig)
-    rig_of(options.rig)
-    perception = options.perception or ("scout" if simulated else perception_for(query, None))
-    rig = None if options.rig is None else str(options.rig)
-    return Opening(source, source, query, perception, poses=options.poses, rig=rig, camera=lens)
-
-
-def _listening(host: str, port: int) -> socket.socket:
-    """A socket that listens there. Raises `UsageError` if that cannot be."""
-    if not 0 <= port <= 65535:
-        raise terminal.UsageError(f"--port {port}; wanted a port from 0 to 65535")
-    try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        return socket.create_server((host, port), family=family, backlog=128)
-    except OSError as error:
-        raise terminal.UsageError(
-            f"--host {host} --port {port} cannot be used ({error.strerror or error}); another studio may be running "
-            "there: choose another port, or 0 for any free one"
-        ) from error
 
 
 def export(options: Studio) -> int:
@@ -144,7 +122,7 @@ def export(options: Studio) -> int:
         raise terminal.UsageError(f"there is no folder {folder}; name the folder of a run")
     if out is None or out.suffix.lower() not in (".html", ".htm"):
         raise terminal.UsageError(f"--out {out or '...'}; wanted where to write the page, such as --out page.html")
-    checked_out(out)
+    checks.check_outputs(options)
     need("an exported episode", "sim", "gymnasium", "trimesh")
     from eagor.studio.runs import again, write
 
@@ -152,11 +130,9 @@ def export(options: Studio) -> int:
         found = again(folder, options.episode, lambda _: advance())
     write(found, out)
     size = out.stat().st_size
-    if options.json:
-        terminal.emit({"page": str(out), "bytes": size, "title": found.scene["title"], "steps": len(found.steps)})
-    else:
-        print(f"{found.scene['title']}, {len(found.steps)} steps: {out} ({size / 1e6:.1f} MB)")
-    return terminal.OK
+    title, steps = found.scene["title"], len(found.steps)
+    told = {"page": str(out), "bytes": size, "title": title, "steps": steps}
+    return terminal.give(options.json, told, f"{title}, {steps} steps: {out} ({size / 1e6:.1f} MB)")
 
 
 def beside_report(run: Run, out: Path) -> str | None:

@@ -7,8 +7,8 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -62,23 +62,18 @@ def emit(result: dict[str, Any]) -> None:
     print(_STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", text), flush=True)
 
 
+def give(as_json: bool, found: dict[str, Any], *lines: str) -> int:
+    """Print a command's result on stdout, as the one JSON object or in words; returns `OK`."""
+    if as_json:
+        emit(found)
+    else:
+        say(*lines)
+    return OK
+
+
 def many(count: int, what: str) -> str:
     """So many of something: "1 look", "3 looks"."""
     return f"{count} {what}{'s' * (count != 1)}"
-
-
-def columns(pairs: Mapping[str, Any], indent: int = 4) -> None:
-    """Print names and what they mean."""
-    wide = max((len(name) for name in pairs), default=0)
-    for name, what in pairs.items():
-        say(f"{' ' * indent}{name.ljust(wide)}  {what}")
-
-
-def table(rows: Sequence[Sequence[str]]) -> None:
-    """Print rows of as many cells each, in columns that are two spaces or more apart."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        say("  ".join(["", *(cell.ljust(width) for cell, width in zip(row, widths, strict=True))]).rstrip())
 
 
 def facts(pairs: Mapping[str, Any], indent: int = 0) -> None:
@@ -103,6 +98,20 @@ def _words(value: Any) -> str:
 
 
 @contextmanager
+def _handled(handlers: Mapping[int, Any]) -> Iterator[None]:
+    """Handle signals so; not outside of the main thread, which alone may."""
+    before = {}
+    try:
+        with suppress(ValueError):
+            for number, handler in handlers.items():
+                before[number] = signal.signal(number, handler)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
 def heeding_sigterm() -> Iterator[list[int]]:
     """Turn SIGTERM into KeyboardInterrupt, so that it is handled like Ctrl-C; the yielded list gets its number.
 
@@ -115,41 +124,24 @@ def heeding_sigterm() -> Iterator[list[int]]:
             told.append(number)
             raise KeyboardInterrupt
 
-    try:
-        before = signal.signal(signal.SIGTERM, stop)
-    except ValueError:  # not in the main thread, which alone may handle signals
+    with _handled({signal.SIGTERM: stop}):
         yield told
-        return
-    try:
-        yield told
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
 def unhurried(ending: Callable[[], bool]) -> Iterator[None]:
     """Heed one Ctrl-C or SIGTERM, and none once `ending()`: a second one must not stop the cleanup after the first."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    before = {number: handler for number, handler in handlers.items() if callable(handler)}
-
+    before: dict[int, Any] = {number: handler for number, handler in handlers.items() if callable(handler)}
     heeded: list[int] = []
 
     def heed(number: int, frame: FrameType | None) -> None:
         if not heeded and not ending():
             heeded.append(number)
-            before[signal.Signals(number)](number, frame)
+            before[number](number, frame)
 
-    try:
-        for number in before:
-            signal.signal(number, heed)
-    except ValueError:  # as above
+    with _handled(dict.fromkeys(before, heed)):
         yield
-        return
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 @contextmanager
