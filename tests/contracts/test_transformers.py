@@ -300,7 +300,7 @@ def test_templates_of_checkpoints_count_where_they_know_images(random_models, mo
     ids = language.prompt("Is it red?", language.plan(2.0)).prefix[0].tolist()
     assert language.tokenizer.decode(ids).startswith(helper) is not counts
     spelled = language.prompt("What is <|image_pad|>?", language.plan(2.0))  # which stands for no picture
-    assert len(spelled.columns) == language.plan(2.0).count
+    assert len(spelled.columns) == language.plan(2.0).tokens
 
 
 # --- where tokens look -----------------------------------------------------------------------------------------------
@@ -313,9 +313,9 @@ def test_templates_of_checkpoints_count_where_they_know_images(random_models, mo
 def test_sums_are_kept_and_constants_stay_constant(rows, cols, height, width, seed):
     block = Block(rows, cols, (0.0, 0.0, 1.0, 1.0))
     planned = InputPlan((1, 1), (height, width), (block, block))
-    tokens = np.random.default_rng(seed).random((2, planned.count))
+    tokens = np.random.default_rng(seed).random((2, planned.tokens))
     np.testing.assert_allclose(planned.cells(tokens).sum(axis=(-2, -1)), tokens.sum(axis=-1))
-    flat = planned.cells(np.ones(planned.count))
+    flat = planned.cells(np.ones(planned.tokens))
     np.testing.assert_allclose(flat, 2 * rows * cols / (height * width))
 
 
@@ -338,8 +338,8 @@ def test_plans_fit_their_models(random_models, family, aspect):
     with torch.inference_mode():
         features = language.model.model.get_image_features(**tensors, return_dict=True).pooler_output
     features = torch.cat(list(features)) if isinstance(features, tuple | list) else features
-    assert features.reshape(-1, features.shape[-1]).shape[0] == planned.count
-    assert planned.cells(np.ones(planned.count)).min() > 0
+    assert features.reshape(-1, features.shape[-1]).shape[0] == planned.tokens
+    assert planned.cells(np.ones(planned.tokens)).min() > 0
 
 
 @some
@@ -355,7 +355,7 @@ def test_a_change_in_a_cell_changes_its_token_most(random_models, family):
         with torch.inference_mode():
             out = language.model.model.get_image_features(**tensors, return_dict=True).pooler_output
         out = torch.cat(list(out)) if isinstance(out, tuple | list) else out
-        return out.reshape(len(images), planned.count, -1)
+        return out.reshape(len(images), planned.tokens, -1)
 
     for row, col in [(0, 0), (rows // 2, 1), (rows - 1, cols - 1), (1, cols // 2)]:
         image = plain.copy()
@@ -374,9 +374,9 @@ def test_planted_cells_come_back_at_their_directions(random_models, monkeypatch,
     where = {}
 
     def record(capture, layer, query, *_):
-        tokens = np.zeros(planned.count)
-        for index in range(planned.count):
-            only = np.eye(1, planned.count, index)[0]
+        tokens = np.zeros(planned.tokens)
+        for index in range(planned.tokens):
+            only = np.eye(1, planned.tokens, index)[0]
             cell = np.unravel_index(planned.cells(only).argmax(), planned.shape)
             tokens[index] = cell == where["cell"] and planned.cells(only).max() > 0.99
         row = torch.tensor(tokens / tokens.sum(), dtype=torch.float32)
@@ -409,9 +409,9 @@ def test_relative_attention_leaves_out_what_is_looked_at_anyway(random_models, m
     asked = []  # the question of no content comes first
 
     def record(capture, layer, query, *_):
-        rows = np.ones(planned.count)
-        for index in range(planned.count):
-            cells = planned.cells(np.eye(1, planned.count, index)[0])
+        rows = np.ones(planned.tokens)
+        for index in range(planned.tokens):
+            cells = planned.cells(np.eye(1, planned.tokens, index)[0])
             rows[index] += 200 * cells[sink] + (20 * cells[target] if asked else 0)
         asked.append(layer)
         row = torch.tensor(rows / rows.sum() / 2, dtype=torch.float32)
@@ -510,7 +510,7 @@ def test_evidence_tells_what_produced_it(folders, family):
     assert source["revision"].startswith("folder:")
     assert (source["family"], source["extractor"], source["images"]) == (family, "attention", 2)
     assert source["pixels"] == list(perception.loaded.plan(2.0).size)
-    assert source["image_tokens"] == 2 * perception.loaded.plan(2.0).count
+    assert source["image_tokens"] == 2 * perception.loaded.plan(2.0).tokens
     assert source["prompt_tokens"] > 20
     assert source["answer_tokens"] == 0
     assert source["milliseconds"] > 0
