@@ -68,8 +68,7 @@ class TransformersPerception(ModelPerception):
     def find_heads(self, examples: Iterable[Labelled], take: int = 3) -> Heads:
         """The localisation heads of this model, `take` at most, found on labelled panoramas viewed as in a call.
 
-        With nine panoramas or more, every third is held out to measure the error of the heads. Raises `EagorError`
-        if no head attends to the targets.
+        Raises `EagorError` if no head attends to the targets.
         """
         from eagor.perception.transformers.heads import fit_heads
 
@@ -78,9 +77,7 @@ class TransformersPerception(ModelPerception):
         for example in examples:
             best = max(views, key=lambda view: float(view.body_R_view[:, 0] @ example.direction), default=None)
             looks.append(model.observe(example, best))
-        held_out = looks[2::3] if len(looks) >= 9 else []
-        rest = [look for index, look in enumerate(looks) if not held_out or index % 3 != 2]
-        return fit_heads(rest, model.name, model.model.config.model_type, take, held_out)
+        return fit_heads(looks, model.name, model.model.config.model_type, take)
 
 
 # --- loading ----------------------------------------------------------------------------------------------------------

@@ -126,15 +126,16 @@ class Observed:
         return float(angular_distance(self.grid.directions.reshape(-1, 3)[self.mean(heads).argmax()], self.direction))
 
 
-def fit_heads(
-    looks: Sequence[Observed], model: str, model_type: str, take: int = 3, held_out: Sequence[Observed] = ()
-) -> Heads:
-    """The localisation heads in what a model observed on labelled panoramas, with their error on `held_out` ones.
+def fit_heads(observed: Sequence[Observed], model: str, model_type: str, take: int = 3) -> Heads:
+    """The localisation heads in what a model observed on labelled panoramas.
 
-    Raises `EagorError` if there are no panoramas, or no head attends to the targets more than elsewhere.
+    With nine panoramas or more, every third is held out to measure the error of the heads. Raises `EagorError` if there
+    are no panoramas, or no head attends to the targets more than elsewhere.
     """
-    if not looks:
+    if not observed:
         raise EagorError("there are no labelled panoramas; give 20 or more")
+    held_out = observed[2::3] if len(observed) >= 9 else ()
+    looks = [look for index, look in enumerate(observed) if not held_out or index % 3 != 2]
     layers = [layer for layer in looks[0].maps if layer >= _EARLIEST] or list(looks[0].maps)
     gains: dict[tuple[int, int], float] = {}
     for layer in layers:

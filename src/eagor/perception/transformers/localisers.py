@@ -1,8 +1,7 @@
 """Detectors of the hub as functions for `eagor.Detector`: with classes of their own, or for any words.
 
 Whatever transformers loads as ``AutoModelForObjectDetection`` (DETR, RT-DETR, D-FINE, YOLOS, ...) knows its classes;
-OWL-ViT, OWLv2 (Minderer et al., arXiv 2306.09683), Grounding DINO (Liu et al., arXiv 2303.05499) and CLIPSeg (Lüddecke
-and Ecker, arXiv 2112.10003) take any words.
+OWL-ViT, OWLv2 (Minderer et al., arXiv 2306.09683) and Grounding DINO (Liu et al., arXiv 2303.05499) take any words.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from scipy.ndimage import find_objects, label, maximum
 
 _MOST = 50  # boxes per picture
 
@@ -32,13 +30,7 @@ class Kind(NamedTuple):
 _OWL = Kind("AutoModelForZeroShotObjectDetection", 0.1, "a photo of a {}")
 _DINO = Kind("AutoModelForZeroShotObjectDetection", 0.25, "{}.")
 CLASSES = Kind("AutoModelForObjectDetection", 0.3)
-KINDS = {
-    "owlvit": _OWL,
-    "owlv2": _OWL,
-    "grounding-dino": _DINO,
-    "mm-grounding-dino": _DINO,
-    "clipseg": Kind("CLIPSegForImageSegmentation", 0.5, "a photo of a {}"),
-}
+KINDS = {"owlvit": _OWL, "owlv2": _OWL, "grounding-dino": _DINO, "mm-grounding-dino": _DINO}
 
 
 @dataclass
@@ -70,9 +62,6 @@ class HubDetector:
         inputs["pixel_values"] = inputs["pixel_values"].to(self.model.dtype)
         with self.lock:
             out = self.model(**inputs)
-        if self.kind.loaded_by.startswith("CLIPSeg"):
-            masks = out.logits.float().sigmoid().reshape(len(pictures), *out.logits.shape[-2:]).cpu().numpy()
-            return [self._regions(mask, picture.shape[:2]) for mask, picture in zip(masks, pictures, strict=True)]
         name = "post_process_grounded_object_detection" if text else "post_process_object_detection"
         more = {"input_ids": inputs["input_ids"]} if self.kind is _DINO else {}
         sizes = [picture.shape[:2] for picture in pictures]
@@ -85,11 +74,3 @@ class HubDetector:
         if self.classes is None:
             return boxes, scores
         return boxes, scores, [self.classes[number] for number in found["labels"][best].tolist()]
-
-    def _regions(self, mask: np.ndarray, size: tuple[int, int]) -> Found:
-        """The connected regions of a mask of probabilities in which one reaches the threshold."""
-        labelled: Any = label(mask >= self.threshold / 2)
-        scores = np.atleast_1d(maximum(mask, labelled[0], np.arange(1, labelled[1] + 1)))
-        boxes = [[across.start, down.start, across.stop, down.stop] for down, across in find_objects(labelled[0])]
-        best = [each for each in np.argsort(-scores)[:_MOST] if scores[each] >= self.threshold]
-        return np.reshape(boxes, (-1, 4))[best] * np.tile(np.divide(size, mask.shape)[::-1], 2), scores[best]

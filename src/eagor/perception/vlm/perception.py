@@ -143,13 +143,9 @@ class ModelPerception:
             maps, cost = self.model.maps(images, queries, isinstance(plan.crops[0].grid, PatchGrid))
             found = [Evidence.from_response(plan.combine(answers), plan.cells, self.calibration, stamp, plan.coverage)
                      for answers in maps]  # fmt: skip
-        source: dict[str, Any] = {
-            "extractor": self.extractor if plan.view is None else each,
-            "per_view": each,
-            "pixels": list(images[0].shape[:2]),
-            **cost,
-            "milliseconds": round(1000 * (time.perf_counter() - began), 3),
-        }
+        how = {"extractor": self.extractor if plan.view is None else each, "per_view": each}
+        took = round(1000 * (time.perf_counter() - began), 3)
+        source: dict[str, Any] = {**how, "pixels": list(images[0].shape[:2]), **cost, "milliseconds": took}
         return [replace(evidence, source=source) for evidence in found]
 
     def _of_boxes(self, plan: InferencePlan, answers: Sequence[Sequence[Box]], stamp: float | None) -> Evidence:
