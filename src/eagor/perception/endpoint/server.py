@@ -36,6 +36,7 @@ from eagor.perception.vlm.answers import Token, means, without_thoughts
 DEFAULT_SERVER = "http://localhost:8000/v1"
 _TRIES = "x-stainless-retry-count"  # where the client says how often it asked before
 _SENT = re.compile("host|content-type|content-length|accept|connection|user-agent|x-stainless-.*")  # headers
+_MOST = 64 << 20  # bytes of an answer
 _LONGEST_PAUSE = 30.0  # seconds between two tries at most, unless the server asks for longer
 _FEATURES = {"response_format", "logprobs"}  # that are tried
 _RENAMED = {"max_tokens": "max_completion_tokens"}  # as OpenAI's reasoning models call it
@@ -191,11 +192,21 @@ class ChatClient:
                         del request.headers[name]
                 request.headers.update({"authorization": f"Bearer {key}", "accept-encoding": "identity"})
                 try:
-                    response = await asyncio.wait_for(super().send(request, **how), options.timeout)
-                    return _honest(response, options.backoff)
+                    return await asyncio.wait_for(self._whole(request, **how), options.timeout)
                 except asyncio.TimeoutError as error:
                     below = import_module(type(request).__module__.partition(".")[0])  # httpx, or its successor
                     raise below.ReadTimeout("too late", request=request) from error
+
+            async def _whole(self, request: Any, **how: Any) -> Any:
+                response, body = await super().send(request, **{**how, "stream": True}), b""
+                try:
+                    async for piece in response.aiter_raw():
+                        body += piece
+                        if len(body) > _MOST:
+                            return _honest(response, 413, '{"error": "it sent more than 64 MiB for one answer"}', 0.0)
+                finally:
+                    await response.aclose()
+                return _honest(response, response.status_code, body.decode("utf-8", "replace"), options.backoff)
 
         authorities = options.ca or os.environ.get("SSL_CERT_FILE")
         try:
@@ -343,13 +354,13 @@ def _pieces(entries: Any) -> list[tuple[str, float, Any]]:
 # --- failures ---------------------------------------------------------------------------------------------------------
 
 
-def _honest(response: Any, backoff: float) -> Any:
+def _honest(response: Any, status: int, body: str, backoff: float) -> Any:
     """The answer without secrets that the server echoes, and as an error where one hides in a success.
 
     An error in the body of HTTP 200 (OpenRouter, proxies) counts by its own code, if that is an HTTP status; else as
     429 or 500. The pause before the next try is told where the server tells none.
     """
-    body, status = redacted(response.content.decode("utf-8", "replace")), response.status_code
+    body = redacted(body)
     if status < 300 and (error := _error_within(body)):
         codes = [str(error.get(key)) for key in ("code", "status")] if isinstance(error, dict) else []
         guess = 429 if re.search(r"rate.?limit|too many requests", str(error).lower()) else 500
