@@ -47,7 +47,7 @@ class EndpointOptions(ServerOptions, kw_only=True, frozen=True, forbid_unknown_f
 
 
 class ServedModel:
-    """A model on a server as an `eagor.perception.vlm.perception.VisionModel`: asked for boxes, or for yes or no."""
+    """A model on a server for `eagor.perception.vlm.perception.ModelPerception`: asked for boxes, or for yes or no."""
 
     view_rows = 90
 

@@ -24,7 +24,7 @@ from eagor.sphere import unit
 
 @dataclass
 class LanguageModel:
-    """A loaded checkpoint of one of the vision-language families, as `eagor.perception.vlm.perception.VisionModel`.
+    """A loaded checkpoint of one of the vision-language families; `ModelPerception` says what its methods do.
 
     `name`: hub name or folder. `revision`: commit of the hub, or a digest of a folder. `heads`: None for relative
     attention, at the family's depth. `max_tokens`: per answer. `batch`: images at once. `presence`: whether maps are

@@ -126,8 +126,7 @@ def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
             f"no picture of {aspect:g}:1 with cells of {cell} pixels has at most {pixels} pixels; allow more pixels"
         )
     ratio = Fraction(aspect).limit_denominator(16) if aspect >= 1 else 1 / Fraction(1 / aspect).limit_denominator(16)
-    times = math.isqrt(cells // (ratio.numerator * ratio.denominator))
-    if times:
+    if times := math.isqrt(cells // (ratio.numerator * ratio.denominator)):
         return cell * times * ratio.denominator, cell * times * ratio.numerator
     shapes = [(row, max(1, min(round(row * aspect), cells // row))) for row in range(1, cells + 1)]
     row, column = min(shapes, key=lambda shape: (abs(math.log(shape[1] / shape[0] / aspect)), -shape[0] * shape[1]))

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -31,32 +31,6 @@ from eagor.perception.vlm.projection import (
 )
 
 Cost = Mapping[str, object]  # tokens, requests and the like, for the source of evidence
-Sizes = tuple[tuple[int, int], tuple[int, int]]
-
-
-class VisionModel(Protocol):
-    """A vision-language model that answers about pictures of its own size."""
-
-    @property
-    def view_rows(self) -> int:
-        """Rows of the panorama that responses to views are put together on."""
-        ...
-
-    def extractors(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """What it can be asked for in a panorama, and in each of several views; the usual first."""
-        ...
-
-    def sizes(self, aspect: float, view: bool = False) -> Sizes:
-        """(height, width) that pictures of this aspect ratio are resized to, and (rows, cols) of its cells."""
-        ...
-
-    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Cost]:
-        """The boxes that it writes per query and image; raises `AnswerError` if they cannot be read."""
-        ...
-
-    def maps(self, images: Sequence[np.ndarray], queries: Sequence[str], wrap: bool) -> tuple[np.ndarray, Cost]:
-        """Responses ``(Q, B, h, w)`` in [0, 1] per query and image; `wrap`: these are panoramas."""
-        ...
 
 
 def chosen(option: str, asked: str, known: Sequence[str]) -> str:
@@ -70,12 +44,20 @@ def chosen(option: str, asked: str, known: Sequence[str]) -> str:
 class ModelPerception:
     """Asks a `model` where things are; the rest as of `eagor.perception.transformers.TransformersPerception`.
 
+    The `model` answers about pictures of its own size; boxes and responses come with what they cost (`Cost`):
+
+    - ``extractors()``: what it can be asked for in a panorama, and in each of several views; the usual first.
+    - ``sizes(aspect, view=False)``: (height, width) that pictures are resized to, and (rows, cols) of its cells.
+    - ``view_rows``: rows of the panorama that responses to views are put together on.
+    - ``boxes(images, queries)``: per query and image what it writes; ``AnswerError`` if that cannot be read.
+    - ``maps(images, queries, wrap)``: responses ``(Q, B, h, w)`` in [0, 1]; `wrap`: the images are panoramas.
+
     Raises `EagorError` for an extractor that the model does not have.
     """
 
     def __init__(
         self,
-        model: VisionModel,
+        model: Any,
         extractor: str = "",
         per_view: str = "",
         seam: bool = True,
@@ -118,7 +100,8 @@ class ModelPerception:
         if self.extractor == "views":
             plan = plan_views(image, self.model.sizes(1.0, True)[0][0], self.model.view_rows)
         else:
-            plan = plan_panorama(image, *self.model.sizes(2.0), self.seam)
+            size, cells = self.model.sizes(2.0)
+            plan = plan_panorama(image, size, cells, self.seam)
         return self._infer(plan, asked, stamp, began)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
