@@ -36,7 +36,7 @@ from eagor.perception.vlm.answers import Token, means, without_thoughts
 DEFAULT_SERVER = "http://localhost:8000/v1"
 _TRIES = "x-stainless-retry-count"  # where the client says how often it asked before
 _SENT = re.compile("host|content-type|content-length|accept|connection|user-agent|x-stainless-.*")  # headers
-_MOST = 64 << 20  # bytes of an answer
+_MOST = 32 << 20  # bytes of an answer
 _LONGEST_PAUSE = 30.0  # seconds between two tries at most, unless the server asks for longer
 _FEATURES = {"response_format", "logprobs"}  # that are tried
 _RENAMED = {"max_tokens": "max_completion_tokens"}  # as OpenAI's reasoning models call it
@@ -198,12 +198,12 @@ class ChatClient:
                     raise below.ReadTimeout("too late", request=request) from error
 
             async def _whole(self, request: Any, **how: Any) -> Any:
-                response, body = await super().send(request, **{**how, "stream": True}), b""
+                response, body = await super().send(request, **{**how, "stream": True}), bytearray()
                 try:
                     async for piece in response.aiter_raw():
                         body += piece
                         if len(body) > _MOST:
-                            return _honest(response, 413, '{"error": "it sent more than 64 MiB for one answer"}', 0.0)
+                            return _honest(response, 413, '{"error": "it sent more than 32 MiB for one answer"}', 0.0)
                 finally:
                     await response.aclose()
                 return _honest(response, response.status_code, body.decode("utf-8", "replace"), options.backoff)

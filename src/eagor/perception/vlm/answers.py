@@ -56,7 +56,7 @@ _KEY = re.compile(r"[\"']?([A-Za-z_][\w -]*?)[\"']?\s*[:=]\s*[\"']?[\s\[({]*\Z")
 _POINTS = {"point_2d", "point", "points", "point2d", "xy", "center", "centre"}
 _Y_FIRST = "box_2d"  # Gemini's key, whose boxes are y0 x0 y1 x1 whatever is asked for
 _BRACKET = re.compile(r"[\[\](){}]")
-_CUT = re.compile(r"[\[({][^\])}]*\d[^\])}]*\Z")
+_CUT = re.compile(r"[^\[({]*[\[({]\D*\d")  # after the last bracket that closes
 _SCORE = re.compile(rf"[\"']?\b(?:score|confidence|probability|prob|conf)[\"']?\s*[:=]\s*[\"']?({_N})", re.IGNORECASE)
 _CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1 y1 x2 y2", "left top right bottom")
 _SIDES = ("x y width height", "x y w h", "left top width height")
@@ -109,7 +109,7 @@ def parse_boxes(
     """
     answer = _spoken(text)
     found = _listed(answer, order) or [*_tagged(answer, order)] or [*_named(answer)]
-    if not found and not _CUT.search(answer):
+    if not found and not _CUT.match(answer, max(map(answer.rfind, "])}")) + 1):
         found = [*_bare(answer, order)]
     if not found:
         said = answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
