@@ -21,8 +21,9 @@ import torch
 import transformers
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, trainers
 
+from eagor.perception.transformers.heads import Heads
 from eagor.perception.transformers.inputs import pictures, typed
-from eagor.perception.transformers.language import Heads, LanguageModel
+from eagor.perception.transformers.language import LanguageModel
 from eagor.perception.vlm import FAMILIES, GENERAL, ask_boxes, ask_presence
 
 # Hidden size, layers, heads, key-value heads, intermediate size; and of the vision tower hidden size, layers, heads,

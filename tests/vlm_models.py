@@ -19,7 +19,7 @@ from eagor.perception.transformers.language import LanguageModel
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE = ("qwen2_5_vl", "qwen3_vl", "gemma3", "llava", "janus", "internvl")
-LOCALISERS = ("owlv2", "grounding_dino", "clipseg")
+LOCALISERS = ("owlv2", "grounding_dino")
 LAYERS = 3
 PIXELS = {"qwen2_5_vl": 168 * 336, "qwen3_vl": 192 * 384, "internvl": 112 * 224}  # of small pictures
 LOCAL = 0.06  # deviation of the vision towers' weights: small, so that a token is about its own place most of all
@@ -200,16 +200,6 @@ def _owlv2() -> tuple[Any, Any, Any]:
     return transformers.Owlv2ForObjectDetection(config), tokenizer, processor
 
 
-def _clipseg() -> tuple[Any, Any, Any]:
-    tokenizer, text = _clip_tokenizer(48)
-    config = transformers.CLIPSegConfig(
-        text_config=text, vision_config={**_SIGLIP, "image_size": 96, "patch_size": 16}, projection_dim=32,
-        reduce_dim=16, decoder_num_attention_heads=2, decoder_intermediate_size=32, extract_layers=[0, 1],
-    )  # fmt: skip
-    processor = transformers.ViTImageProcessorPil(size={"height": 96, "width": 96})
-    return transformers.CLIPSegForImageSegmentation(config), tokenizer, processor
-
-
 def _grounding_dino() -> tuple[Any, Any, Any]:
     tokenizer = tokenizer_with(["[PAD]", "[CLS]", "[SEP]"])
     text = transformers.BertConfig(
@@ -249,7 +239,6 @@ MAKERS: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
     "internvl": _internvl,
     "owlv2": _owlv2,
     "grounding_dino": _grounding_dino,
-    "clipseg": _clipseg,
     "yolos": _yolos,
 }
 

@@ -22,10 +22,10 @@ from eagor.grids import PatchGrid
 from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
 from eagor.perception.calibrated import Labelled
-from eagor.perception.transformers import TransformersPerception, inputs
-from eagor.perception.transformers.inference import Capture, Decoded, Run, capturing, full_layers
+from eagor.perception.transformers import TransformersPerception, inference, inputs
+from eagor.perception.transformers.heads import Heads, densities, fit_heads, read_heads, relative, saturated
+from eagor.perception.transformers.inference import Run, capturing, full_layers
 from eagor.perception.transformers.inputs import Block, InputPlan
-from eagor.perception.transformers.language import Heads, densities, fit_heads, read_heads, relative, saturated
 from eagor.perception.vlm import FAMILIES
 from eagor.sphere import angular_distance, direction
 
@@ -136,10 +136,10 @@ def test_captured_attention_is_that_of_eager(random_models, family):
     with torch.inference_mode(), capturing(language.model, layers, columns) as capture:
         language.model(**feed)
     wanted = eager_rows(language, feed, columns)
-    assert set(capture.rows) == set(layers)
+    assert set(capture) == set(layers)
     for layer in layers:
-        assert capture.rows[layer].shape == wanted[layer].shape
-        assert float((capture.rows[layer] - wanted[layer]).abs().max()) < 1e-6
+        assert capture[layer].shape == wanted[layer].shape
+        assert float((capture[layer] - wanted[layer]).abs().max()) < 1e-6
         assert float(wanted[layer].sum(dim=-1).min()) > 1e-3  # the image is looked at, so that this says something
 
 
@@ -160,7 +160,7 @@ def test_the_shared_prefix_answers_like_a_full_pass(random_models, family):
                 full = language.model(**feed).logits[:, -1]
             torch.testing.assert_close(logits, full, atol=1e-5, rtol=1e-5)
             for layer in layers:
-                torch.testing.assert_close(rows[layer], capture.rows[layer], atol=1e-6, rtol=1e-5)
+                torch.testing.assert_close(rows[layer], capture[layer], atol=1e-6, rtol=1e-5)
 
 
 @some
@@ -176,11 +176,11 @@ def test_it_works_inside_generate_and_decodes_like_it(random_models, family):
         running = language.share([resized(noise(), planned.size, wrap=True)], planned, language._cost())
         logits, rows = running.ask(language.prompt("Where is the red chair?", planned).suffix, layers)
         decoded = running.decode(logits, 6, stops=())
-    assert decoded.ids[0] == written[0, -6:].tolist()
-    assert all(log < 0 for log in decoded.log_probabilities[0])
+    assert [token for token, _ in decoded[0]] == written[0, -6:].tolist()
+    assert all(log < 0 for _, log in decoded[0])
     for layer in layers:
-        torch.testing.assert_close(during.rows[layer], alone.rows[layer], atol=1e-6, rtol=1e-5)
-        torch.testing.assert_close(during.rows[layer], rows[layer], atol=1e-6, rtol=1e-5)
+        torch.testing.assert_close(during[layer], alone[layer], atol=1e-6, rtol=1e-5)
+        torch.testing.assert_close(during[layer], rows[layer], atol=1e-6, rtol=1e-5)
 
 
 class Largest(TorchDispatchMode):
@@ -213,7 +213,7 @@ def test_no_attention_matrix_is_ever_made(random_models, family):
         with capturing(language.model, full_layers(language.model), columns) as capture, Largest(tokens) as watch:
             text(**embedded[0])
         assert watch.found == 0
-        assert all(rows.shape == (1, 4, len(columns)) for rows in capture.rows.values())
+        assert all(rows.shape == (1, 4, len(columns)) for rows in capture.values())
         language.model.set_attn_implementation("eager")
         try:
             with Largest(tokens) as watch:
@@ -224,11 +224,8 @@ def test_no_attention_matrix_is_ever_made(random_models, family):
     assert watch.found > 0  # it would have been seen
 
 
-def test_layers_that_cannot_be_read_are_refused(random_models):
-    language = random_models("gemma3")
-    assert full_layers(language.model) == [vlm_models.LAYERS - 1]
-    with pytest.raises(EagorError, match="sliding window"):
-        Capture(torch.arange(9)).record(0, torch.zeros(1, 2, 1, 4), torch.zeros(1, 2, 5, 4), None, None)
+def test_layers_with_a_window_are_not_read(random_models):
+    assert full_layers(random_models("gemma3").model) == [vlm_models.LAYERS - 1]
 
 
 # --- inputs that must not be forgotten -------------------------------------------------------------------------------
@@ -300,7 +297,7 @@ def test_templates_of_checkpoints_count_where_they_know_images(random_models, mo
     ids = language.prompt("Is it red?", language.plan(2.0)).prefix[0].tolist()
     assert language.tokenizer.decode(ids).startswith(helper) is not counts
     spelled = language.prompt("What is <|image_pad|>?", language.plan(2.0))  # which stands for no picture
-    assert len(spelled.columns) == language.plan(2.0).count
+    assert len(spelled.columns) == language.plan(2.0).tokens
 
 
 # --- where tokens look -----------------------------------------------------------------------------------------------
@@ -313,9 +310,9 @@ def test_templates_of_checkpoints_count_where_they_know_images(random_models, mo
 def test_sums_are_kept_and_constants_stay_constant(rows, cols, height, width, seed):
     block = Block(rows, cols, (0.0, 0.0, 1.0, 1.0))
     planned = InputPlan((1, 1), (height, width), (block, block))
-    tokens = np.random.default_rng(seed).random((2, planned.count))
+    tokens = np.random.default_rng(seed).random((2, planned.tokens))
     np.testing.assert_allclose(planned.cells(tokens).sum(axis=(-2, -1)), tokens.sum(axis=-1))
-    flat = planned.cells(np.ones(planned.count))
+    flat = planned.cells(np.ones(planned.tokens))
     np.testing.assert_allclose(flat, 2 * rows * cols / (height * width))
 
 
@@ -325,8 +322,6 @@ def test_padding_is_left_out_and_thumbnails_are_shared_out():
     blocks = (Block(1, 1, (0, 0, 0.5, 1)), Block(1, 1, (0.5, 0, 1, 1)), Block(1, 1))
     tiles = InputPlan((1, 1), (1, 2), blocks)
     np.testing.assert_allclose(tiles.cells(np.array([1.0, 2.0, 4.0])), [[3.0, 4.0]])
-    with pytest.raises(ValueError, match="4 values came for 3 image tokens"):
-        tiles.cells(np.ones(4))
 
 
 @languages
@@ -338,8 +333,8 @@ def test_plans_fit_their_models(random_models, family, aspect):
     with torch.inference_mode():
         features = language.model.model.get_image_features(**tensors, return_dict=True).pooler_output
     features = torch.cat(list(features)) if isinstance(features, tuple | list) else features
-    assert features.reshape(-1, features.shape[-1]).shape[0] == planned.count
-    assert planned.cells(np.ones(planned.count)).min() > 0
+    assert features.reshape(-1, features.shape[-1]).shape[0] == planned.tokens
+    assert planned.cells(np.ones(planned.tokens)).min() > 0
 
 
 @some
@@ -355,7 +350,7 @@ def test_a_change_in_a_cell_changes_its_token_most(random_models, family):
         with torch.inference_mode():
             out = language.model.model.get_image_features(**tensors, return_dict=True).pooler_output
         out = torch.cat(list(out)) if isinstance(out, tuple | list) else out
-        return out.reshape(len(images), planned.count, -1)
+        return out.reshape(len(images), planned.tokens, -1)
 
     for row, col in [(0, 0), (rows // 2, 1), (rows - 1, cols - 1), (1, cols // 2)]:
         image = plain.copy()
@@ -373,16 +368,16 @@ def test_planted_cells_come_back_at_their_directions(random_models, monkeypatch,
     rows, cols = planned.shape
     where = {}
 
-    def record(capture, layer, query, *_):
-        tokens = np.zeros(planned.count)
-        for index in range(planned.count):
-            only = np.eye(1, planned.count, index)[0]
+    def last_row(query, *_):
+        tokens = np.zeros(planned.tokens)
+        for index in range(planned.tokens):
+            only = np.eye(1, planned.tokens, index)[0]
             cell = np.unravel_index(planned.cells(only).argmax(), planned.shape)
             tokens[index] = cell == where["cell"] and planned.cells(only).max() > 0.99
         row = torch.tensor(tokens / tokens.sum(), dtype=torch.float32)
-        capture.rows[layer] = row.expand(query.shape[0], query.shape[1], -1)
+        return row.expand(query.shape[0], query.shape[1], -1)
 
-    monkeypatch.setattr(Capture, "record", record)
+    monkeypatch.setattr(inference, "last_row", last_row)
     monkeypatch.setattr(language, "heads", Heads("x", family, ((vlm_models.LAYERS - 1, 0),), 3.0))
     for row, col in [(rows // 2, 1), (rows // 2 - 1, cols // 2), (rows // 2, cols - 1), (rows // 2, 0)]:
         where["cell"] = (row, col)
@@ -408,16 +403,16 @@ def test_relative_attention_leaves_out_what_is_looked_at_anyway(random_models, m
     sink, target = (0, 0), (planned.shape[0] - 1, planned.shape[1] // 2)
     asked = []  # the question of no content comes first
 
-    def record(capture, layer, query, *_):
-        rows = np.ones(planned.count)
-        for index in range(planned.count):
-            cells = planned.cells(np.eye(1, planned.count, index)[0])
+    def last_row(query, *_):
+        rows = np.ones(planned.tokens)
+        for index in range(planned.tokens):
+            cells = planned.cells(np.eye(1, planned.tokens, index)[0])
             rows[index] += 200 * cells[sink] + (20 * cells[target] if asked else 0)
-        asked.append(layer)
+        asked.append(len(rows))
         row = torch.tensor(rows / rows.sum() / 2, dtype=torch.float32)
-        capture.rows[layer] = row.expand(query.shape[0], query.shape[1], -1)
+        return row.expand(query.shape[0], query.shape[1], -1)
 
-    monkeypatch.setattr(Capture, "record", record)
+    monkeypatch.setattr(inference, "last_row", last_row)
     response = response_of(perception_of(language, seam=False), noise(), "red chair")
     assert np.unravel_index(response.argmax(), response.shape) == target
     assert len(asked) == 2
@@ -510,7 +505,7 @@ def test_evidence_tells_what_produced_it(folders, family):
     assert source["revision"].startswith("folder:")
     assert (source["family"], source["extractor"], source["images"]) == (family, "attention", 2)
     assert source["pixels"] == list(perception.loaded.plan(2.0).size)
-    assert source["image_tokens"] == 2 * perception.loaded.plan(2.0).count
+    assert source["image_tokens"] == 2 * perception.loaded.plan(2.0).tokens
     assert source["prompt_tokens"] > 20
     assert source["answer_tokens"] == 0
     assert source["milliseconds"] > 0
@@ -543,7 +538,7 @@ def writing(monkeypatch, language, answer, log=-0.1):
 
     def decode(self, logits, most, stops):
         ids = [language.tokenizer.encode(answer(image), add_special_tokens=False) for image in shown[-1]]
-        return Decoded(ids, [[log] * len(one) for one in ids])
+        return [[(token, log) for token in one] for one in ids]
 
     monkeypatch.setattr(Run, "decode", decode)
 
@@ -705,18 +700,13 @@ def test_detectors_of_the_hub_keep_the_contract(folders, family):
 
 
 def planted_outputs(monkeypatch, model, place, score=3.0):
-    """Make a detector's network answer with a box (or a mask) around `place` in its picture, fractions (x, y)."""
+    """Make a detector's network answer with a box around `place` in its picture, fractions (x, y)."""
     forward = model.forward
 
     def planted(*args, **kwargs):
         out = forward(*args, **kwargs)
         x, y = place
         out.logits[:] = -9.0
-        if model.config.model_type == "clipseg":
-            height, width = out.logits.shape[-2:]
-            rows, cols = int(y * height), int(x * width)
-            out.logits[..., rows - 4 : rows + 4, cols - 4 : cols + 4] = score
-            return out
         out.pred_boxes[:, 3] = torch.tensor([x, y, 0.08, 0.16])
         out.logits[:, 3, 0] = score
         if model.config.model_type == "yolos":
@@ -757,7 +747,7 @@ def test_scores_below_the_threshold_are_dropped(folders, monkeypatch):
 def test_every_family_is_tested_and_described():
     assert {family.name for family in FAMILIES} == {*LANGUAGE}
     for family in FAMILIES:
-        assert family.extractor in family.extractors
+        assert family.extractor in family.choices(False)[0][1:]
         assert family.checkpoints
         assert family.prompt.count("{text}") == family.prompt.count(family.placeholder) == 1
         assert family.expansion.count(family.image_token) == 1
@@ -795,7 +785,7 @@ def test_what_cannot_be_loaded_says_why(folders, tmp_path, monkeypatch):
         with pytest.raises(EagorError, match=says):
             load(f"{folder}?{written}")
     with pytest.raises(EagorError, match="'heads' is no key of a detector"):
-        load(f"{folders('clipseg')}?heads=x.json")
+        load(f"{folders('owlv2')}?heads=x.json")
     with pytest.raises(EagorError, match=r"no config\.json"):
         load(str(tmp_path) + "/")
     with pytest.raises(EagorError, match="there is no folder"):
@@ -850,18 +840,6 @@ def test_a_damaged_checkpoint_is_named(folders, tmp_path, file, damage):
     else:
         (folder / file).write_bytes({"cut": whole[: len(whole) // 2]}[damage])
     with pytest.raises(EagorError, match=r"damaged' (has no config\.json|cannot be loaded)"):
-        load(str(folder))
-
-
-def test_weights_that_are_not_there_are_missed(folders, tmp_path):
-    from safetensors.torch import load_file, save_file
-
-    folder = shutil.copytree(folders("llava"), tmp_path / "partial")
-    weights = load_file(folder / "model.safetensors")
-    lost = next(name for name in sorted(weights) if name.endswith("q_proj.weight"))
-    del weights[lost]
-    save_file(weights, folder / "model.safetensors", metadata={"format": "pt"})
-    with pytest.warns(UserWarning, match=r"lack 1 weights of the model, such as .*q_proj\.weight; they are random now"):
         load(str(folder))
 
 

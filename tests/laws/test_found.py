@@ -13,6 +13,7 @@ from eagor.evidence.shapes import moments_of
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.things import blobs
 from eagor.perception.vlm.answers import Box
+from eagor.perception.vlm.perception import ModelPerception
 from eagor.perception.vlm.projection import Crop, InferencePlan, box_detections, fuse_detections
 from eagor.sphere import angular_distance, direction, world_R_body
 
@@ -31,7 +32,7 @@ def test_a_box_means_its_middle_whatever_the_roll(roll):
     rolled = Box((seen.x0 + roll) % 1, seen.y0, (seen.x0 + roll) % 1 + seen.x1 - seen.x0, seen.y1)
     (thing,) = box_detections([rolled], WHOLE, roll)
     assert math.degrees(float(angular_distance(thing.direction, direction(*np.radians((30, -10)))))) < 0.2
-    assert thing.size == pytest.approx(math.radians(8 / math.sqrt(12)), rel=0.02)
+    assert math.sqrt(np.trace(thing.covariance) / 2) == pytest.approx(math.radians(8 / math.sqrt(12)), rel=0.02)
 
 
 def test_a_thing_in_two_looks_counts_once_as_the_deeper_one_has_it():
@@ -62,7 +63,7 @@ def test_a_thing_that_the_seam_cuts_is_one():
 def test_a_box_all_around_names_no_direction_and_hides_no_thing():
     whole = Box(0.0, 0.0, 1.0, 1.0, 0.7)
     plan = InferencePlan((Crop(np.zeros((18, 36, 3), np.uint8), WHOLE),), WHOLE, lambda maps: maps[0])
-    evidence = plan.evidence([[whole]], None, None, 1.0, {})
+    evidence = ModelPerception(None)._of_boxes(plan, [[whole]], 1.0)
     assert np.ptp(evidence.log_ratio) < 1e-6
     around = box_detections([whole], WHOLE)
     assert len(fuse_detections([around, box_detections([box(3, 0)], WHOLE)])) == 2
@@ -73,14 +74,13 @@ def test_evidence_of_boxes_tells_what_it_is_of():
     view = PerspectiveGrid(60, 80, 1.2, world_R_body(0.4))
     plan = InferencePlan((Crop(np.zeros((60, 80, 3), np.uint8), view),), view, lambda maps: maps[0], view=view)
     boxes = [[Box(0.4, 0.4, 0.6, 0.6)]]
-    evidence = plan.evidence(boxes, DetectorModel(0.9), None, 3.0, {"model": "m"})
-    assert evidence.source == {"model": "m"}
+    evidence = ModelPerception(None, detector=DetectorModel(0.9))._of_boxes(plan, boxes, 3.0)
     assert evidence.stamp == 3.0
     assert evidence.detections.model.detection_probability == 0.9
     assert evidence.detections.directions[0] @ direction(0.4, 0.0) > math.cos(1e-3)
     assert not evidence.detections.share(np.array([[-1.0, 0.0, 0.0]]))[0]
     with pytest.raises(EagorError, match=r"a calibration came for boxes.*wanted detector="):
-        plan.evidence(boxes, None, Calibration(), None, {})
+        ModelPerception(None, calibration=Calibration())._of_boxes(plan, boxes, None)
 
 
 # --- blobs -----------------------------------------------------------------------------------------------------------

@@ -90,7 +90,7 @@ def flooding(head):
 @pytest.mark.parametrize("status", [b"200 OK", b"500 No", b"401 No"])
 def test_an_answer_beyond_all_measure_is_given_up(status):
     with HostileServer(flooding(b"HTTP/1.1 " + status + b"\r\ncontent-length: 10000000000\r\n\r\n")) as server:
-        with pytest.raises(ServerError, match=r"sent more than 6291456 bytes for one answer"):
+        with pytest.raises(ServerError, match="sent more than 32 MiB for one answer"):
             look(server.url, retries=3)
         assert len(server.requests) == 1
 

@@ -21,7 +21,7 @@ from eagor.odometry.files import read_poses
 from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibrated, read_labelled
 from eagor.perception.onnx.labels import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
-from eagor.perception.transformers.language import read_heads
+from eagor.perception.transformers.heads import read_heads
 from eagor.sphere import world_R_body
 
 POSES = [

@@ -7,7 +7,6 @@ cover the sphere (docs/models.md). Attention needs a local model: `eagor.percept
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -19,21 +18,10 @@ import numpy as np
 from eagor.errors import AnswerError
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
-from eagor.perception import parse_options, place_of
-from eagor.perception.endpoint.server import DEFAULT_SERVER, Amount, Answer, ChatClient, Count, ServerOptions, part
+from eagor.perception import parse_options, place_of, vlm
+from eagor.perception.endpoint.server import DEFAULT_SERVER, Amount, ChatClient, Count, ServerOptions, part
 from eagor.perception.json_files import checked
-from eagor.perception.vlm import (
-    IMAGE,
-    MAX_TOKENS,
-    ChatReply,
-    Message,
-    Served,
-    ask_boxes,
-    ask_presence,
-    boxes_schema,
-    exact_size,
-    style_of,
-)  # fmt: skip
+from eagor.perception.vlm import IMAGE, MAX_TOKENS, ChatReply, Message
 from eagor.perception.vlm.answers import Box, parse_boxes, parse_presence
 from eagor.perception.vlm.perception import Cost, ModelPerception
 
@@ -59,7 +47,7 @@ class EndpointOptions(ServerOptions, kw_only=True, frozen=True, forbid_unknown_f
 
 
 class ServedModel:
-    """A model on a server as an `eagor.perception.vlm.perception.VisionModel`: asked for boxes, or for yes or no."""
+    """A model on a server for `eagor.perception.vlm.perception.ModelPerception`: asked for boxes, or for yes or no."""
 
     view_rows = 90
 
@@ -67,10 +55,10 @@ class ServedModel:
         self.client, self.options = client, options
 
     @property
-    def style(self) -> Served:
+    def style(self) -> vlm.Served:
         """How the model is asked, by its name and the options."""
         told = {name: given for name in ("cell", "frame", "order") if (given := getattr(self.options, name))}
-        return replace(style_of(self.client.model()), **told)
+        return replace(vlm.style_of(self.client.model()), **told)
 
     def extractors(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Boxes first for a model that was trained to write them."""
@@ -80,14 +68,14 @@ class ServedModel:
         """Of models that take panoramas in their own shape, whole cells of this shape; others get one square."""
         style = self.style
         pixels = self.options.pixels or (style.view**2 if view else style.pixels)
-        height, width = exact_size(style.cell, pixels, aspect if style.aspect == 2.0 else style.aspect)
+        height, width = vlm.exact_size(style.cell, pixels, aspect if style.aspect == 2.0 else style.aspect)
         return (height, width), (height // style.cell, width // style.cell)
 
     def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Cost]:
         """The boxes that it writes per query and image; raises `AnswerError` if they cannot be read."""
         style, size = self.style, images[0].shape[:2]
-        schema = {"name": "answer", "schema": boxes_schema(style.frame, style.order), "strict": True}
-        texts = [ask_boxes(query, style.frame, style.order) for query in queries]
+        schema = {"name": "answer", "schema": vlm.boxes_schema(style.frame, style.order), "strict": True}
+        texts = [vlm.ask_boxes(query, style.frame, style.order) for query in queries]
         return self._asked(
             images, texts, {"response_format": {"type": "json_schema", "json_schema": schema}},
             lambda answer: parse_boxes(answer.text, style.frame, size, style.order, answer.tokens),
@@ -96,7 +84,7 @@ class ServedModel:
     def maps(self, images: Sequence[np.ndarray], queries: Sequence[str], wrap: bool) -> tuple[np.ndarray, Cost]:
         """The probability that the thing is there, as a single cell per query and image."""
         found, cost = self._asked(
-            images, list(map(ask_presence, queries)), {"top_logprobs": _LIKELIEST},
+            images, list(map(vlm.ask_presence, queries)), {"top_logprobs": _LIKELIEST},
             lambda answer: parse_presence(answer.text, answer.verdict),
         )  # fmt: skip
         return np.array(found)[..., None, None], cost
@@ -108,16 +96,17 @@ class ServedModel:
         # The picture comes first: servers that cache common prefixes then process it once for all questions.
         pictures = [part(image, self.options.image_format) for image in images]
         contents = [[picture, part(text)] for text in texts for picture in pictures]
-        always = {"max_tokens": self.options.max_tokens, "logprobs": True, **more}
-        bodies = [{"messages": [{"role": "user", "content": each}], "temperature": 0.0, **always} for each in contents]
+        always = {"temperature": 0.0, "max_tokens": self.options.max_tokens, "logprobs": True, **more}
+        bodies = [{"messages": [{"role": "user", "content": each}], **always} for each in contents]
         answers, readings = self.client.ask(bodies), []
-        self._warn_if_shrunk(images[0].shape, answers)
         for body, answer in zip(bodies, [*answers], strict=True):
             try:
                 readings.append(read(answer))
             except AnswerError:
                 answers += self.client.ask([{**body, "temperature": _SECOND_TRY}])
                 readings.append(read(answers[-1]))
+        counts = ([getattr(answer, f"{kind}_tokens") for answer in answers] for kind in ("prompt", "completion"))
+        prompt, written = (None if None in each else sum(each) for each in counts)
         cost = {
             "model": self.client.model(),
             "served_as": ", ".join(sorted({answer.model for answer in answers if answer.model})),
@@ -126,29 +115,11 @@ class ServedModel:
             "family": self.style.family,
             "images": len(images),
             "requests": sum(answer.requests for answer in answers),
-            "prompt_tokens": _sum([answer.prompt_tokens for answer in answers]),
-            "answer_tokens": _sum([answer.completion_tokens for answer in answers]),
+            "prompt_tokens": prompt,
+            "answer_tokens": written,
             "probabilities": any(answer.tokens for answer in answers),
         }
         return [readings[start : start + len(images)] for start in range(0, len(readings), len(images))], cost
-
-    def _warn_if_shrunk(self, shape: Sequence[int], answers: Sequence[Answer]) -> None:
-        """Warn if the server's token count shows that it shrinks the picture: boxes in pixels are then wrong."""
-        cells = shape[0] * shape[1] // self.style.cell**2
-        counted = [answer.prompt_tokens for answer in answers if answer.prompt_tokens]
-        if self.style.frame == "pixels" and counted and min(counted) < cells:
-            warnings.warn(
-                f"{self.client.model()} read {min(counted)} tokens, but the picture of {shape[1]} x {shape[0]} alone "
-                f"has {cells}: the server seems to shrink it, and boxes in its pixels are then off. Send fewer pixels "
-                "(pixels=...) or raise the server's limit (vLLM --mm-processor-kwargs)",
-                UserWarning,
-                stacklevel=6,
-            )
-
-
-def _sum(counts: Sequence[int | None]) -> int | None:
-    """The sum; None if the server did not send all counts."""
-    return None if None in counts else sum(filter(None, counts))
 
 
 class EndpointPerception(ModelPerception):
@@ -168,7 +139,7 @@ class EndpointPerception(ModelPerception):
         **options: Any,
     ) -> None:
         given = checked(options, EndpointOptions, "a served model")
-        self.client = ChatClient(model, address, given, given.max_tokens, given.concurrency)
+        self.client = ChatClient(model, address, given, given.concurrency)
         served = ServedModel(self.client, given)
         super().__init__(served, given.extractor, given.per_view, given.seam, calibration, detector)
 
@@ -176,9 +147,6 @@ class EndpointPerception(ModelPerception):
         """Look at a grey picture, to test the setup before a long run; ignores an unreadable answer."""
         with suppress(AnswerError):
             self(np.full((self.rows, 2 * self.rows, 3), 128, dtype=np.uint8), "chair")
-
-    def __repr__(self) -> str:
-        return f"EndpointPerception({self.client.shown!r}, {self.client.options})"
 
 
 class ChatOptions(ServerOptions, kw_only=True, frozen=True, forbid_unknown_fields=True):
@@ -197,25 +165,22 @@ class ServedChat:
 
     def __init__(self, model: str = "", address: str = DEFAULT_SERVER, **options: Any) -> None:
         self.options = checked(options, ChatOptions, "a served model")
-        self.client = ChatClient(model, address, self.options, self.options.max_tokens)
+        self.client = ChatClient(model, address, self.options)
 
-    def __call__(self, messages: Sequence[Message]) -> ChatReply:
+    def __call__(self, messages: Sequence[Message], max_tokens: int = 0) -> ChatReply:
         """The reply. Raises `ServerError`, `QueryError` (no such model), or `AnswerError` for a reply without text."""
-        return self._reply(messages, self.options.max_tokens)
+        options, form = self.options, "jpeg" if self.options.quality else "png"
+        said = [{"role": each.role, "content": [part(one, form, options.quality) for one in each.parts()]
+                 if each.images else each.text} for each in messages]  # fmt: skip
+        body = {"messages": said, "max_tokens": max_tokens or options.max_tokens, "temperature": options.temperature}
+        (answer,) = self.client.ask([body], silence=True)
+        return ChatReply(answer.text, answer.prompt_tokens, answer.completion_tokens)
 
     def check(self) -> None:
         """Ask for one word about a grey picture, to test the setup before a long run; ignores an empty reply."""
         grey = np.full((112, 112, 3), 128, dtype=np.uint8)
         with suppress(AnswerError):
-            self._reply([Message("user", f"{IMAGE}\nWhat is this?", (grey,))], 1)
-
-    def _reply(self, messages: Sequence[Message], max_tokens: int) -> ChatReply:
-        form = ("jpeg", self.options.quality) if self.options.quality else ("png", None)
-        said = [{"role": each.role, "content": [part(each_part, *form) for each_part in each.parts()]
-                 if each.images else each.text} for each in messages]  # fmt: skip
-        body = {"messages": said, "max_tokens": max_tokens, "temperature": self.options.temperature}
-        (answer,) = self.client.ask([body], silence=True)
-        return ChatReply(answer.text, answer.prompt_tokens, answer.completion_tokens)
+            self([Message("user", f"{IMAGE}\nWhat is this?", (grey,))], 1)
 
 
 def from_text(text: str = "", /, **options: Any) -> EndpointPerception:

@@ -16,12 +16,11 @@ import os
 import re
 import ssl
 import threading
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 from urllib.parse import unquote, urlsplit, urlunsplit
 
 import msgspec
@@ -37,7 +36,7 @@ from eagor.perception.vlm.answers import Token, means, without_thoughts
 DEFAULT_SERVER = "http://localhost:8000/v1"
 _TRIES = "x-stainless-retry-count"  # where the client says how often it asked before
 _SENT = re.compile("host|content-type|content-length|accept|connection|user-agent|x-stainless-.*")  # headers
-_LEAST_BYTES, _PER_TOKEN = 4 << 20, 2 << 10  # of an answer at most: some, and for each token with ten alternatives
+_MOST = 32 << 20  # bytes of an answer
 _LONGEST_PAUSE = 30.0  # seconds between two tries at most, unless the server asks for longer
 _FEATURES = {"response_format", "logprobs"}  # that are tried
 _RENAMED = {"max_tokens": "max_completion_tokens"}  # as OpenAI's reasoning models call it
@@ -56,8 +55,7 @@ class ServerOptions(msgspec.Struct, kw_only=True, frozen=True, forbid_unknown_fi
     ca: str = ""
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """A server's answer.
 
     `tokens` are the pieces of the answer with log probabilities, `likeliest` the alternatives at each piece; both are
@@ -65,8 +63,8 @@ class Answer:
     """
 
     text: str
-    tokens: tuple[Token, ...]
-    likeliest: tuple[tuple[Token, ...], ...]
+    tokens: list[Token]
+    likeliest: list[list[Token]]
     model: str
     revision: str | None
     prompt_tokens: int | None
@@ -74,15 +72,15 @@ class Answer:
     requests: int
 
     @property
-    def verdict(self) -> tuple[Token, ...]:
-        """The alternatives at the first piece, after any thoughts, that means yes or no; () if there is none."""
+    def verdict(self) -> list[Token]:
+        """The alternatives at the first piece, after any thoughts, that means yes or no; [] if there is none."""
         bare, place = without_thoughts("".join(piece for piece, _ in self.tokens)), 0
         for token, others in zip(self.tokens, self.likeliest, strict=True):
             said = bare[place : place + len(token[0])]
             place += len(token[0])
             if said.strip() and means(said) is not None:
-                return others or (token,)
-        return ()
+                return others or [token]
+        return []
 
 
 class ChatClient:
@@ -92,11 +90,11 @@ class ChatClient:
     address that is none, and `MissingExtraError`.
     """
 
-    def __init__(self, model: str, address: str, options: ServerOptions, max_tokens: int, concurrency: int = 1) -> None:
+    def __init__(self, model: str, address: str, options: ServerOptions, concurrency: int = 1) -> None:
         need("a served model", "endpoint", "openai")
         self.address, self.options = checked_address(address), options
+        self._model, self._concurrency = model, concurrency
         self.shown = redacted(self.address)  # without a password
-        self._model, self._max_tokens, self._concurrency = model, max_tokens, concurrency
         self._left_out: set[str] = set()  # what the server refused
 
     def model(self) -> str:
@@ -105,7 +103,7 @@ class ChatClient:
         Raises `ServerError` if the server does not answer, `QueryError` if it has several models or none.
         """
         if not self._model:
-            names = _awaited(self._with_client(self._names))
+            names = self._awaited(self._names)
             if len(names) != 1:
                 has = f"{self.shown} has {len(names)} models"
                 raise QueryError(f"{has} ({', '.join(names)}); name one before the @")
@@ -121,15 +119,15 @@ class ChatClient:
 
         async def all_of_them(client: Any) -> list[Answer]:
             room = asyncio.Semaphore(self._concurrency)
-            tasks = [asyncio.ensure_future(self._one(client, room, {"model": model, **body}, silence))
-                     for body in bodies]  # fmt: skip
+            each = (self._one(client, room, {"model": model, **body}, silence) for body in bodies)
+            tasks = [*map(asyncio.ensure_future, each)]
             try:
                 return await asyncio.gather(*tasks)
             finally:  # all done, one failed, or the caller was interrupted
                 for task in tasks:
                     task.cancel()
 
-        return _awaited(self._with_client(all_of_them))
+        return self._awaited(all_of_them)
 
     async def _one(self, client: Any, room: asyncio.Semaphore, body: dict[str, Any], silence: bool) -> Answer:
         """One answer, without what the server refuses; the client tries again, and keeps its place meanwhile."""
@@ -162,8 +160,21 @@ class ChatClient:
         except Exception as error:
             raise await self._explained(client, error) from error
 
-    async def _with_client(self, work: Any) -> Any:
-        """The result of `work` with an `openai.AsyncOpenAI`. Raises `EagorError` without the key or certificates."""
+    def _awaited(self, work: Any) -> Any:
+        """The result of `work` with an `openai.AsyncOpenAI`; it is cancelled if the caller is interrupted."""
+
+        async def worked() -> Any:
+            async with self._client() as client:
+                return await work(client)
+
+        future = asyncio.run_coroutine_threadsafe(worked(), _loop(os.getpid()))
+        try:
+            return future.result()
+        finally:
+            future.cancel()
+
+    def _client(self) -> Any:
+        """An `openai.AsyncOpenAI` for this server. Raises `EagorError` without the key or certificates."""
         import openai
 
         options, host = self.options, urlsplit(self.address).hostname or ""
@@ -172,7 +183,7 @@ class ChatClient:
             variable = options.key if options.key.isupper() else "that key=... names"  # it may hold the key itself
             raise EagorError(f"the environment variable {variable}, which should hold the server's key, is not set")
         keep_out(key)
-        theirs, most = f".{host}".endswith(".openai.com"), _LEAST_BYTES + _PER_TOKEN * self._max_tokens
+        theirs = f".{host}".endswith(".openai.com")
 
         class Http(openai.DefaultAsyncHttpxClient):
             async def send(self, request: Any, **how: Any) -> Any:
@@ -187,13 +198,12 @@ class ChatClient:
                     raise below.ReadTimeout("too late", request=request) from error
 
             async def _whole(self, request: Any, **how: Any) -> Any:
-                response, body = await super().send(request, **{**how, "stream": True}), b""
+                response, body = await super().send(request, **{**how, "stream": True}), bytearray()
                 try:
                     async for piece in response.aiter_raw():
                         body += piece
-                        if len(body) > most:
-                            error = {"message": f"it sent more than {most} bytes for one answer"}
-                            return _honest(response, 413, json.dumps({"error": error}), options.backoff)
+                        if len(body) > _MOST:
+                            return _honest(response, 413, '{"error": "it sent more than 32 MiB for one answer"}', 0.0)
                 finally:
                     await response.aclose()
                 return _honest(response, response.status_code, body.decode("utf-8", "replace"), options.backoff)
@@ -204,14 +214,13 @@ class ChatClient:
         except OSError as error:  # includes ssl.SSLError
             raise EagorError(f"ca is {authorities}, where no certificates can be read ({error})") from error
         local = host in ("localhost", "127.0.0.1", "::1")  # which a proxy cannot reach
-        async with openai.AsyncOpenAI(
+        return openai.AsyncOpenAI(
             base_url=self.address,
             api_key=key,
             timeout=openai.Timeout(options.timeout, connect=min(10.0, options.timeout)),
             max_retries=options.retries,
             http_client=Http(trust_env=not local, verify=trusted, follow_redirects=False),
-        ) as client:
-            return await work(client)
+        )
 
     async def _explained(self, client: Any, error: Any) -> EagorError:
         """The error to raise for what the client raised after its tries."""
@@ -232,19 +241,12 @@ class ChatClient:
         advice += "is too large for it, send fewer pixels (pixels=...), or start it with a longer context"
         if isinstance(error, openai.APITimeoutError):
             what = f"{self.shown} gave no answer within {self.options.timeout:g} s ({tries})"
-            advice = (
-                "Allow more time (timeout=...), send fewer pixels, or fewer requests at once (concurrency=...), or "
-            )
-            advice += "check whether the server hangs"
+            advice = "Allow more time (timeout=...), send fewer pixels, or fewer requests at once (concurrency=...)"
         elif isinstance(error, openai.APIConnectionError):
             cause = error.__cause__ or error
-            what = (
-                f"no server answers at {self.shown} ({type(cause).__name__}: {' '.join(str(cause).split())}; {tries})"
-            )
-            advice = (
-                f"Start a server, for example `vllm serve {model or 'MODEL'}`, or check the host, the port and the "
-            )
-            advice += "path (most end in /v1)"
+            reason = f"{type(cause).__name__}: {' '.join(str(cause).split())}"
+            what = f"no server answers at {self.shown} ({reason}; {tries})"
+            advice = f"Start one (`vllm serve {model or 'MODEL'}`), or check host, port and path (most end in /v1)"
         elif status is None:
             what = f"{self.shown} answered with something other than a chat completion ({type(error).__name__}: {said})"
             advice = "Is it an OpenAI-compatible server, and does the address end in /v1?"
@@ -252,9 +254,7 @@ class ChatClient:
             advice = "It wants a key: put that in an environment variable, and name it with key=VARIABLE"
         elif status < 400:  # a redirect
             place = redacted(str(error.response.headers.get("location", "")).partition("?")[0])[:200]
-            advice = (
-                f"It redirects to {place}; neither key nor picture was sent there: if the model is there, name that"
-            )
+            advice = f"It redirects to {place}; neither key nor picture was sent there: if it moved, name that address"
         return ServerError(f"{what}. {advice}")
 
 
@@ -266,30 +266,24 @@ def _loop(_process: int) -> asyncio.AbstractEventLoop:
     return loop
 
 
-def _awaited(work: Coroutine[Any, Any, Any]) -> Any:
-    """The result of `work`, which is cancelled if the caller is interrupted."""
-    future = asyncio.run_coroutine_threadsafe(work, _loop(os.getpid()))
-    try:
-        return future.result()
-    finally:
-        future.cancel()
-
-
 def checked_address(url: str) -> str:
     """`url` with ``/v1`` added if it has no path; its password is kept out of output. Raises `EagorError`."""
     shown = re.sub(r"//[^/]*@", "//***@", str(url).partition("?")[0])
-    if "," in str(url):
-        raise EagorError(
-            f"several addresses of servers came ({shown}); wanted one. To share the work among several servers, put a "
-            "proxy before them and give its address: docs/how-to/server.md shows how"
-        )
     try:
         parts = urlsplit(str(url).strip())
-        valid = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0 and not parts.query
+        if (
+            parts.scheme not in ("http", "https")
+            or not parts.hostname
+            or parts.port == 0
+            or parts.query
+            or "," in str(url)
+        ):
+            raise ValueError
     except ValueError:
-        parts, valid = None, False
-    if not (parts and valid):
-        raise EagorError(f"{shown!r} is not the address of a server; wanted one such as {DEFAULT_SERVER}")
+        raise EagorError(
+            f"{shown!r} is not the address of a server; wanted one such as {DEFAULT_SERVER}. To share the work among "
+            "several servers, put a proxy before them and give its address: docs/how-to/server.md shows how"
+        ) from None
     login, at, _ = parts.netloc.rpartition("@")
     if at:  # also as it is sent
         keep_out(unquote(parts.password or ""), login, base64.b64encode(unquote(login).encode()).decode())
@@ -299,16 +293,14 @@ def checked_address(url: str) -> str:
 # --- requests and answers ---------------------------------------------------------------------------------------------
 
 
-def part(content: str | np.ndarray, form: str = "png", quality: int | None = None) -> dict[str, Any]:
+def part(content: str | np.ndarray, form: str = "png", quality: int = 0) -> dict[str, Any]:
     """Text, or a picture ``(H, W, 3)`` uint8, as a part of a message.
 
-    `quality`: of JPEG; None: 95 without chroma subsampling.
+    `quality`: of JPEG; 0: 95 without chroma subsampling.
     """
     if isinstance(content, str):
         return {"type": "text", "text": content}
-    how: dict[str, Any] = {"quality": quality}
-    if quality is None:
-        how = {"compress_level": 1} if form == "png" else {"quality": 95, "subsampling": 0}
+    how = {"compress_level": 1} if form == "png" else {"quality": quality or 95, "subsampling": 2 if quality else 0}
     file = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(content)).save(file, form, **how)
     uri = f"data:image/{form};base64,{base64.b64encode(file.getvalue()).decode('ascii')}"
@@ -318,9 +310,7 @@ def part(content: str | np.ndarray, form: str = "png", quality: int | None = Non
 def _read(found: Any, sent: Mapping[str, Any], silence: bool, tries: int) -> Answer:
     """The answer in a completion. Raises `AnswerError` if it is empty; other errors if it is no chat completion."""
     choices, who = found["choices"], str(found.get("model") or sent["model"])
-    if not isinstance(choices, list):
-        raise TypeError(f"no list of choices in {found!r}")
-    if not choices:
+    if choices == []:
         raise AnswerError(f"{who} returned no choices; look at the log of its server")
     choice, said = choices[0], choices[0]["message"]
     content, reason, probabilities = said.get("content"), choice.get("finish_reason"), choice.get("logprobs")
@@ -340,12 +330,9 @@ def _read(found: Any, sent: Mapping[str, Any], silence: bool, tries: int) -> Ans
             "or turn that off; else look at the server's chat template for this model"
         )
     pieces = _pieces(probabilities.get("content") if "logprobs" in sent and probabilities else None)
-    likeliest = (_pieces(each.get("top_logprobs")) for each in pieces)
-    revision = found.get("system_fingerprint")
-    return Answer(
-        text, tuple(map(_token, pieces)), tuple(tuple(map(_token, each)) for each in likeliest),
-        str(found.get("model") or ""), str(revision) if revision else None, prompt, answer, tries,
-    )  # fmt: skip
+    tokens, likeliest = [each[:2] for each in pieces], [[one[:2] for one in _pieces(each[2])] for each in pieces]
+    revision = str(found.get("system_fingerprint") or "") or None
+    return Answer(text, tokens, likeliest, str(found.get("model") or ""), revision, prompt, answer, tries)
 
 
 def _text(content: Any) -> str:
@@ -358,13 +345,10 @@ def _text(content: Any) -> str:
     return content or ""
 
 
-def _pieces(entries: Any) -> list[dict[str, Any]]:
-    """The entries with a text and a log probability; some servers write null, or NaN."""
-    return [each for each in entries or () if isinstance(each["token"], str) and within(each["logprob"], -math.inf)]
-
-
-def _token(piece: dict[str, Any]) -> Token:
-    return piece["token"], piece["logprob"]
+def _pieces(entries: Any) -> list[tuple[str, float, Any]]:
+    """The pieces with their log probability and their alternatives; some servers write null, or NaN."""
+    return [(each["token"], each["logprob"], each.get("top_logprobs")) for each in entries or ()
+            if isinstance(each["token"], str) and within(each["logprob"], -math.inf)]  # fmt: skip
 
 
 # --- failures ---------------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import sys
-import warnings
 from collections.abc import Iterable
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 
-from eagor._extras import EXTRAS, how_to_install, is_older, need
+from eagor._extras import need
 from eagor.errors import EagorError
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
@@ -27,7 +26,8 @@ from eagor.perception.vlm import FAMILIES, MAX_TOKENS, Family, Labelled
 from eagor.perception.vlm.perception import ModelPerception, chosen
 
 if TYPE_CHECKING:
-    from eagor.perception.transformers.language import Heads, LanguageModel
+    from eagor.perception.transformers.heads import Heads
+    from eagor.perception.transformers.language import LanguageModel
     from eagor.perception.views import Detector
 
 __all__ = ["TransformersPerception", "hub_detector", "load_model", "perception_here"]
@@ -68,19 +68,16 @@ class TransformersPerception(ModelPerception):
     def find_heads(self, examples: Iterable[Labelled], take: int = 3) -> Heads:
         """The localisation heads of this model, `take` at most, found on labelled panoramas viewed as in a call.
 
-        With nine panoramas or more, every third is held out to measure the error of the heads. Raises `EagorError`
-        if no head attends to the targets.
+        Raises `EagorError` if no head attends to the targets.
         """
-        from eagor.perception.transformers.language import fit_heads
+        from eagor.perception.transformers.heads import fit_heads
 
         model, looks = self.loaded, []
-        views = tangent_views(model.plan(1.0, True).size[0]) if self.extractor == "views" else ()
+        views = tangent_views(model.sizes(1.0, True)[0][0]) if self.extractor == "views" else ()
         for example in examples:
             best = max(views, key=lambda view: float(view.body_R_view[:, 0] @ example.direction), default=None)
             looks.append(model.observe(example, best))
-        held_out = looks[2::3] if len(looks) >= 9 else []
-        rest = [look for index, look in enumerate(looks) if not held_out or index % 3 != 2]
-        return fit_heads(rest, model.name, model.model.config.model_type, take, held_out)
+        return fit_heads(looks, model.name, model.model.config.model_type, take)
 
 
 # --- loading ----------------------------------------------------------------------------------------------------------
@@ -112,11 +109,10 @@ def load_model(name: str, extractor: str = "", per_view: str = "", **options: An
     """The vision-language model with this hub name or in this folder, in evaluation mode on its device.
 
     `options`: ``heads`` (a file), ``presence``, ``pixels``, ``max_tokens``, ``batch``, ``revision``,
-    ``device`` and ``dtype``, as in docs/models.md. All are checked before gigabytes are read. Warns of weights that
-    the checkpoint lacks. Raises `EagorError` if packages are missing, nothing can be loaded there, or its family is
-    unknown.
+    ``device`` and ``dtype``, as in docs/models.md. All are checked before gigabytes are read. Raises `EagorError` if
+    packages are missing, nothing can be loaded there, or its family is unknown.
     """
-    given = checked({key: each for key, each in options.items() if each is not None}, _Options, "a model here")
+    given = checked(options, _Options, "a model here")
     config = read_config(name, given.revision)
     family = next((each for each in FAMILIES if config.model_type in each.model_types), None)
     if family is None:
@@ -125,7 +121,8 @@ def load_model(name: str, extractor: str = "", per_view: str = "", **options: An
     how, each = chosen("extractor", extractor, known[0]), chosen("per_view", per_view, known[1])
     if given.heads and (each if how == "views" else how) == "boxes":
         raise EagorError(f"heads = {given.heads!r} with the extractor {how!r}, which reads boxes; use attention")
-    from eagor.perception.transformers.language import LanguageModel, read_heads
+    from eagor.perception.transformers.heads import read_heads
+    from eagor.perception.transformers.language import LanguageModel
 
     heads = read_heads(given.heads) if given.heads else None
     model, processor, revision = _weights(name, config, given, "AutoModelForImageTextToText", "AutoImageProcessor")
@@ -144,7 +141,7 @@ def hub_detector(
     `detector`: as of `eagor.Detector`. `options`: ``threshold`` (the least score), ``revision``, ``device``, ``dtype``.
     Errors as of `load_model`.
     """
-    given = checked({key: each for key, each in options.items() if each is not None}, _DetectorOptions, "a detector")
+    given = checked(options, _DetectorOptions, "a detector")
     config = read_config(name, given.revision)
     import transformers
 
@@ -183,13 +180,6 @@ def read_config(name: str, revision: str | None = None) -> Any:
     Raises `EagorError` if packages are missing, or nothing can be loaded there.
     """
     need(name, "vlm", "torch", "transformers")
-    import transformers
-
-    least = EXTRAS["vlm"]["transformers"]
-    if is_older(transformers.__version__, least):
-        raise EagorError(
-            f"{name} needs transformers {least} or newer; this is {transformers.__version__}: {how_to_install('vlm')}"
-        )
     return _loaded(name, "AutoConfig", revision)
 
 
@@ -224,24 +214,12 @@ def _weights(name: str, config: Any, given: _Place, kind: str, processor: str) -
         ) from error
     dtype = getattr(torch, given.dtype or ("float32" if where in ("cpu", "mps") else "bfloat16"))
     # Pickled weights are programs.
-    options: dict[str, Any] = {"dtype": dtype, "use_safetensors": True, "output_loading_info": True}
-    model, told = _loaded(name, kind, given.revision, **options, **({"device_map": "auto"} if where == "auto" else {}))
-    if lacking := sorted(told["missing_keys"]):  # transformers fills them with random numbers
-        warnings.warn(
-            f"the files of {name!r} lack {len(lacking)} weights of the model, such as {lacking[0]}; they are random "
-            "now. Fetch the checkpoint again",
-            UserWarning,
-            stacklevel=2,
-        )
-    model = model.eval() if where == "auto" else model.eval().to(where)
-    prepared = _loaded(
-        name, processor, given.revision, **({"backend": "pil"} if processor == "AutoImageProcessor" else {})
-    )
+    model = _loaded(name, kind, given.revision, dtype=dtype, use_safetensors=True, device_map=where).eval()
+    backend = {"backend": "pil"} if processor == "AutoImageProcessor" else {}
+    prepared = _loaded(name, processor, given.revision, **backend)
     revision = getattr(config, "_commit_hash", None)
     if not revision:
-        files = [Path(name) / "config.json", *sorted(Path(name).glob("*.safetensors"))]
-        digest = hashlib.sha256(files[0].read_bytes())
-        for file in files[1:]:
-            digest.update(f"{file.name} {file.stat().st_size}".encode())
+        files = [f"{file.name} {file.stat().st_size}" for file in sorted(Path(name).glob("*.safetensors"))]
+        digest = hashlib.sha256(Path(name, "config.json").read_bytes() + "".join(files).encode())
         revision = f"folder:{digest.hexdigest()[:12]}"
     return model, prepared, str(revision)

@@ -7,26 +7,21 @@ their exact size here; the image processor only normalises (and cuts patches).
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from types import FrameType
-from typing import Any
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
-from eagor.errors import EagorError, ImageError
+from eagor.errors import EagorError
 from eagor.media.panorama import resized
 from eagor.perception.vlm import Family, exact_size
 
 _MOST_TILES = 12
-_MOST_STEPS = 200_000  # lines that a chat template may run: a question takes about a hundred
 
 
-@dataclass(frozen=True)
-class Block:
+class Block(NamedTuple):
     """Rows and columns of tokens, row by row, that cover a window of the image.
 
     `window`: left, top, right, bottom as fractions of the image; it may extend beyond it (padding).
@@ -37,8 +32,7 @@ class Block:
     window: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
 
 
-@dataclass(frozen=True)
-class InputPlan:
+class InputPlan(NamedTuple):
     """How images of one aspect ratio are fed to a model.
 
     `size`: (height, width) in pixels to resize the image to. `shape`: rows and columns of cells over the image.
@@ -52,25 +46,18 @@ class InputPlan:
     square: int | None = None
 
     @property
-    def count(self) -> int:
+    def tokens(self) -> int:
         """Number of image tokens."""
-        return sum(block.rows * block.cols for block in self.blocks)
+        return sum(rows * cols for rows, cols, _ in self.blocks)
 
     def cells(self, tokens: np.ndarray) -> np.ndarray:
-        """Token values ``(..., count)``, spread evenly over their windows, as sums over cells ``(..., h, w)``."""
-        if tokens.shape[-1] != self.count:
-            raise ValueError(f"{tokens.shape[-1]} values came for {self.count} image tokens")
+        """Token values ``(..., n)``, spread evenly over their windows, as sums over cells ``(..., h, w)``."""
         total, start = np.zeros((*tokens.shape[:-1], *self.shape), dtype=tokens.dtype), 0
-        for block in self.blocks:
-            left, top, right, bottom = block.window
-            down, across = (
-                _shares(self.shape[0], block.rows, top, bottom),
-                _shares(self.shape[1], block.cols, left, right),
-            )
-            end = start + block.rows * block.cols
-            part = tokens[..., start:end].reshape(*tokens.shape[:-1], block.rows, block.cols)
+        for rows, cols, (left, top, right, bottom) in self.blocks:
+            down, across = _shares(self.shape[0], rows, top, bottom), _shares(self.shape[1], cols, left, right)
+            part = tokens[..., start : start + rows * cols].reshape(*tokens.shape[:-1], rows, cols)
             total += (down @ part @ across.T).astype(tokens.dtype)
-            start = end
+            start += rows * cols
         return total
 
 
@@ -93,15 +80,14 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
         size = exact_size(cell, most, aspect)
         shape = (size[0] // cell, size[1] // cell)
         return InputPlan(size, shape, (Block(*shape),))
-    side = _first(vision.image_size)
+    side, patch = (int(np.ravel(value)[0]) for value in (vision.image_size, vision.patch_size))  # numbers, or pairs
     if family.fit == "squash":
         rows = math.isqrt(config.mm_tokens_per_image)
         return InputPlan((side, side), (rows, rows), (Block(rows, rows),), side)
-    tokens = side // _first(vision.patch_size)
+    tokens = side // patch
     if family.fit == "pad":
         # The image fills whole cells in the middle of the square, as many above as below.
-        share = (min(1 / aspect, 1.0), min(aspect, 1.0))
-        rows, cols = (max(tokens - 2 * round(tokens * (1 - part) / 2), 1) for part in share)
+        rows, cols = (max(tokens - 2 * round(tokens * (1 - min(part, 1.0)) / 2), 1) for part in (1 / aspect, aspect))
         beyond, beside = (tokens / rows - 1) / 2, (tokens / cols - 1) / 2
         block = Block(tokens, tokens, (-beside, -beyond, 1 + beside, 1 + beyond))
         return InputPlan((rows * side // tokens, cols * side // tokens), (rows, cols), (block,), side)
@@ -109,29 +95,21 @@ def plan(family: Family, config: Any, aspect: float, pixels: int | None = None) 
     tokens, most = round(tokens * config.downsample_ratio), min(max(most // (side * side), 1), _MOST_TILES)
     grids = [(rows, cols) for rows in range(1, most + 1) for cols in range(1, most // rows + 1)]
     rows, cols = min(grids, key=lambda grid: (round(abs(math.log(grid[1] / grid[0] / aspect)), 6), -grid[0] * grid[1]))
-    tiles = [Block(tokens, tokens, (col / cols, row / rows, (col + 1) / cols, (row + 1) / rows))
-             for row in range(rows) for col in range(cols)]  # fmt: skip
-    blocks = (*tiles, Block(tokens, tokens)) if len(tiles) > 1 else tuple(tiles)
-    return InputPlan((rows * side, cols * side), (rows * tokens, cols * tokens), blocks, side)
-
-
-def _first(value: Any) -> int:
-    """A side length that configurations give as a number or a pair."""
-    return int(value[0] if isinstance(value, list | tuple) else value)
+    blocks = [Block(tokens, tokens, (col / cols, row / rows, (col + 1) / cols, (row + 1) / rows))
+              for row in range(rows) for col in range(cols)]  # fmt: skip
+    blocks += [Block(tokens, tokens)] if len(blocks) > 1 else []
+    return InputPlan((rows * side, cols * side), (rows * tokens, cols * tokens), tuple(blocks), side)
 
 
 def pictures(images: Sequence[np.ndarray], plan: InputPlan, processor: Any) -> dict[str, torch.Tensor]:
     """The image tensors of images of size ``plan.size``, by the names that the model takes."""
-    if wrong := [image.shape[:2] for image in images if image.shape[:2] != plan.size]:
-        raise ImageError(f"an image is {wrong[0]}; the plan wants {plan.size}. Resize it first")
     shown = [*images]
     if plan.square is not None:
         mean = [int(255 * value) for value in getattr(processor, "image_mean", None) or (0.5, 0.5, 0.5)]
         shown = [_square(image, block.window, plan.square, mean) for image in images for block in plan.blocks]
     switches = ("do_resize", "do_center_crop", "do_pad", "do_pan_and_scan", "crop_to_patches")
-    made = processor(
-        images=shown, return_tensors="pt", **{name: False for name in switches if hasattr(processor, name)}
-    )
+    off = dict.fromkeys((name for name in switches if hasattr(processor, name)), False)
+    made = processor(images=shown, return_tensors="pt", **off)
     return {name: made[name] for name in ("pixel_values", "image_grid_thw") if name in made}
 
 
@@ -146,8 +124,7 @@ def _square(image: np.ndarray, window: Sequence[float], side: int, mean: Sequenc
     return resized(canvas, (side, side))
 
 
-@dataclass(frozen=True)
-class Prompt:
+class Prompt(NamedTuple):
     """Token ids: `prefix` ``(1, S)`` up to the image, `suffix` ``(1, T)``; `columns` ``(n,)``: image tokens."""
 
     prefix: torch.Tensor
@@ -158,11 +135,19 @@ class Prompt:
 def prompt(tokenizer: Any, family: Family, text: str, image_token: int, count: int) -> Prompt:
     """The tokens of a question about an image of `count` tokens; every question has the same prefix.
 
-    Raises `EagorError` if the tokenizer does not know the image token.
+    It is written by the checkpoint's own template, which holds the system prompt of its training, or else (no template,
+    or one that does not put the picture first, so that questions could not share it) by the family's. Raises
+    `EagorError` if the tokenizer does not know the image token.
     """
     for token in (family.placeholder, family.image_token):
         text = text.replace(token, token.strip("<|>"))  # written in the text, it would be taken for a picture
-    written = _asked(tokenizer, family, text).replace(family.placeholder, family.expansion)
+    written = ""
+    with suppress(Exception):  # a template is a program; one without pictures may raise anything
+        turn = {"role": "user", "content": [{"type": "image"}, {"type": "text", "text": text}]}
+        written = tokenizer.apply_chat_template([turn], tokenize=False, add_generation_prompt=True)
+    if written.count(family.placeholder) != 1 or written.find(family.placeholder) > written.find(text):
+        written = family.prompt.replace("{text}", text)
+    written = written.replace(family.placeholder, family.expansion)
     begins = tokenizer.bos_token is not None and written.startswith(tokenizer.bos_token)
     ids = tokenizer(written, add_special_tokens=not begins)["input_ids"]
     if ids.count(image_token) != 1:
@@ -173,39 +158,6 @@ def prompt(tokenizer: Any, family: Family, text: str, image_token: int, count: i
     place = ids.index(image_token)
     prefix = torch.tensor([ids[:place] + [image_token] * count])
     return Prompt(prefix, torch.arange(place, place + count), torch.tensor([ids[place + 1 :]]))
-
-
-def _asked(tokenizer: Any, family: Family, text: str) -> str:
-    """A picture and a question, as the checkpoint's own template writes them, or else the family's.
-
-    Checkpoints of one family differ in their system prompts; their own template holds the one of their training. The
-    picture has to come first, so that questions can share it.
-    """
-    turn = {"role": "user", "content": [{"type": "image"}, {"type": "text", "text": text}]}
-    with suppress(Exception), _limited_steps():  # a template is a program; one without pictures may raise anything
-        written = tokenizer.apply_chat_template([turn], tokenize=False, add_generation_prompt=True)
-        if written.count(family.placeholder) == 1 and 0 <= written.find(family.placeholder) < written.find(text):
-            return written
-    return family.prompt.replace("{text}", text)
-
-
-@contextmanager
-def _limited_steps() -> Iterator[None]:
-    """Ends the code inside (of this thread) where it runs more lines of Python than any template."""
-    left, before = _MOST_STEPS, sys.gettrace()
-
-    def step(frame: FrameType, event: str, argument: Any) -> Any:
-        nonlocal left
-        left -= event == "line"
-        if left < 0:
-            raise RuntimeError("the template does not end")
-        return step
-
-    sys.settrace(step)
-    try:
-        yield
-    finally:
-        sys.settrace(before)
 
 
 def typed(family: Family, ids: torch.Tensor, image_token: int) -> dict[str, torch.Tensor]:

@@ -1,54 +1,36 @@
 """Detectors of the hub as functions for `eagor.Detector`: with classes of their own, or for any words.
 
 Whatever transformers loads as ``AutoModelForObjectDetection`` (DETR, RT-DETR, D-FINE, YOLOS, ...) knows its classes;
-OWL-ViT, OWLv2 (Minderer et al., arXiv 2306.09683), Grounding DINO (Liu et al., arXiv 2303.05499) and CLIPSeg (Lüddecke
-and Ecker, arXiv 2112.10003) take any words.
+OWL-ViT, OWLv2 (Minderer et al., arXiv 2306.09683) and Grounding DINO (Liu et al., arXiv 2303.05499) take any words.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from threading import RLock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from scipy.ndimage import find_objects, label, maximum
 
 _MOST = 50  # boxes per picture
 
 Found = tuple[np.ndarray, np.ndarray] | tuple[np.ndarray, np.ndarray, list[str]]  # boxes, scores, labels
 
 
-@dataclass(frozen=True)
-class Kind:
-    """How detectors of a model type are used: their class in transformers, and the usual least score.
-
-    `sentence`: how a query is written; None for a detector with classes.
-    """
+class Kind(NamedTuple):
+    """Detectors of a model type: their class in transformers, the usual least score, and how a query is written."""
 
     loaded_by: str
     threshold: float
-    sentence: Callable[[str], str] | None = None
+    sentence: str = ""  # empty for a detector with classes
 
 
-def _photo(word: str) -> str:
-    """The sentence that CLIP models expect."""
-    return f"a photo of a {re.sub(r'^(the|an|a) ', '', word.lower())}"
-
-
-_OWL = Kind("AutoModelForZeroShotObjectDetection", 0.1, _photo)
-_DINO = Kind("AutoModelForZeroShotObjectDetection", 0.25, lambda word: f"{word.lower().rstrip('.')}.")
+_OWL = Kind("AutoModelForZeroShotObjectDetection", 0.1, "a photo of a {}")
+_DINO = Kind("AutoModelForZeroShotObjectDetection", 0.25, "{}.")
 CLASSES = Kind("AutoModelForObjectDetection", 0.3)
-KINDS = {
-    "owlvit": _OWL,
-    "owlv2": _OWL,
-    "grounding-dino": _DINO,
-    "mm-grounding-dino": _DINO,
-    "clipseg": Kind("CLIPSegForImageSegmentation", 0.5, _photo),
-}
+KINDS = {"owlvit": _OWL, "owlv2": _OWL, "grounding-dino": _DINO, "mm-grounding-dino": _DINO}
 
 
 @dataclass
@@ -72,19 +54,18 @@ class HubDetector:
     @torch.inference_mode()
     def many(self, pictures: Sequence[np.ndarray], query: str) -> list[Found]:
         """What it finds in each of several pictures."""
-        text = {"text": [self.kind.sentence(query)] * len(pictures)} if self.kind.sentence else {}
+        words = query.lower().rstrip(".") if self.kind is _DINO else query.lower()
+        if self.kind is not _DINO and words.split(" ")[0] in ("the", "an", "a"):
+            words = words.partition(" ")[2]
+        text = {"text": [self.kind.sentence.format(words)] * len(pictures)} if self.kind.sentence else {}
         inputs = self.processor(images=list(pictures), return_tensors="pt", **text).to(self.model.device)
         inputs["pixel_values"] = inputs["pixel_values"].to(self.model.dtype)
         with self.lock:
             out = self.model(**inputs)
-        if self.kind.loaded_by.startswith("CLIPSeg"):
-            masks = out.logits.float().sigmoid().reshape(len(pictures), *out.logits.shape[-2:]).cpu().numpy()
-            return [self._regions(mask, picture.shape[:2]) for mask, picture in zip(masks, pictures, strict=True)]
-        read, more = self.processor, {}
-        read = read.post_process_grounded_object_detection if text else read.post_process_object_detection
-        if self.kind is _DINO:
-            more = {"input_ids": inputs["input_ids"]}
+        name = "post_process_grounded_object_detection" if text else "post_process_object_detection"
+        more = {"input_ids": inputs["input_ids"]} if self.kind is _DINO else {}
         sizes = [picture.shape[:2] for picture in pictures]
+        read = getattr(self.processor, name)
         return [self._best(found) for found in read(out, threshold=self.threshold, target_sizes=sizes, **more)]
 
     def _best(self, found: dict[str, Any]) -> Found:
@@ -93,14 +74,3 @@ class HubDetector:
         if self.classes is None:
             return boxes, scores
         return boxes, scores, [self.classes[number] for number in found["labels"][best].tolist()]
-
-    def _regions(self, mask: np.ndarray, size: tuple[int, int]) -> Found:
-        """The connected regions of a mask of probabilities in which one reaches the threshold."""
-        labelled: Any = label(mask >= self.threshold / 2)
-        regions, count = labelled
-        scores = np.atleast_1d(maximum(mask, regions, np.arange(1, count + 1)))
-        down, across = size[0] / mask.shape[0], size[1] / mask.shape[1]
-        boxes = [[cols.start * across, rows.start * down, cols.stop * across, rows.stop * down]
-                 for rows, cols in find_objects(regions)]  # fmt: skip
-        best = [each for each in np.argsort(-scores)[:_MOST] if scores[each] >= self.threshold]
-        return np.reshape(boxes, (-1, 4))[best], scores[best]

@@ -91,15 +91,11 @@ class Family:
     depth: float = 0.6
     pixels: int = PIXELS
 
-    @property
-    def extractors(self) -> tuple[Extractor, ...]:
-        """The extractors that the family supports."""
-        return ("attention", "boxes", "views") if self.frame else ("attention", "views")
-
     def choices(self, heads: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """The extractors, and those for each view, the usual first; with localisation `heads` that is attention."""
         usual = "attention" if heads and self.extractor == "boxes" else self.extractor
-        return (usual, *self.extractors), (self.per_view, *(each for each in self.extractors if each != "views"))
+        known = ("attention", "boxes") if self.frame else ("attention",)
+        return (usual, *known, "views"), (self.per_view, *known)
 
 
 class _Tables(msgspec.Struct):
@@ -130,11 +126,9 @@ def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:
             f"no picture of {aspect:g}:1 with cells of {cell} pixels has at most {pixels} pixels; allow more pixels"
         )
     ratio = Fraction(aspect).limit_denominator(16) if aspect >= 1 else 1 / Fraction(1 / aspect).limit_denominator(16)
-    times = math.isqrt(cells // (ratio.numerator * ratio.denominator))
-    if times:
+    if times := math.isqrt(cells // (ratio.numerator * ratio.denominator)):
         return cell * times * ratio.denominator, cell * times * ratio.numerator
-    rows = range(1, math.isqrt(cells) + 1) if aspect >= 1 else range(1, cells + 1)
-    shapes = [(row, max(1, min(round(row * aspect), cells // row))) for row in rows]
+    shapes = [(row, max(1, min(round(row * aspect), cells // row))) for row in range(1, cells + 1)]
     row, column = min(shapes, key=lambda shape: (abs(math.log(shape[1] / shape[0] / aspect)), -shape[0] * shape[1]))
     return cell * row, cell * column
 
@@ -185,18 +179,10 @@ def ask_boxes(query: str, frame: Frame, order: Order = "xyxy") -> str:
 
 def boxes_schema(frame: Frame, order: Order = "xyxy") -> dict[str, Any]:
     """The JSON schema of the answer to `ask_boxes`."""
-    number = {"type": "number"} if frame in ("percent", "unit") else {"type": "integer"}
-    key = _KEYS[order][0]
-    entry = {
-        "type": "object",
-        "properties": {
-            key: {"type": "array", "items": number, "minItems": 4, "maxItems": 4},
-            "label": {"type": "string"},
-        },
-        "required": [key, "label"],
-        "additionalProperties": False,
-    }
-    return {"type": "array", "items": entry, "maxItems": 16}
+    number, key = {"type": "number" if frame in ("percent", "unit") else "integer"}, _KEYS[order][0]
+    corners = {"type": "array", "items": number, "minItems": 4, "maxItems": 4}
+    entry = {"type": "object", "properties": {key: corners, "label": {"type": "string"}}, "required": [key, "label"]}
+    return {"type": "array", "items": {**entry, "additionalProperties": False}, "maxItems": 16}
 
 
 def ask_presence(query: str) -> str:

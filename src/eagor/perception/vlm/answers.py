@@ -13,9 +13,8 @@ import math
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from eagor.errors import AnswerError
 
@@ -47,18 +46,17 @@ _LEAST = 1e-6  # of the image's sides: anything smaller has no area
 _POINT = 0.01  # of the image's sides: half of what a point without a size stands for
 _PAST = 1.1  # coordinates beyond this many image sides are in another frame, not just inaccurate
 
-# Numbers; lists of four, and a score; two lists of two; corners by name; what comes before and around them.
+# Numbers; lists of two to five; what is between two corners; what comes before and around them.
 _N = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?:\s?%)?"
 _SEP = r"(?:\s*,\s*|\s+)"
-_LIST = re.compile(rf"[\[(;]\s*({_N}){_SEP}({_N}){_SEP}({_N}){_SEP}({_N})(?:{_SEP}({_N}))?(?=\s*,?\s*(?:[\]);]|,\Z))")
-_TWO = rf"[\[(]\s*({_N}){_SEP}({_N})\s*,?\s*[\])]"
-_PAIR = re.compile(_TWO)
-_PAIRS = re.compile(_TWO + r"[^\[\](){}\d]{0,60}" + _TWO)
+_NUMBER = re.compile(_N)
+_LIST = re.compile(rf"[\[(;]\s*({_N}(?:{_SEP}{_N}){{1,4}})(?=\s*,?\s*([\]);]|,\Z))")
+_BETWEEN = re.compile(r"\s*,?\s*[\])][^\[\](){}\d]{0,60}")
 _KEY = re.compile(r"[\"']?([A-Za-z_][\w -]*?)[\"']?\s*[:=]\s*[\"']?[\s\[({]*\Z")
 _POINTS = {"point_2d", "point", "points", "point2d", "xy", "center", "centre"}
 _Y_FIRST = "box_2d"  # Gemini's key, whose boxes are y0 x0 y1 x1 whatever is asked for
 _BRACKET = re.compile(r"[\[\](){}]")
-_CUT = re.compile(r"[\[({][^\])}]*\d[^\])}]*\Z")
+_CUT = re.compile(r"[^\[({]*[\[({]\D*\d")  # after the last bracket that closes
 _SCORE = re.compile(rf"[\"']?\b(?:score|confidence|probability|prob|conf)[\"']?\s*[:=]\s*[\"']?({_N})", re.IGNORECASE)
 _CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1 y1 x2 y2", "left top right bottom")
 _SIDES = ("x y width height", "x y w h", "left top width height")
@@ -71,8 +69,7 @@ _LOC = re.compile(r"<loc(_?)(\d+)>" + r"\s*<loc_?(\d+)>" * 3)
 _RUN = re.compile(rf"(?<![\w.]){_N}(?:[^\S\n]*[,;][^\S\n]*{_N}|[^\S\n]+{_N})*(?![\w])")
 
 
-@dataclass(frozen=True)
-class Box:
+class Box(NamedTuple):
     """A detection in fractions of the image's width and height, [0, 1], with x0 < x1 and y0 < y1; y grows down."""
 
     x0: float
@@ -82,12 +79,10 @@ class Box:
     score: float = 1.0
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Four coordinates as written, x0 y0 x1 y1, where they stand, and their score if one is written.
+class _Found(NamedTuple):
+    """Four coordinates as written, x0 y0 x1 y1 (equal corners for a point), where they stand, and a written score.
 
-    `decided`: the span of text in which the model decided to write them, from the list's opening or the entry before to
-    the opening bracket of this entry; None: unknown. A point has equal corners.
+    `decided`: the text in which the model decided to write them, from the list's opening, or the last entry, on.
     """
 
     numbers: tuple[float, ...]
@@ -113,8 +108,8 @@ def parse_boxes(
     outside are left out. Raises `AnswerError` if nothing can be read, or if all coordinates lie far outside the frame.
     """
     answer = _spoken(text)
-    found = [*_listed(answer, order)] or [*_tagged(answer, order)] or [*_named(answer)]
-    if not found and not _CUT.search(answer):
+    found = _listed(answer, order) or [*_tagged(answer, order)] or [*_named(answer)]
+    if not found and not _CUT.match(answer, max(map(answer.rfind, "])}")) + 1):
         found = [*_bare(answer, order)]
     if not found:
         said = answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
@@ -134,8 +129,7 @@ def parse_boxes(
     best: dict[tuple[float, ...], Box] = {}
     for box in read:
         if isinstance(box, Box):
-            corners = (box.x0, box.y0, box.x1, box.y1)
-            best[corners] = max(best.get(corners, box), box, key=lambda each: each.score)
+            best[box[:4]] = max(best.get(box[:4], box), box, key=lambda each: each.score)
     return list(best.values())
 
 
@@ -220,40 +214,37 @@ def _number(written: str) -> float:
     return math.nextafter(float(bare) / 100, 0.5) if written.endswith("%") else float(bare)
 
 
-def _listed(text: str, order: Order) -> Iterator[_Found]:
+def _listed(text: str, order: Order) -> list[_Found]:
     """The boxes that are lists of four numbers or pairs of corners, or else the points that are lists of two."""
-    lists = [*_LIST.finditer(text)]
-    taken = [(match.start(), match.end()) for match in lists]
-    pairs = [match for match in _PAIRS.finditer(text)
-             if not any(start < match.end() and match.start() < end for start, end in taken)]  # fmt: skip
-    lists = sorted([*lists, *pairs], key=lambda match: match.start())
-    around, end, boxes = _parents(text), 0, False
-    for match, key in zip(lists, _keys(text, lists), strict=True):
-        fifth = _number(match[5]) if match.re is _LIST and match[5] else None
-        if key in _POINTS or (fifth is not None and not 0 <= fifth <= 1):
+    lists: list[tuple[int, int, list[re.Match[str]]]] = []  # start, stop, numbers
+    for match in _LIST.finditer(text):
+        numbers = [*_NUMBER.finditer(text, *match.span(1))]
+        start, stop, before = lists[-1] if lists else (0, 0, [])
+        two = len(numbers) == 2 and match[0][0] != ";" and match[2] in ("]", ")")
+        if two and len(before) == 2 and _BETWEEN.fullmatch(text, stop, match.start()):
+            lists[-1] = (start, match.end(2), before + numbers)
+        elif two or len(numbers) > 3:
+            lists.append((match.start(), match.end(), numbers))
+    boxes: list[_Found] = []
+    points: list[_Found] = []
+    around, end, last, key = _parents(text), 0, 0, None
+    for start, stop, found in lists:
+        before = text[max(last, start - 200) : start]
+        if key is None or not re.fullmatch(r"[\s,;()\[\]]*", before):  # else one of several values of a key
+            named = _KEY.search(before)
+            key = named[1].strip().lower().replace(" ", "_").replace("-", "_") if named else ""
+        numbers, last = [_number(each[0]) for each in found], stop
+        if len(numbers) == 2 and key in _POINTS:
+            points.append(_Found(tuple(numbers if order == "xyxy" else numbers[::-1]) * 2, point=True))
+        if len(numbers) == 2 or key in _POINTS or not all(0 <= fifth <= 1 for fifth in numbers[4:]):
             continue
-        groups = [place + 1 for place in _PLACES["yxyx" if key == _Y_FIRST else order]]
-        numbers, places = tuple(_number(match[group]) for group in groups), tuple(map(match.start, groups))
-        decided, score = _entry(text, around, match.start(), match.end(), end)
-        yield _Found(numbers, places, decided, score if fifth is None else fifth)
-        end, boxes = match.end(), True
-    pairs = [] if boxes else [*_PAIR.finditer(text)]
-    for match, key in zip(pairs, _keys(text, pairs), strict=True):
-        if key in _POINTS:
-            xy = (_number(match[1]), _number(match[2]))
-            yield _Found((xy if order == "xyxy" else xy[::-1]) * 2, point=True)
-
-
-def _keys(text: str, lists: Sequence[re.Match[str]]) -> list[str]:
-    """The key that each list is the value of, or one of several values; empty for none."""
-    keys, end = [], 0
-    for match in lists:
-        before = text[max(end, match.start() - 200) : match.start()]
-        found = _KEY.search(before)
-        same = keys and re.fullmatch(r"[\s,;()\[\]]*", before)
-        keys.append(keys[-1] if same else found[1].strip().lower().replace(" ", "_").replace("-", "_") if found else "")
-        end = match.end()
-    return keys
+        places = _PLACES["yxyx" if key == _Y_FIRST else order]
+        decided, score = _entry(text, around, start, stop, end)
+        score, end = (*numbers[4:], score)[0], stop
+        boxes.append(
+            _Found(tuple(numbers[at] for at in places), tuple(found[at].start() for at in places), decided, score)
+        )
+    return boxes or points
 
 
 def _parents(text: str) -> dict[int, int]:
@@ -269,10 +260,7 @@ def _parents(text: str) -> dict[int, int]:
 
 
 def _entry(text: str, parents: dict[int, int], start: int, stop: int, end: int) -> tuple[tuple[int, int], float | None]:
-    """Where the model decided to write the box in [`start`, `stop`), and the score in its object; `end`: of the last.
-
-    Scores are in [0, 1] (percentages are divided); None for none, or anything else.
-    """
+    """Where the model decided to write the box in [`start`, `stop`), and its written score; `end`: of the last box."""
     entry, around = start, parents.get(start, -1)
     if around >= 0 and text[around] == "{":
         entry, around = around, parents[around]
@@ -317,14 +305,14 @@ def _tagged(text: str, order: Order) -> Iterator[_Found]:
     for tag in _POINT_TAG.finditer(text):
         numbers, own = [*map(_number, _ATTRIBUTE.findall(tag[1]))], (0, 1)
         if not numbers:
-            numbers, own = [*map(_number, re.findall(_N, tag[2]))], _PLACES[order][:2]
+            numbers, own = [*map(_number, _NUMBER.findall(tag[2]))], _PLACES[order][:2]
         for xy in zip(*(numbers[place::2] for place in own), strict=False):
             yield _Found(xy * 2, point=True)
 
 
 def _bare(text: str, order: Order) -> Iterator[_Found]:
     """Four numbers side by side."""
-    runs = ([*map(_number, re.findall(_N, run[0]))] for run in _RUN.finditer(text))
+    runs = ([*map(_number, _NUMBER.findall(run[0]))] for run in _RUN.finditer(text))
     yield from (_Found(tuple(run[place] for place in _PLACES[order])) for run in runs if len(run) == 4)
 
 
@@ -360,16 +348,10 @@ def _confidence(places: tuple[int, ...], decided: tuple[int, int], trace: Trace)
 
 
 class Trace:
-    """The log probabilities of an answer's tokens by place in its text.
-
-    `tokens`: its pieces in order. Special tokens that the text lacks, and garbled pieces of characters that take
-    several tokens, are skipped.
-    """
+    """The log probabilities of an answer's `tokens` by place in its text; those that it does not hold are skipped."""
 
     def __init__(self, text: str, tokens: Sequence[Token]) -> None:
-        self._starts: list[int] = []
-        self._ends: list[int] = []
-        self._logs: list[float] = []
+        self._pieces: list[tuple[int, int, float]] = []  # start, end, logarithm
         place = 0
         for piece, log in tokens:
             at = place if piece and text.startswith(piece, place) else -1
@@ -377,11 +359,9 @@ class Trace:
                 at = text.find(piece, place, place + 64)
             if at >= 0:
                 place = at + len(piece)
-                self._starts.append(at)
-                self._ends.append(place)
-                self._logs.append(min(float(log), 0.0))
+                self._pieces.append((at, place, min(float(log), 0.0)))
 
     def log_probability(self, start: int, stop: int) -> float:
         """Of all tokens together that have a character in [`start`, `stop`); 0 where none is known."""
-        first, last = bisect_right(self._ends, start), bisect_left(self._starts, stop)
-        return sum(self._logs[first:last])
+        first = bisect_right(self._pieces, start, key=lambda piece: piece[1])
+        return sum(log for _, _, log in self._pieces[first : bisect_left(self._pieces, (stop,))])

@@ -5,47 +5,32 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
+from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
-from eagor.grids import PerspectiveGrid, tangent_views
+from eagor.evidence.shapes import WHOLE_SPHERE
+from eagor.grids import PatchGrid, PerspectiveGrid, tangent_views
 from eagor.media.panorama import checked_picture
+from eagor.perception.things import spread_evidence
 from eagor.perception.vlm import phrase
 from eagor.perception.vlm.answers import Box
-from eagor.perception.vlm.projection import InferencePlan, plan_panorama, plan_view, plan_views
+from eagor.perception.vlm.projection import (
+    InferencePlan,
+    box_detections,
+    fuse_detections,
+    plan_panorama,
+    plan_view,
+    plan_views,
+)
 
 Cost = Mapping[str, object]  # tokens, requests and the like, for the source of evidence
-
-
-class VisionModel(Protocol):
-    """A vision-language model that answers about pictures of its own size.
-
-    `view_rows`: rows of the panorama that responses to views are put together on.
-    """
-
-    @property
-    def view_rows(self) -> int: ...
-
-    def extractors(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """What it can be asked for in a panorama, and in each of several views; the usual first."""
-        ...
-
-    def sizes(self, aspect: float, view: bool = False) -> tuple[tuple[int, int], tuple[int, int]]:
-        """(height, width) that pictures of this aspect ratio are resized to, and (rows, cols) of its cells."""
-        ...
-
-    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Cost]:
-        """The boxes that it writes per query and image."""
-        ...
-
-    def maps(self, images: Sequence[np.ndarray], queries: Sequence[str], wrap: bool) -> tuple[np.ndarray, Cost]:
-        """Responses ``(Q, B, h, w)`` in [0, 1] per query and image; `wrap`: these are panoramas."""
-        ...
 
 
 def chosen(option: str, asked: str, known: Sequence[str]) -> str:
@@ -59,12 +44,20 @@ def chosen(option: str, asked: str, known: Sequence[str]) -> str:
 class ModelPerception:
     """Asks a `model` where things are; the rest as of `eagor.perception.transformers.TransformersPerception`.
 
+    The `model` answers about pictures of its own size; boxes and responses come with what they cost (`Cost`):
+
+    - ``extractors()``: what it can be asked for in a panorama, and in each of several views; the usual first.
+    - ``sizes(aspect, view=False)``: (height, width) that pictures are resized to, and (rows, cols) of its cells.
+    - ``view_rows``: rows of the panorama that responses to views are put together on.
+    - ``boxes(images, queries)``: per query and image what it writes; ``AnswerError`` if that cannot be read.
+    - ``maps(images, queries, wrap)``: responses ``(Q, B, h, w)`` in [0, 1]; `wrap`: the images are panoramas.
+
     Raises `EagorError` for an extractor that the model does not have.
     """
 
     def __init__(
         self,
-        model: VisionModel,
+        model: Any,
         extractor: str = "",
         per_view: str = "",
         seam: bool = True,
@@ -104,10 +97,12 @@ class ModelPerception:
         began, image, asked = time.perf_counter(), checked_picture(panorama), [phrase(query) for query in queries]
         if not asked:
             return []
-        if self.extractor != "views":
-            return self._infer(plan_panorama(image, *self.model.sizes(2.0), self.seam), asked, stamp, began)
-        (side, _), _ = self.model.sizes(1.0, True)
-        return self._infer(plan_views(image, side, self.model.view_rows), asked, stamp, began)
+        if self.extractor == "views":
+            plan = plan_views(image, self.model.sizes(1.0, True)[0][0], self.model.view_rows)
+        else:
+            size, cells = self.model.sizes(2.0)
+            plan = plan_panorama(image, size, cells, self.seam)
+        return self._infer(plan, asked, stamp, began)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
         """Evidence for what `query` names in one perspective picture ``(h, w, 3)`` uint8 with the pixels of `grid`.
@@ -121,19 +116,28 @@ class ModelPerception:
             size, cells = self.model.sizes(1.0)
         return self._infer(plan_view(image, grid, size, cells), [words], stamp, began)[0]
 
-    def _infer(self, shown: InferencePlan, queries: list[str], stamp: float | None, began: float) -> list[Evidence]:
+    def _infer(self, plan: InferencePlan, queries: list[str], stamp: float | None, began: float) -> list[Evidence]:
         each = self.per_view if self.extractor == "views" else self.extractor
-        images = [crop.image for crop in shown.crops]
-        answers: Any
+        images = [crop.image for crop in plan.crops]
         if each == "boxes":
-            answers, cost = self.model.boxes(images, queries)
+            boxes, cost = self.model.boxes(images, queries)
+            found = [self._of_boxes(plan, answers, stamp) for answers in boxes]
         else:
-            answers, cost = self.model.maps(images, queries, shown.wrap)
-        source = {
-            "extractor": self.extractor if shown.view is None else each,
-            "per_view": each,
-            "pixels": list(images[0].shape[:2]),
-            **cost,
-            "milliseconds": round(1000 * (time.perf_counter() - began), 3),
-        }
-        return [shown.evidence(list(found), self.detector, self.calibration, stamp, source) for found in answers]
+            maps, cost = self.model.maps(images, queries, isinstance(plan.crops[0].grid, PatchGrid))
+            found = [Evidence.from_response(plan.combine(answers), plan.cells, self.calibration, stamp, plan.coverage)
+                     for answers in maps]  # fmt: skip
+        how = {"extractor": self.extractor if plan.view is None else each, "per_view": each}
+        took = round(1000 * (time.perf_counter() - began), 3)
+        source: dict[str, Any] = {**how, "pixels": list(images[0].shape[:2]), **cost, "milliseconds": took}
+        return [replace(evidence, source=source) for evidence in found]
+
+    def _of_boxes(self, plan: InferencePlan, answers: Sequence[Sequence[Box]], stamp: float | None) -> Evidence:
+        if self.calibration is not None:
+            raise EagorError("a calibration came for boxes, which are detections; wanted detector=DetectorModel(...)")
+        pictures = zip(answers, plan.crops, strict=True)
+        found = fuse_detections(box_detections(boxes, crop.grid, crop.roll) for boxes, crop in pictures)
+        if plan.view is not None:
+            found = [each for each in found if plan.view.project(each.direction)[2]]
+        scored = any(each.score != 1 for each in found)  # a model that tells none has 1 everywhere
+        return spread_evidence([each[:3] for each in found], self.detector, View(plan.view or WHOLE_SPHERE), stamp,
+                               scored)  # fmt: skip
