@@ -43,9 +43,8 @@ from eagor.errors import EagorError  # noqa: E402
 from eagor.grids import ErpGrid  # noqa: E402
 from eagor.media import Pose  # noqa: E402
 from eagor.media import ros_messages as m  # noqa: E402
-from eagor.media.bag_files import MAGIC  # noqa: E402
 from eagor.media.bag_sources import BagCamera, BagPoses  # noqa: E402
-from eagor.media.bags import MOTION, PICTURES, Bag  # noqa: E402
+from eagor.media.bags import MAGIC, MOTION, PICTURES, Bag  # noqa: E402
 from eagor.media.intrinsics import intrinsics_from_exif, read_camera  # noqa: E402
 from eagor.media.panorama import read_photograph  # noqa: E402
 from eagor.media.rigs import read_rig  # noqa: E402

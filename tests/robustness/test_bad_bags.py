@@ -19,8 +19,7 @@ from rosmaking import cdr, random_message
 
 from eagor.errors import FormatError, StorageError, TimeError
 from eagor.media import ros_messages as m
-from eagor.media.bag_files import MAGIC, MOST
-from eagor.media.bags import Bag, BagWriter, is_bag, read_bag
+from eagor.media.bags import MAGIC, Bag, BagWriter, is_bag, read_bag
 
 
 def small(path, count=20):
