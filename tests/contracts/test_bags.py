@@ -96,7 +96,7 @@ def test_stamps_come_back_as_the_same_float(tmp_path):
     times = [float(t) for t in stamps(500)] + [0.1, 1.5, 2.0**31 - 1]
     with BagWriter(tmp_path / "bag") as bag:
         for t in times:
-            bag.write("/a", m.TEXT, m.text_message("x"), t)
+            bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), t)
     assert [each[0] for each in read_bag(tmp_path / "bag")] == sorted(times)
 
 
@@ -105,7 +105,7 @@ def test_messages_that_were_recorded_late_come_in_order(tmp_path):
     times = np.random.default_rng(2).permutation(300) + float(START)
     with BagWriter(tmp_path / "bag", at_risk=0) as bag:  # every message in a chunk of its own
         for t in times:
-            bag.write("/a", m.TEXT, m.text_message(str(t)), float(t))
+            bag.write("/a", m.TEXT, m.message(m.TEXT, data=str(t)), float(t))
     assert [each[0] for each in read_bag(tmp_path / "bag")] == sorted(times)
     file = tmp_path / "bag" / "bag.mcap"
     file.write_bytes(file.read_bytes()[:-20])  # without the index
@@ -120,7 +120,7 @@ from eagor.media.bags import BagWriter
 bag = BagWriter(sys.argv[1], at_risk=0.05)
 picture = np.zeros((100, 200, 3), np.uint8)
 for i in range(10**6):
-    bag.write("/n", m.TEXT, m.text_message(str(i)), 1000.0 + i)
+    bag.write("/n", m.TEXT, m.message(m.TEXT, data=str(i)), 1000.0 + i)
     if i % 100 == 0:
         bag.write("/image", m.IMAGE, m.image_message(picture, 1000.0 + i, "x3"), 1000.0 + i)
     if i % 50 == 49:

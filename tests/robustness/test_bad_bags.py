@@ -134,7 +134,7 @@ def test_recordings_that_cannot_be(tmp_path):
     with pytest.raises(StorageError, match="cannot be made"):
         BagWriter(tmp_path / "file" / "bag")
     with BagWriter(tmp_path / "bag") as bag:
-        bag.write("/a", m.TEXT, m.text_message("x"), 1.0)
+        bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), 1.0)
         with pytest.raises(FormatError, match="/a was recorded as std_msgs/msg/String, and now as"):
             bag.write("/a", m.IMU, random_message(m.IMU, np.random.default_rng(0), 1.0), 2.0)
         with pytest.raises(FormatError, match="'my/msg/Own' is no known ROS 2 type"):
@@ -142,9 +142,9 @@ def test_recordings_that_cannot_be(tmp_path):
         with pytest.raises(FormatError, match="/c: the message is no std_msgs/msg/String"):
             bag.write("/c", m.TEXT, 7, 2.0)
         with pytest.raises(TimeError):
-            bag.write("/a", m.TEXT, m.text_message("x"), math.nan)
+            bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), math.nan)
     with pytest.raises(StorageError, match="is closed"):
-        bag.write("/a", m.TEXT, m.text_message("x"), 3.0)
+        bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), 3.0)
     bag.close()
     assert len(list(read_bag(tmp_path / "bag"))) == 1
 
@@ -152,7 +152,7 @@ def test_recordings_that_cannot_be(tmp_path):
 def test_an_exception_in_the_block_keeps_the_recording(tmp_path):
     def record():
         with BagWriter(tmp_path / "bag") as bag:
-            bag.write("/a", m.TEXT, m.text_message("x"), 1.0)
+            bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), 1.0)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

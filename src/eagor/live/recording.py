@@ -29,11 +29,11 @@ from eagor.media.ros_messages import (
     TEXT,
     VECTOR,
     compressed_message,
+    header,
     message,
     odometry_message,
     panorama_of,
-    text_message,
-    vector_message,
+    vector,
 )
 from eagor.tracking import TrackerConfig
 from eagor.tracking.checkpoint import packed, unpacked
@@ -173,9 +173,9 @@ class Recorder:
 
     def _answer(self, answer: Answer) -> None:
         text = json.dumps(answer.as_dict(), allow_nan=False)
-        self._bag.write(ANSWERS, TEXT, text_message(text), self._last)  # in the order of the events
+        self._bag.write(ANSWERS, TEXT, message(TEXT, data=text), self._last)  # in the order of the events
         if answer.direction is not None:
-            found = vector_message(answer.direction, answer.stamp, BODY)
+            found = message(VECTOR, header=header(answer.stamp, BODY), vector=vector(answer.direction))
             self._bag.write(f"{DIRECTION}/{slug(answer.query)}", VECTOR, found, self._last)
 
 

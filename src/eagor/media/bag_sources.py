@@ -50,15 +50,17 @@ class BagCamera:
         self.bag = bag if isinstance(bag, Bag) else Bag(bag)
         self.dropped = self.back = 0
         where = str(self.bag.path)
-        found = [pick(self.bag.topics, PICTURES, each, where=where, option=OPTION) for each in topics_of(topic, OPTION)]
-        self.topics, self.kind = tuple(name for name, _ in found), found[0][1]
+        self.topics = tuple(
+            pick(self.bag.topics, PICTURES, each, where=where, option=OPTION)[0] for each in topics_of(topic, OPTION)
+        )
+        if empty := [each for each in self.topics if not self.bag.counts[each]]:
+            raise FormatError(f"{where} has no message on {empty[0]}")
         self.topic = ",".join(self.topics)
-        firsts = [self._first(each) for each in self.topics]
-        self.begins = min(_stamp(received, when) for when, received in firsts)
+        firsts = [next(self.bag.messages([each]), None) for each in self.topics]
+        self.begins = min(_stamp(each[3], each[0]) for each in firsts if each is not None)
         self._pictures = TopicPictures(
-            [received for _, received in firsts], self.topics, Lenses(rig, camera, info, rows),
-            lambda image, told: lens_in_bag(self.bag, image, told),
-            lambda frames: placed_in_bag(self.bag, frames),
+            [each[3] for each in firsts if each is not None], self.topics, Lenses(rig, camera, info, rows),
+            partial(lens_in_bag, self.bag), partial(placed_in_bag, self.bag),
         )  # fmt: skip
         self.frame, camera, builder = self._pictures.frame, self._pictures.camera, self._pictures.builder
         self.lens = camera if camera is not None and camera.known else None
@@ -71,16 +73,8 @@ class BagCamera:
         self.dropped = self.back = 0
         for stamp, lens, received in heapq.merge(*map(self._of, range(len(self.topics)))):
             newest[lens] = received
-            if lens or None in newest:  # those of the first topic go with the others' newest
-                continue
-            yield stamp, partial(self._pictures.made, tuple(newest))
-
-    def _first(self, topic: str) -> tuple[float, Any]:
-        """Time of recording and message."""
-        first = next(iter(self.bag.messages([topic])), None)
-        if first is None:
-            raise FormatError(f"{self.bag.path} has no message on {topic}")
-        return first[0], first[3]
+            if not lens and None not in newest:  # those of the first topic go with the others' newest
+                yield stamp, partial(self._pictures.made, tuple(newest))
 
     def _of(self, lens: int) -> Iterator[tuple[float, int, Any]]:
         """Stamp, number and message of one topic, whose stamps rise."""
@@ -89,29 +83,21 @@ class BagCamera:
             stamp = _stamp(received, when)
             if stamp_of(received) <= 0 and not told:
                 told = True
-                warnings.warn(
-                    f"{topic} tells no times (its headers have the stamp 0): those of the recording are taken",
-                    UserWarning,
-                    stacklevel=1,  # the frame above is heapq's
-                )
-            if stamp <= last:  # sent twice, or out of order
-                self.dropped += 1
-                if stamp < last and not self.back:
-                    warnings.warn(
-                        f"the stamps of {topic} go back by {last - stamp:.2f} s at {last:.3f} s: its pictures are left "
-                        "out until they have passed that",
-                        UserWarning,
-                        stacklevel=1,
-                    )
-                self.back += stamp < last
+                text = f"{topic} tells no times (its headers have the stamp 0): those of the recording are taken"
+                warnings.warn(text, UserWarning, stacklevel=1)  # the frame above is heapq's
+            if stamp > last:
+                last = stamp
+                yield stamp, lens, received
                 continue
-            last = stamp
-            yield stamp, lens, received
+            self.dropped += 1  # sent twice, or out of order
+            if stamp < last and not self.back:
+                text = f"the stamps of {topic} go back by {last - stamp:.2f} s at {last:.3f} s: its pictures are left "
+                warnings.warn(f"{text}out until they have passed that", UserWarning, stacklevel=1)
+            self.back += stamp < last
 
 
 def _stamp(received: Any, when: float) -> float:
-    stamp = stamp_of(received)
-    return stamp if stamp > 0 else when
+    return stamp_of(received) if stamp_of(received) > 0 else when
 
 
 class BagPoses:
@@ -148,17 +134,14 @@ class BagPoses:
         return self.reader.problem
 
     def __iter__(self) -> Iterator[Pose]:
-        told = ""
         for strict in (True,) if self._strict else (True, False):
             self._came = False
-            for pose in self._played(strict):
-                self._came = True
-                yield pose
+            yield from self._played(strict)
             if self._came or self._closed:
                 return
-            told = self.reader.problem or "it has no message"
-            if self.dropped:
-                told = f"all {self.dropped} messages are left out; the first: {self._first}"
+        told = self.reader.problem or "it has no message"
+        if self.dropped:
+            told = f"all {self.dropped} messages are left out; the first: {self._first}"
         raise PoseError(f"{self.bag.path}: {self.topic} gives no pose: {told}")
 
     def _played(self, strict: bool) -> Iterator[Pose]:
@@ -169,7 +152,9 @@ class BagPoses:
                 return
             try:
                 own = topic == self.topic
-                yield from self.reader.take(received) if own else self.reader.transforms(received, False)
+                for pose in self.reader.take(received) if own else self.reader.transforms(received, False):
+                    self._came = True
+                    yield pose
             except PoseError as error:
                 if not self.dropped and not self._first:
                     self._first = str(error)
