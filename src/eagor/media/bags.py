@@ -173,13 +173,12 @@ def _is_indexed(file: Path) -> bool:
     from rosbags.rosbag2.storage_mcap import McapReader
 
     reader = McapReader(file)
-    try:
+    with suppress(Exception):  # as the library happens to meet the damage
         reader.open()
-    except Exception:  # as the library happens to meet the damage
-        return False
-    with closing(reader):
-        counts = reader.statistics.channel_message_counts if reader.statistics else {}
-        return bool(reader.chunks) and sum(each.msgcount for each in reader.connections) == sum(counts.values())
+        with closing(reader):
+            counts = reader.statistics.channel_message_counts if reader.statistics else {}
+            return bool(reader.chunks) and sum(each.msgcount for each in reader.connections) == sum(counts.values())
+    return False
 
 
 def _recover(file: Path, whole: Path) -> str | None:
@@ -235,7 +234,7 @@ def _files(path: Path) -> Sequence[Path]:
     except OSError as error:
         wanted = "give a ROS 2 bag: a folder, .mcap or .db3"
         raise FormatError(f"{path} cannot be read ({error.strerror}); {wanted}") from error
-    packed = any(path.glob("*.zstd"))
+    packed, to = not inside and any(path.glob("*.zstd")), f"zstd -d {path}/*.zstd"
     if text:
         from ruamel.yaml import YAML
 
@@ -245,10 +244,9 @@ def _files(path: Path) -> Sequence[Path]:
             inside = [path / Path(name).name for name in told.get("relative_file_paths", [])]
         except Exception as error:  # the library's, or those of another shape
             raise FormatError(f"{about} is not that of a bag ({type(error).__name__}: {error})") from error
-    if packed and (text or not inside):
-        to = f"rosbags-convert --src {path} --dst {path.name}-unpacked" if text else f"zstd -d {path}/*.zstd"
-        lacks = "" if text else ", and lacks metadata.yaml"
-        raise FormatError(f"{path} is compressed by file{lacks}; unpack it: {to}")
+        to = f"rosbags-convert --src {path} --dst {path.name}-unpacked"
+    if packed:
+        raise FormatError(f"{path} is compressed by file; unpack it: {to}")
     if missing := [file.name for file in inside if not file.is_file()]:
         raise FormatError(f"{path} lacks {', '.join(missing)}, which {about.name} names; copy the whole folder")
     if not inside:
@@ -352,10 +350,9 @@ class BagWriter:
         """Record `message` of the ROS 2 type `kind` (a `rosbags` dataclass) under `topic` at `stamp`, seconds."""
         if kind not in store().fielddefs:
             raise FormatError(f"{kind!r} is no known ROS 2 type; wanted one such as sensor_msgs/msg/Imu")
+        nanos = nanoseconds(stamp)
         try:
-            data, nanos = store().serialize_cdr(message, kind), nanoseconds(stamp)
-        except EagorError:
-            raise
+            data = store().serialize_cdr(message, kind)
         except Exception as error:
             raise FormatError(f"{topic}: the message is no {kind} ({type(error).__name__}: {error})") from error
         with self._lock:
@@ -366,34 +363,30 @@ class BagWriter:
             known, connection = self._topics[topic]
             if known != kind:
                 raise FormatError(f"{topic} was recorded as {known}, and now as {kind}; use two topics")
-            with self._told():
+            with self._writing():
                 self._writer.write(connection, nanos, data)
                 self._fresh = True
-                if time.monotonic() - self._kept >= self._at_risk:
-                    self._flush()
+        if time.monotonic() - self._kept >= self._at_risk:
+            self.flush()
 
     def flush(self) -> None:
         """Hand all that was written over to the system: no crash of this process takes it then."""
-        with self._lock, self._told():
-            self._flush()
+        with self._lock, self._writing():
+            if self._writer is not None and self._fresh:
+                self._writer.storage.close_chunk()
+                self._writer.storage.bio.flush()
+            self._kept, self._fresh = time.monotonic(), False
 
     def close(self) -> None:
         """Write the index. May be called twice."""
         with self._lock:
             if self._writer is not None:
-                with self._told():
+                with self._writing():
                     self._writer.close()
                 self._writer = None
 
-    def _flush(self) -> None:
-        if self._writer is not None and self._fresh:
-            self._writer.storage.close_chunk()
-            self._writer.storage.bio.flush()
-            self._fresh = False
-        self._kept = time.monotonic()
-
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _writing(self) -> Iterator[None]:
         """Turn the system's errors into ours. They end the recording: nothing after half a chunk could be read."""
         try:
             yield
@@ -430,14 +423,13 @@ def pick(
             raise error(f"{name} is of type {topics[name]}; wanted {' or '.join(kinds)}. {has}")
         return name, topics[name]
     others = (TF_STATIC, "/compressedDepth", "/goal_pose", "/initialpose")  # none by itself: what it is not about
-    fit = [(name, kind) for name, kind in topics.items() if kind in kinds and not name.endswith(others)]
+    fit = {name: kind for name, kind in topics.items() if kind in kinds and not name.endswith(others)}
     if not fit:
         raise error(f"{where} has no topic of type {' or '.join(kinds)}; it has {listed(topics)}")
-    kind = next(kind for kind in kinds if any(each[1] == kind for each in fit))
-    found = [name for name, its in fit if its == kind]
-    if set(kinds) == set(PICTURES):
-        base = {name.removesuffix("/compressed") for name, _ in fit}
-        found = found if len(base) == 1 else sorted(base)
+    kind = min(fit.values(), key=kinds.index)
+    found = [name for name, its in fit.items() if its == kind]
+    if set(kinds) == set(PICTURES) and len(base := {name.removesuffix("/compressed") for name in fit}) > 1:
+        found = sorted(base)
     if len(found) > 1:
         raise error(f"{where} has several topics that fit: {', '.join(found)}; say which one with {option}")
     return found[0], kind

@@ -58,7 +58,9 @@ YUV: Mapping[str, tuple[int, int, int, int, int]] = {
     "nv12": (2, 2, 0, 0, 1), "nv21": (2, 2, 0, 1, 0), "nv24": (1, 1, 0, 0, 1),
 }  # fmt: skip
 # RGB of Y (16 to 235), U and V (16 to 240 about 128), as ITU-R BT.601 has it; cameras of ROS drivers use it.
-_RGB_OF_YUV = np.float32([[1.164384, 0.0, 1.596027], [1.164384, -0.391762, -0.812968], [1.164384, 2.017232, 0.0]])
+_RGB_OF_YUV = np.array(
+    [[1.164384, 0.0, 1.596027], [1.164384, -0.391762, -0.812968], [1.164384, 2.017232, 0.0]], np.float32
+)
 
 
 def message(kind: str, **fields: Any) -> Any:
@@ -202,13 +204,13 @@ def _of_yuv(received: Any, down: int, across: int, y: int, u: int, v: int) -> np
         light = rows
         colours = colours[: height // down * wide].reshape(-1, wide)[:, : 2 * width // across]
     blue, red = (colours[:, each::2].repeat(down, axis=0).repeat(across, axis=1) for each in (u, v))
-    yuv = np.stack([light, blue, red], axis=-1).astype(np.float32) - np.float32([16, 128, 128])
+    yuv = np.stack([light, blue, red], axis=-1).astype(np.float32) - np.array([16, 128, 128], np.float32)
     return np.rint(yuv @ _RGB_OF_YUV.T).clip(0, 255).astype(np.uint8)
 
 
 def _decoded(received: Any) -> np.ndarray:
     """By compressed_image_transport's format, such as "bayer_rggb8; png compressed ", or only "jpeg"."""
-    told, data = received.format, bytes(memoryview(received.data).cast("B"))
+    told, data = received.format, bytes(received.data)
     encoding = "compressedDepth" if "compressedDepth" in told else told.partition(";")[0].strip()
     if encoding in DEPTH or (encoding not in AS_OPENCV and re.fullmatch(r"\d+[USF]C\d*", encoding)):
         raise _refused("a CompressedImage has the format", encoding)
