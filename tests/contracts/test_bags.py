@@ -13,7 +13,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosmaking import READ, cdr, random_message
 
 from eagor.media import ros_messages as m
-from eagor.media.bags import Bag, BagWriter, bag_topics, is_bag, read_bag
+from eagor.media.bags import Bag, BagWriter, is_bag, read_bag
 from eagor.media.ros_messages import store
 
 MANY = 250
@@ -56,7 +56,7 @@ def check_equal(found, sent):
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_messages_of_each_type_written_by_rosbags(tmp_path, sent, plugin, version):
     written_by_rosbags(tmp_path / "bag", sent, plugin, version)
-    assert bag_topics(tmp_path / "bag") == dict(sorted(READ.items()))
+    assert Bag(tmp_path / "bag").topics == dict(sorted(READ.items()))
     check_equal(read_bag(tmp_path / "bag"), sent)
     (file,) = (tmp_path / "bag").glob("bag.*")
     check_equal(read_bag(file), sent)

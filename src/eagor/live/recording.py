@@ -22,7 +22,7 @@ from eagor.errors import EagorError, FormatError
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Event, EvidenceCame, FrameCame, PoseCame
 from eagor.media import Pose
-from eagor.media.bags import BagWriter, bag_topics, read_bag
+from eagor.media.bags import Bag, BagWriter, read_bag
 from eagor.media.ros_messages import (
     COMPRESSED,
     ODOMETRY,
@@ -194,7 +194,7 @@ class Replay:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        topics = bag_topics(self.path)
+        topics = Bag(self.path).topics
         if EVENTS not in topics:
             raise FormatError(
                 f"{path} has no topic {EVENTS}: it is no recording of eagor live --record; it has {', '.join(topics)}"

@@ -17,7 +17,7 @@ from eagor.errors import DeviceError, FormatError, PoseError
 from eagor.media import Pose
 from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick
 from eagor.media.intrinsics import Camera
-from eagor.media.ros_frames import BODY, PoseReader
+from eagor.media.ros_frames import PoseReader
 from eagor.media.ros_messages import TRANSFORMS, stamp_of
 from eagor.media.topic_pictures import Lenses, TopicPictures, lens_in_bag, placed_in_bag, topics_of
 
@@ -103,30 +103,19 @@ def _stamp(received: Any, when: float) -> float:
 class BagPoses:
     """A `PoseSource` that plays the odometry of a bag; each iteration begins at its start.
 
-    `topic`, `camera`, `body`, `world`: as for `PoseReader`. The fixed transforms of the whole bag are known from the
-    beginning; poses before one that moves are left out, if it comes within `SETTLING`. Where none tells where the
-    camera is, its axes are taken for those of the messages, which is a `problem`, or (`strict`) an error. `dropped`:
-    messages that hold no pose. Raises `FormatError`, `PoseError`.
+    `topic`, `camera`: as for `PoseReader`. The fixed transforms of the whole bag are known from the beginning; poses
+    before one that moves are left out, if it comes within `SETTLING`. Where none tells where the camera is, its axes
+    are taken for those of the messages, which is a `problem`. `dropped`: messages that hold no pose. Raises
+    `FormatError`, `PoseError`.
     """
 
     live = False
 
-    def __init__(
-        self,
-        bag: Bag | str | Path,
-        topic: str | None = None,
-        *,
-        camera: str | None = None,
-        body: str = BODY,
-        world: str | None = None,
-        strict: bool = False,
-    ) -> None:
-        self.bag = bag if isinstance(bag, Bag) else Bag(bag)
+    def __init__(self, bag: Bag | str | Path, topic: str | None = None, *, camera: str | None = None) -> None:
+        self.bag, self.camera = bag if isinstance(bag, Bag) else Bag(bag), camera
         self.topic, self.kind = pick(self.bag.topics, MOTION, topic, where=str(self.bag.path), option="--odom-topic")
-        self._settings: dict[str, Any] = {"camera": camera, "body": body, "world": world}
-        self._strict, self._first = strict, ""
-        self.dropped, self._closed, self._came = 0, False, False
-        self.reader = self._new_reader(strict)
+        self.dropped, self._first, self._closed = 0, "", False
+        self.reader = PoseReader(self.topic, self.kind, camera=camera)
 
     @property
     def problem(self) -> str | None:
@@ -134,29 +123,36 @@ class BagPoses:
         return self.reader.problem
 
     def __iter__(self) -> Iterator[Pose]:
-        for strict in (True,) if self._strict else (True, False):
-            self._came = False
-            yield from self._played(strict)
-            if self._came or self._closed:
+        came = False
+        for strict in (True, False):
+            for pose in self._played(strict):
+                came = True
+                yield pose
+            if came or self._closed:
                 return
-        told = self.reader.problem or "it has no message"
+        why = self.reader.problem or "it has no message"
         if self.dropped:
-            told = f"all {self.dropped} messages are left out; the first: {self._first}"
-        raise PoseError(f"{self.bag.path}: {self.topic} gives no pose: {told}")
+            why = f"all {self.dropped} messages are left out; the first: {self._first}"
+        raise PoseError(f"{self.bag.path}: {self.topic} gives no pose: {why}")
 
     def _played(self, strict: bool) -> Iterator[Pose]:
-        self.reader, self.dropped, begun = self._new_reader(strict), 0, math.inf
+        """The poses; with `strict` none unless one is known in time."""
+        self.reader = PoseReader(self.topic, self.kind, camera=self.camera, strict=strict)
+        if self.bag.topics.get(TF_STATIC) == TRANSFORMS:
+            for _, _, _, received in self.bag.messages([TF_STATIC]):
+                self.reader.transforms(received, True)
+        self.dropped, ends = 0, math.inf
         for when, topic, _, received in self.bag.messages({self.topic} | ({TF} & self.bag.topics.keys())):
-            begun = min(begun, when)
-            if self._closed or (strict and not (self._strict or self._came) and when > begun + SETTLING):
+            ends = min(ends, when + SETTLING)
+            if self._closed or (strict and when > ends):
                 return
             try:
                 own = topic == self.topic
                 for pose in self.reader.take(received) if own else self.reader.transforms(received, False):
-                    self._came = True
+                    strict = False
                     yield pose
             except PoseError as error:
-                if not self.dropped and not self._first:
+                if not self._first:
                     self._first = str(error)
                     warnings.warn(f"a pose of {self.topic} is left out: {error}", UserWarning, stacklevel=3)
                 self.dropped += 1
@@ -165,13 +161,6 @@ class BagPoses:
 
     def close(self) -> None:
         self._closed = True
-
-    def _new_reader(self, strict: bool) -> PoseReader:
-        reader = PoseReader(self.topic, self.kind, strict=strict, **self._settings)
-        if self.bag.topics.get(TF_STATIC) == TRANSFORMS:
-            for _, _, _, received in self.bag.messages([TF_STATIC]):
-                reader.transforms(received, True)
-        return reader
 
 
 def bag_odometry(bag: Bag, topic: str | None, frame: str | None) -> BagPoses | None:

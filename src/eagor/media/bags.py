@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 __all__ = [
-    "AT_RISK", "MAGIC", "MOTION", "PICTURES", "SUFFIXES", "TF", "TF_STATIC", "Bag", "BagWriter", "bag_topics", "is_bag",
+    "AT_RISK", "MAGIC", "MOTION", "PICTURES", "SUFFIXES", "TF", "TF_STATIC", "Bag", "BagWriter", "is_bag",
     "listed", "pick", "read_bag", "split_bag",
 ]  # fmt: skip
 
@@ -63,11 +63,6 @@ def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Iterato
     does not have, and for a type that neither the bag nor ROS 2 defines.
     """
     return Bag(path).messages(topics)
-
-
-def bag_topics(path: str | Path) -> dict[str, str]:
-    """The topics of a bag with their types, such as {"/odom": "nav_msgs/msg/Odometry"}. Raises as `Bag`."""
-    return Bag(path).topics
 
 
 class Bag:
@@ -400,36 +395,30 @@ class BagWriter:
 
 
 def pick(
-    topics: Mapping[str, str],
-    kinds: Sequence[str],
-    asked: str | None,
-    *,
-    where: str,
-    option: str,
-    error: type[EagorError] = FormatError,
+    topics: Mapping[str, str], kinds: Sequence[str], asked: str | None, *, where: str, option: str
 ) -> tuple[str, str]:
     """The topic `asked` for, or the only one of the first of `kinds` that there is; with its type.
 
     Of an Image and a CompressedImage with the same pictures (``name``, ``name/compressed``) the first kind is taken.
-    `where` ("the bag x.mcap") and `option` ("--image-topic") are for the text of the error: the topic is not there, has
-    another type, or there are several.
+    `where` ("the bag x.mcap") and `option` ("--image-topic") are for the text of the `FormatError`: the topic is not
+    there, has another type, or there are several.
     """
     has = f"{where} has {listed(topics)}"
     if asked is not None:
         name = asked if asked.startswith("/") else f"/{asked}"
         if name not in topics:
-            raise error(f"{where} has no topic {name}; it has {listed(topics)}")
+            raise FormatError(f"{where} has no topic {name}; it has {listed(topics)}")
         if topics[name] not in kinds:
-            raise error(f"{name} is of type {topics[name]}; wanted {' or '.join(kinds)}. {has}")
+            raise FormatError(f"{name} is of type {topics[name]}; wanted {' or '.join(kinds)}. {has}")
         return name, topics[name]
     others = (TF_STATIC, "/compressedDepth", "/goal_pose", "/initialpose")  # none by itself: what it is not about
     fit = {name: kind for name, kind in topics.items() if kind in kinds and not name.endswith(others)}
     if not fit:
-        raise error(f"{where} has no topic of type {' or '.join(kinds)}; it has {listed(topics)}")
+        raise FormatError(f"{where} has no topic of type {' or '.join(kinds)}; it has {listed(topics)}")
     kind = min(fit.values(), key=kinds.index)
     found = [name for name, its in fit.items() if its == kind]
     if set(kinds) == set(PICTURES) and len(base := {name.removesuffix("/compressed") for name in fit}) > 1:
         found = sorted(base)
     if len(found) > 1:
-        raise error(f"{where} has several topics that fit: {', '.join(found)}; say which one with {option}")
+        raise FormatError(f"{where} has several topics that fit: {', '.join(found)}; say which one with {option}")
     return found[0], kind
