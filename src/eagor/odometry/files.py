@@ -86,11 +86,10 @@ class FramePose(NamedTuple):
 class Poses(tuple[FramePose, ...]):
     """The poses of a file. `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours.
 
-    `form`: that of another program, in words. `partial`: it may lack pictures.
+    `form`: that of another program, in words, which may lack pictures.
     """
 
     axes = form = ""
-    partial = False
 
     def made(self, poses: Iterable[FramePose]) -> Poses:
         """Others of the same file."""
@@ -332,7 +331,7 @@ def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: s
         (FramePose(at, turns[k], places[k], names[k]) for at, k in zip(stamps, order, strict=True)), key=itemgetter(0)
     )
     found = Poses(poses)
-    found.axes, found.form, found.partial = axes, form, True
+    found.axes, found.form = axes, form
     return found
 
 
@@ -395,7 +394,7 @@ def pair(
     pairs = tuple((pose, by_name.get(each) or by_stem.get(each)) for pose, each in zip(poses, told, strict=True))
     used = [image.name for _, image in pairs if image is not None]
     missing = [n for n in by_name if n not in {*used}]
-    if missing and used and getattr(poses, "partial", False):
+    if missing and used and getattr(poses, "form", ""):
         text = f"{name} has no pose for {_some(missing)}, {len(missing)} of {len(images)} pictures: left out"
         warnings.warn(text, UserWarning, stacklevel=2)
     elif missing:
