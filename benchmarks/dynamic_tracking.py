@@ -186,7 +186,7 @@ def record(seed: int, scene: str, path: Path, domain: int) -> None:
                 now = now_at["pose"].stamp
                 ball = house.ball_at(now - begun)
                 assert ball is not None
-                bag.write(BALL, ros.TEXT, ros.text_message(json.dumps([now, *ball.centre.tolist()])), now)
+                bag.write(BALL, ros.TEXT, ros.message(ros.TEXT, data=json.dumps([now, *ball.centre.tolist()])), now)
 
             def picture(message: Any, _: float) -> None:
                 received = ros.store().deserialize_cdr(message.data, ros.COMPRESSED)

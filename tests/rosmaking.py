@@ -45,7 +45,7 @@ def camera_info(
 
 def pose_message(pose, frame="odom"):
     """A geometry_msgs/PoseStamped."""
-    return m.message(m.POSE, header=m.header(pose.stamp, frame), pose=m.pose_part(pose))
+    return m.message(m.POSE, header=m.header(pose.stamp, frame), pose=m.odometry_message(pose).pose.pose)
 
 
 def imu_message(pose, frame="imu_link", *, turning=(0, 0, 0), felt=(0, 0, 9.81)):
@@ -102,5 +102,5 @@ def random_message(kind, rng, stamp):
             )
         )
     if kind == m.VECTOR:
-        return m.vector_message(rng.normal(size=3), stamp, frame)
-    return m.text_message(frame * int(rng.integers(0, 30)))
+        return m.message(m.VECTOR, header=m.header(stamp, frame), vector=m.vector(rng.normal(size=3)))
+    return m.message(m.TEXT, data=frame * int(rng.integers(0, 30)))

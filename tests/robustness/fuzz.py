@@ -43,9 +43,8 @@ from eagor.errors import EagorError  # noqa: E402
 from eagor.grids import ErpGrid  # noqa: E402
 from eagor.media import Pose  # noqa: E402
 from eagor.media import ros_messages as m  # noqa: E402
-from eagor.media.bag_files import MAGIC  # noqa: E402
 from eagor.media.bag_sources import BagCamera, BagPoses  # noqa: E402
-from eagor.media.bags import MOTION, PICTURES, Bag  # noqa: E402
+from eagor.media.bags import MAGIC, MOTION, PICTURES, Bag  # noqa: E402
 from eagor.media.intrinsics import intrinsics_from_exif, read_camera  # noqa: E402
 from eagor.media.panorama import read_photograph  # noqa: E402
 from eagor.media.rigs import read_rig  # noqa: E402
@@ -178,9 +177,10 @@ def bags(data, draw, folder):
     bag = Bag(path.rename(folder / "bag.mcap") if data.startswith(MAGIC[:4]) else path)
     yield [stamp for stamp, *_ in tried(lambda: [*bag.messages()]) or ()]
     for topic, kind in bag.topics.items():
-        for frame in (kind in PICTURES and tried(lambda topic=topic: [*BagCamera(bag, topic)])) or ():
-            assert (frame.picture.dtype, frame.picture.ndim) == (np.uint8, 3)
-            yield frame.stamp, *(() if frame.grid is None else (frame.grid.directions,))
+        shown = lambda topic=topic: [(stamp, made()) for stamp, made in BagCamera(bag, topic).pictures()]  # noqa: E731
+        for stamp, picture in (kind in PICTURES and tried(shown)) or ():
+            assert (picture.dtype, picture.ndim) == (np.uint8, 3)
+            yield stamp
         for pose in (kind in MOTION and tried(lambda topic=topic: [*BagPoses(bag, topic, camera=LENS)])) or ():
             yield pose.stamp, pose.world_R_body, 0.0 if pose.position is None else pose.position
             assert np.allclose(pose.world_R_body @ pose.world_R_body.T, np.eye(3), atol=1e-6), "no rotation"

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import errno
 import io
-import itertools
 import math
-import sqlite3
 import struct
-import sys
 import warnings
-from contextlib import closing, suppress
+from contextlib import suppress
 
 import numpy as np
 import pytest
-from processes import limited
 from rosmaking import cdr, random_message
 
 from eagor.errors import FormatError, StorageError, TimeError
 from eagor.media import ros_messages as m
-from eagor.media.bag_files import MAGIC, MOST
-from eagor.media.bags import Bag, BagWriter, is_bag, read_bag
+from eagor.media.bags import MAGIC, Bag, BagWriter, is_bag, read_bag
 
 
 def small(path, count=20):
@@ -88,19 +83,11 @@ def test_a_type_that_the_bag_defines_otherwise_is_said(tmp_path, odd):
         list(read_bag(tmp_path / "a.mcap"))
 
 
-def test_files_of_a_bag_that_is_compressed_by_message_or_by_file(tmp_path):
-    """As they are named without their folder, or copied without its description."""
-    (tmp_path / "a.mcap").write_bytes(
-        MAGIC + record(1, text("ros2") + text("")) + channel()
-        + record(5, struct.pack("<HIQQ", 1, 0, 1, 1) + packed(b"\0\1\0\0" + bytes(99), "zstd"))
-    )  # fmt: skip
-    said = f"{tmp_path} is compressed by message; unpack it: rosbags-convert --src {tmp_path} --dst"
-    with pytest.warns(UserWarning, match="cut off"), pytest.raises(FormatError, match=said):
-        list(read_bag(tmp_path / "a.mcap"))
-    (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / "bag_0.db3.zstd").write_bytes(b"x")
-    with pytest.raises(FormatError, match=r"is compressed by file, and lacks metadata.yaml; unpack it: zstd -d"):
-        Bag(tmp_path / "bag")
+def test_files_of_a_bag_that_is_compressed_by_file(tmp_path):
+    """Copied without its description."""
+    (tmp_path / "bag_0.db3.zstd").write_bytes(b"x")
+    with pytest.raises(FormatError, match=r"is compressed by file; unpack it: zstd -d"):
+        Bag(tmp_path)
 
 
 def test_what_is_not_there(tmp_path):
@@ -135,7 +122,7 @@ def test_recordings_that_cannot_be(tmp_path):
     with pytest.raises(StorageError, match="cannot be made"):
         BagWriter(tmp_path / "file" / "bag")
     with BagWriter(tmp_path / "bag") as bag:
-        bag.write("/a", m.TEXT, m.text_message("x"), 1.0)
+        bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), 1.0)
         with pytest.raises(FormatError, match="/a was recorded as std_msgs/msg/String, and now as"):
             bag.write("/a", m.IMU, random_message(m.IMU, np.random.default_rng(0), 1.0), 2.0)
         with pytest.raises(FormatError, match="'my/msg/Own' is no known ROS 2 type"):
@@ -143,9 +130,9 @@ def test_recordings_that_cannot_be(tmp_path):
         with pytest.raises(FormatError, match="/c: the message is no std_msgs/msg/String"):
             bag.write("/c", m.TEXT, 7, 2.0)
         with pytest.raises(TimeError):
-            bag.write("/a", m.TEXT, m.text_message("x"), math.nan)
+            bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), math.nan)
     with pytest.raises(StorageError, match="is closed"):
-        bag.write("/a", m.TEXT, m.text_message("x"), 3.0)
+        bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), 3.0)
     bag.close()
     assert len(list(read_bag(tmp_path / "bag"))) == 1
 
@@ -153,7 +140,7 @@ def test_recordings_that_cannot_be(tmp_path):
 def test_an_exception_in_the_block_keeps_the_recording(tmp_path):
     def record():
         with BagWriter(tmp_path / "bag") as bag:
-            bag.write("/a", m.TEXT, m.text_message("x"), 1.0)
+            bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), 1.0)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -216,68 +203,12 @@ def finished(*chunks):
     return file.getvalue()
 
 
-def test_the_files_that_these_tests_make_are_bags(tmp_path):
-    """A chunk of several frames among them, which few recorders write."""
-    parts = [channel() + message(1, 100), message(2, 50)]
-    for compression in ("zstd", "lz4"):
-        frames = b"".join(packed(part, compression) for part in parts)
-        (tmp_path / "a.mcap").write_bytes(finished(chunk(sum(map(len, parts)), frames, compression)))
-        assert [(stamp, len(each.data)) for stamp, _, _, each in read_bag(tmp_path / "a.mcap")] == [
-            (1e-9, 92 - 1), (2e-9, 42 - 1)
-        ]  # fmt: skip
-
-
-ASK = """
-for file in sorted(folder.iterdir()):
-    try:
-        for _ in read_bag(file):
-            pass
-        print(file.name, "is read")
-    except EagorError as error:
-        print(error)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits memory as Linux does")
-def test_bags_that_ask_for_much_room(tmp_path):
-    zeros, head = bytes(1 << 26), MAGIC + record(1, text("ros2") + text(""))
-    for name, times in (("lz4", 4), ("zstd", 16)):  # it declares 1,000 bytes
-        much = packed(zeros, name, times)
-        (tmp_path / f"a-{name}.mcap").write_bytes(finished(chunk(1000, much, name)))
-        (tmp_path / f"b-{name}.mcap").write_bytes(head + channel() + chunk(1000, much, name))
-        (tmp_path / f"c-{name}.mcap").write_bytes(head + channel() + chunk(times << 26, much, name))
-    long = chunk(100 << 20, packed(message(1, 100 << 10) + message(9, (100 << 20) - (100 << 10) - 62), "zstd"), "zstd")
-    (tmp_path / "d.mcap").write_bytes(finished(*[long] * 4))
-    (tmp_path / "e.mcap").write_bytes(head + channel() + record(9, bytes(1000)) + chunk(1 << 60, b"", ""))
-    kinds = [
-        record(3, struct.pack("<H", n) + text("a/msg/B") + text("ros2msg") + text(" " * (4 << 20))) for n in range(9)
-    ]
-    (tmp_path / "f.mcap").write_bytes(head + b"".join(chunk(len(k), packed(k, "zstd"), "zstd") for k in kinds))
-    with closing(sqlite3.connect(tmp_path / "g.db3")) as database:
-        database.executescript(
-            "CREATE TABLE topics(id INTEGER, name TEXT, type TEXT);"
-            f"INSERT INTO topics VALUES (1, '/a', '{m.TEXT}');"
-            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);"
-            f"INSERT INTO messages VALUES (1, 1, 1, zeroblob({MOST + 1}));"
-        )
-    large = message(1, MOST - 200)
-    (tmp_path / "h.mcap").write_bytes(finished(chunk(len(large), packed(large, "zstd"), "zstd")))
-    assert (tmp_path / "b-zstd.mcap").stat().st_size < 200_000
-    said = limited("from eagor.errors import EagorError\nfrom eagor.media.bags import read_bag\n", ASK, tmp_path, 600)
-    wanted = [
-        *["is damaged (a chunk holds more than the 1000 bytes that it declares); copy or"] * 2,
-        *["holds no message (a chunk holds more than the 1000 bytes that it declares); rec"] * 2,
-        "holds no message (a chunk of 268435456 bytes; at most 134217728 are read); record it again",
-        "holds no message (a chunk of 1073741824 bytes; at most 134217728 are read); record it again",
-        "is damaged (more than 268435456 bytes wait to be put in order of time); copy or record it again",
-        f"holds no message (a chunk of {1 << 60} bytes; at most 134217728 are read); record it again",
-        "holds no message (definitions of more than 16777216 bytes); record it again",
-        "is damaged (a row of more than 134217728 bytes); copy or record it again",
-        "h.mcap is read",
-    ]
-    for line, want in itertools.zip_longest(said, wanted, fillvalue=""):
-        assert want in line
+def test_records_that_claim_more_than_there_is(tmp_path):
+    head = MAGIC + record(1, text("ros2") + text("")) + channel()
+    for name, each in (("record", record(5, b"")[:1] + struct.pack("<Q", 1 << 60)), ("chunk", chunk(1 << 60, b"", ""))):
+        (tmp_path / f"{name}.mcap").write_bytes(head + message(1, 100) + each)
+        with pytest.warns(UserWarning, match="cut off"):
+            assert len(list(read_bag(tmp_path / f"{name}.mcap"))) == 1
 
 
 class Filling:

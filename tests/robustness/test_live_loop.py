@@ -440,12 +440,12 @@ def test_a_recording_is_played_again_with_the_same_answers(tmp_path):
 
 def test_others_read_a_recording_as_a_ros_bag(tmp_path):
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    from eagor.media.bags import bag_topics, read_bag
+    from eagor.media.bags import Bag, read_bag
     from eagor.media.ros_messages import panorama_of, pose_of, stamp_of
 
     loop = loop_of(Camera(), Seeing(), poses=Odometry(turn=0.5), record=tmp_path / "run", pictures="png")
     answers = followed(loop, well)
-    topics = bag_topics(tmp_path / "run")
+    topics = Bag(tmp_path / "run").topics
     assert topics == {
         "/eagor/answers": "std_msgs/msg/String",
         "/eagor/direction/red_chair": "geometry_msgs/msg/Vector3Stamped",

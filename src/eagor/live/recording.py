@@ -22,18 +22,18 @@ from eagor.errors import EagorError, FormatError
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Event, ImageReceived, ObservationReceived, PoseReceived
 from eagor.media import Pose
-from eagor.media.bags import BagWriter, bag_topics, read_bag
+from eagor.media.bags import Bag, BagWriter, read_bag
 from eagor.media.ros_messages import (
     COMPRESSED,
     ODOMETRY,
     TEXT,
     VECTOR,
     compressed_message,
+    header,
     message,
     odometry_message,
     panorama_of,
-    text_message,
-    vector_message,
+    vector,
 )
 from eagor.tracking import TrackerConfig
 from eagor.tracking.checkpoint import packed, unpacked
@@ -168,9 +168,9 @@ class Recorder:
             self._bag.write(ODOM, ODOMETRY, odometry_message(flat), self._last)
         for answer in answers:
             text = json.dumps(answer.as_dict(), allow_nan=False)
-            self._bag.write(ANSWERS, TEXT, text_message(text), self._last)  # in the order of the events
+            self._bag.write(ANSWERS, TEXT, message(TEXT, data=text), self._last)  # in the order of the events
             if answer.direction is not None:
-                found = vector_message(answer.direction, answer.stamp, BODY)
+                found = message(VECTOR, header=header(answer.stamp, BODY), vector=vector(answer.direction))
                 self._bag.write(f"{DIRECTION}/{slug(answer.query)}", VECTOR, found, self._last)
 
 
@@ -189,7 +189,7 @@ class Replay:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        topics = bag_topics(self.path)
+        topics = Bag(self.path).topics
         first = next((event_from(found.data.tobytes()) for *_, found in read_bag(self.path, [EVENTS])), None)
         if not (isinstance(first, LoopSettings) and isinstance(first.config, TrackerConfig)):
             raise FormatError(

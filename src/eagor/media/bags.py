@@ -1,20 +1,21 @@
 """ROS 2 bags without ROS: recordings of topics, read from MCAP or SQLite (a folder or one file), and written as MCAP.
 
-A file without an end, as a crash leaves it, is read up to where it breaks off. Reading takes about half a GiB at most,
-whatever a file asks for; what would need more is refused (`eagor.media.bag_files`).
-
-Of a recording, a crash takes little: `rosbags` keeps up to a megabyte in memory, and Python the rest of a block, so
-chunks are closed often here.
+`rosbags` reads them. Of an MCAP file without an end, as a crash leaves it, a whole copy is read, with what can be read
+of it; of an SQLite file with a journal beside it, one into which that is folded.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
+import sqlite3
+import tempfile
 import threading
 import time
 import warnings
+import weakref
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from errno import ENOENT
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,14 +42,15 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 __all__ = [
-    "AT_RISK", "MOTION", "PICTURES", "SUFFIXES", "TF", "TF_STATIC", "Bag", "BagWriter", "bag_topics", "is_bag",
+    "AT_RISK", "MAGIC", "MOTION", "PICTURES", "SUFFIXES", "TF", "TF_STATIC", "Bag", "BagWriter", "is_bag",
     "listed", "pick", "read_bag", "split_bag",
 ]  # fmt: skip
 
 SUFFIXES = (".mcap", ".db3")
-PACKED = ("file", "message")  # how a recorder compresses beside what MCAP does itself
-ZSTANDARD = b"\x28\xb5\x2f\xfd"
-ROS_1, ROS_1_SUFFIX = b"#ROSBAG V", ".bag"
+MAGIC, ROS_1, ROS_1_SUFFIX = b"\x89MCAP0\r\n", b"#ROSBAG V", ".bag"
+ZSTANDARD = b"\x28\xb5\x2f\xfd"  # as no message begins: a recorder compresses by message, too
+DEFINITIONS = ("ros2msg", "ros2idl", "omgidl")  # of types, that `rosbags` reads
+MOST = 1 << 28  # bytes of a record of a file that was cut off, which may claim any
 PICTURES = (IMAGE, COMPRESSED)
 MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS, POSE_WITH_COVARIANCE, TRANSFORM)  # the best first
 TF, TF_STATIC = "/tf", "/tf_static"
@@ -63,11 +65,6 @@ def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Iterato
     return Bag(path).messages(topics)
 
 
-def bag_topics(path: str | Path) -> dict[str, str]:
-    """The topics of a bag with their types, such as {"/odom": "nav_msgs/msg/Odometry"}. Raises as `Bag`."""
-    return Bag(path).topics
-
-
 class Bag:
     """A ROS 2 bag: a folder, or one .mcap or .db3 file.
 
@@ -78,14 +75,20 @@ class Bag:
     def __init__(self, path: str | Path) -> None:
         need("reading bags", "robot", "rosbags", "mcap")
         self.path = Path(path)
-        self._files = _opened(self.path)
         self.topics: dict[str, str] = {}
         self.counts: dict[str, int] = {}
-        for channel, count in ((c, file.counts[number]) for file in self._files for number, c in file.channels.items()):
-            known = self.topics.setdefault(channel.topic, channel.kind)
-            if known != channel.kind:
-                raise FormatError(f"{path}: the topic {channel.topic} has two types, {known} and {channel.kind}")
-            self.counts[channel.topic] = self.counts.get(channel.topic, 0) + count
+        self._files: list[Path] = []  # or whole copies of them
+        wrong = []
+        for file in _files(self.path):
+            try:
+                self._open(file)
+            except Exception as error:  # ours, or as the libraries happen to meet the damage
+                known = isinstance(error, EagorError)
+                wrong.append(str(error) if known else f"{file} cannot be read as a bag ({error}); copy it again")
+        if not self._files:
+            raise FormatError(wrong[0])
+        for text in wrong:
+            warnings.warn(f"a part of {path} is left out: {text}", stacklevel=3)
         self.topics = dict(sorted(self.topics.items()))
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[float, str, str, Any]]:
@@ -96,67 +99,121 @@ class Bag:
         return self._messages(topics)
 
     def _messages(self, topics: Collection[str] | None) -> Iterator[tuple[float, str, str, Any]]:
+        from rosbags.rosbag2 import Reader
+        from zstandard import ZstdDecompressor
+
+        decoders: dict[str, Any] = {}
         for file in self._files:  # a bag of several files was split in time
-            decode: dict[int, Any] = {}
-            wanted = {key: each for key, each in file.channels.items() if topics is None or each.topic in topics}
-            told = file.messages(wanted)
-            while wanted:
-                try:
-                    number, nanos, data = next(told)
-                except StopIteration:
-                    break
-                except Exception as error:  # as the libraries happen to meet the damage
-                    raise FormatError(f"{file.path} is damaged ({error}); copy or record it again") from error
-                channel, stamp = wanted[number], nanos / NANO
-                if data[:4] == ZSTANDARD:  # as no message begins; metadata.yaml says it, where the folder is named
-                    raise FormatError(_packed(file.path.parent, "message"))
-                if number not in decode:
-                    decode[number] = _decoder(self.path, channel)
-                try:
-                    found = decode[number](data, channel.kind)
-                except Exception as error:
-                    raise FormatError(
-                        f"{self.path}: a message of {channel.topic} at {stamp:.3f} s is no {channel.kind} "
-                        f"({type(error).__name__}: {error})"
-                    ) from error
-                yield stamp, channel.topic, channel.kind, found
+            try:
+                with Reader(file) as reader:
+                    wanted = [each for each in reader.connections if topics is None or each.topic in topics]
+                    for connection, nanos, data in reader.messages(wanted) if wanted else ():
+                        if data[:4] == ZSTANDARD:
+                            data = ZstdDecompressor().decompressobj().decompress(data)
+                        stamp, topic, kind = nanos / NANO, connection.topic, connection.msgtype
+                        if topic not in decoders:
+                            decoders[topic] = _decoder(self.path, connection)
+                        try:
+                            message = decoders[topic](data, kind)
+                        except Exception as error:
+                            raise FormatError(
+                                f"{self.path}: a message of {topic} at {stamp:.3f} s is no {kind} "
+                                f"({type(error).__name__}: {error})"
+                            ) from error
+                        yield stamp, topic, kind, message
+            except EagorError:
+                raise
+            except Exception as error:  # as the libraries happen to meet the damage
+                raise FormatError(f"{file} is damaged ({error}); copy or record it again") from error
+
+    def _open(self, file: Path) -> None:
+        """Take in a file, or a copy of it. Raises `FormatError`, and what the libraries raise."""
+        from rosbags.rosbag2 import Reader
+
+        with file.open("rb") as opened:
+            head = opened.read(len(ROS_1))
+        if head == ROS_1:
+            to = f"rosbags-convert --src {file} --dst {file.with_suffix('')}"
+            raise FormatError(f"{file} is a bag of ROS 1; convert it: {to}")
+        if not head:
+            raise FormatError(f"{file} is empty; a recording that was never begun, or a copy that failed")
+        if (kind := file.suffix.lower()) not in SUFFIXES:
+            wanted = f"wanted a folder, or a file that ends in {' or '.join(SUFFIXES)}"
+            raise FormatError(f"{file} is no bag of ROS 2; {wanted}")
+        if kind == ".mcap" and not head.startswith(MAGIC):
+            raise FormatError(f"{file} does not begin as an MCAP file does; wanted a ROS 2 bag (.mcap or .db3)")
+        beside = [Path(f"{file.resolve()}{end}") for end in ("-wal", "-journal")]
+        beside = [each for each in beside if each.exists() and each.stat().st_size]
+        whole, broken = file, None
+        if not _is_indexed(file) if kind == ".mcap" else beside or file.suffix != kind or {*"?#%"} & {*str(file)}:
+            folder = tempfile.mkdtemp(prefix="eagor-bag-")
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+            whole = Path(folder, f"bag{kind}")
+            broken = _recover(file, whole) if kind == ".mcap" else _fold(file, beside, whole)
+        with Reader(whole) as reader:
+            connections, many = [*reader.connections], reader.message_count
+        if not many and (broken or not connections):
+            raise FormatError(f"{file} holds no message ({broken or 'it is empty'}); record it again")
+        for each in connections:
+            if (known := self.topics.setdefault(each.topic, each.msgtype)) != each.msgtype:
+                raise FormatError(f"{file}: the topic {each.topic} has two types, {known} and {each.msgtype}")
+            self.counts[each.topic] = self.counts.get(each.topic, 0) + each.msgcount
+        if broken:
+            warnings.warn(f"{file.name} was cut off ({broken}); its first {many} messages are read", stacklevel=4)
+        self._files.append(whole)
 
 
-def _opened(path: Path) -> list[Any]:
-    """The files of a bag, in order of time; of several, those that hold messages. Raises `FormatError`."""
-    from eagor.media.bag_files import McapFile, SqliteFile
+def _is_indexed(file: Path) -> bool:
+    """Whether an MCAP file has a sound index, by which `rosbags` gives messages in order of time."""
+    from rosbags.rosbag2.storage_mcap import McapReader
 
-    files, found, wrong = _files(path), [], []
-    for file in files:
+    reader = McapReader(file)
+    with suppress(Exception):  # as the library happens to meet the damage
+        reader.open()
+        with closing(reader):
+            counts = reader.statistics.channel_message_counts if reader.statistics else {}
+            return bool(reader.chunks) and sum(each.msgcount for each in reader.connections) == sum(counts.values())
+    return False
+
+
+def _recover(file: Path, whole: Path) -> str | None:
+    """Copy the messages of an MCAP file up to the first damage, with an index; what the damage is."""
+    from mcap.records import Channel, DataEnd, Message, Schema
+    from mcap.stream_reader import StreamReader
+    from mcap.writer import CompressionType, Writer
+
+    schemas, channels, broken = dict[int, int](), dict[int, int](), "it has no end"
+    with file.open("rb") as source, whole.open("wb") as copy:
+        writer = Writer(copy, compression=CompressionType.NONE)
+        writer.start("ros2")
         try:
-            with file.open("rb") as opened:
-                head = opened.read(len(ROS_1))
-            if head == ROS_1:
-                to = f"rosbags-convert --src {file} --dst {file.with_suffix('')}"
-                raise FormatError(f"{file} is a bag of ROS 1; convert it: {to}")
-            if not head:
-                raise FormatError(f"{file} is empty; a recording that was never begun, or a copy that failed")
-            if file.suffix.lower() not in SUFFIXES:
-                raise FormatError(
-                    f"{file} is no bag of ROS 2; wanted a folder, or a file that ends in {' or '.join(SUFFIXES)}"
-                )
-            each = (McapFile if file.suffix.lower() == ".mcap" else SqliteFile)(file)
-            many = sum(each.counts.values())
-            if not many and (each.broken or not each.channels):
-                raise FormatError(f"{file} holds no message ({each.broken or 'it is empty'}); record it again")
-            if each.broken:
-                warnings.warn(
-                    f"{file.name} was cut off ({each.broken}); its first {many} messages are read", stacklevel=4
-                )
-            found.append(each)
-        except (OSError, ValueError) as error:
-            told = isinstance(error, EagorError)
-            wrong.append(str(error) if told else f"{file} cannot be read as a bag ({error}); copy it again")
-    if not found:
-        raise FormatError(wrong[0])
-    for text in wrong:
-        warnings.warn(f"a part of {path} is left out: {text}", stacklevel=4)
-    return found
+            for record in StreamReader(source, validate_crcs=True, record_size_limit=MOST).records:
+                if isinstance(record, Message):
+                    if record.channel_id in channels:
+                        number = channels[record.channel_id]
+                        writer.add_message(number, record.log_time, record.data, record.publish_time, record.sequence)
+                elif isinstance(record, Schema) and record.id not in schemas:  # each chunk may say it again
+                    text = record.data if record.encoding in DEFINITIONS else b""
+                    encoding = record.encoding if text else ""
+                    schemas[record.id] = writer.register_schema(record.name, encoding, text)
+                elif isinstance(record, Channel) and record.id not in channels:
+                    schema = schemas.get(record.schema_id, 0)
+                    channels[record.id] = writer.register_channel(record.topic, record.message_encoding, schema)
+                elif isinstance(record, DataEnd):
+                    broken = None
+                    break
+        except Exception as error:  # as the library happens to meet the damage
+            broken = str(error) or "it ends in the middle of a record"
+        writer.finish()
+    return broken
+
+
+def _fold(file: Path, beside: Sequence[Path], whole: Path) -> None:
+    """Copy an SQLite file with what a recorder that was killed left beside it, and fold that in."""
+    for each in (file, *beside):
+        shutil.copyfile(each, f"{whole}{str(each).removeprefix(str(file.resolve())) if each in beside else ''}")
+    with closing(sqlite3.connect(whole)) as database:
+        database.execute("PRAGMA journal_mode = DELETE")
 
 
 def _files(path: Path) -> Sequence[Path]:
@@ -172,47 +229,40 @@ def _files(path: Path) -> Sequence[Path]:
     except OSError as error:
         wanted = "give a ROS 2 bag: a folder, .mcap or .db3"
         raise FormatError(f"{path} cannot be read ({error.strerror}); {wanted}") from error
+    packed, to = not inside and any(path.glob("*.zstd")), f"zstd -d {path}/*.zstd"
     if text:
         from ruamel.yaml import YAML
 
         try:
             told = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
-            packed = told.get("compression_mode", "").lower()
-            named = [] if packed in PACKED else [path / Path(name).name for name in told["relative_file_paths"]]
+            packed = told.get("compression_mode", "").lower() == "file"
+            inside = [path / Path(name).name for name in told.get("relative_file_paths", [])]
         except Exception as error:  # the library's, or those of another shape
             raise FormatError(f"{about} is not that of a bag ({type(error).__name__}: {error})") from error
-        if packed in PACKED:
-            raise FormatError(_packed(path, packed))
-        if missing := [file.name for file in named if not file.is_file()]:
-            raise FormatError(f"{path} lacks {', '.join(missing)}, which {about.name} names; copy the whole folder")
-        inside = named
+        to = f"rosbags-convert --src {path} --dst {path.name}-unpacked"
+    if packed:
+        raise FormatError(f"{path} is compressed by file; unpack it: {to}")
+    if missing := [file.name for file in inside if not file.is_file()]:
+        raise FormatError(f"{path} lacks {', '.join(missing)}, which {about.name} names; copy the whole folder")
     if not inside:
-        if any(path.glob("*.zstd")):
-            raise FormatError(
-                f"{path} is compressed by file, and lacks metadata.yaml; unpack it: zstd -d {path}/*.zstd"
-            )
         raise FormatError(f"{path} holds no bag: no metadata.yaml, no {' or '.join(SUFFIXES)} file")
     return inside
 
 
-def _packed(folder: Path, how: str) -> str:
-    to = f"rosbags-convert --src {folder} --dst {folder.name}-unpacked"
-    return f"{folder} is compressed by {how}; unpack it: {to}"
-
-
-def _decoder(path: Path, channel: Any) -> Any:
+def _decoder(path: Path, connection: Any) -> Any:
     """What decodes the messages of a topic: our types where they are the same, else those that the bag defines."""
+    from rosbags.interfaces import MessageDefinitionFormat as Format
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    known, kind, text = store(), channel.kind, channel.definition
+    known, kind, text = store(), connection.msgtype, connection.msgdef.data
     if not text and kind not in known.fielddefs:
         raise FormatError(
-            f"{path}: {channel.topic} is of type {kind}, which neither the bag nor ROS 2 Humble defines; record it as "
-            "MCAP, which keeps the definitions"
+            f"{path}: {connection.topic} is of type {kind}, which neither the bag nor ROS 2 Humble defines; record it "
+            "as MCAP, which keeps the definitions"
         )
     types: dict[str, Any] = {}
     try:
-        if text and channel.encoding == "ros2idl":
+        if text and connection.msgdef.format == Format.IDL:
             for part in filter(None, text.split("=" * 80 + "\n")):
                 types |= get_types_from_idl(part.partition("\n")[2] if part.startswith("IDL: ") else part)
         elif text:
@@ -220,10 +270,9 @@ def _decoder(path: Path, channel: Any) -> Any:
         if all(name in known.fielddefs and known.fielddefs[name][1] == about[1] for name, about in types.items()):
             return known.deserialize_cdr
         for name, about in types.items() if kind in (*PICTURES, *MOTION, CAMERA_INFO) else ():
-            if lost := [
-                field for field, told in known.fielddefs.get(name, ((), ()))[1] if (field, told) not in about[1]
-            ]:
-                raise ValueError(f"it has not the {lost[0]} of ROS 2's {name}")
+            for field, wanted in known.fielddefs.get(name, ((), ()))[1]:
+                if (field, wanted) not in about[1]:
+                    raise ValueError(f"it has not the {field} of ROS 2's {name}")
         own = get_typestore(Stores.EMPTY)
         own.register({name: about for name, about in types.items() if name not in own.fielddefs})
         return own.deserialize_cdr
@@ -296,10 +345,9 @@ class BagWriter:
         """Record `message` of the ROS 2 type `kind` (a `rosbags` dataclass) under `topic` at `stamp`, seconds."""
         if kind not in store().fielddefs:
             raise FormatError(f"{kind!r} is no known ROS 2 type; wanted one such as sensor_msgs/msg/Imu")
+        nanos = nanoseconds(stamp)
         try:
-            data, nanos = store().serialize_cdr(message, kind), nanoseconds(stamp)
-        except EagorError:
-            raise
+            data = store().serialize_cdr(message, kind)
         except Exception as error:
             raise FormatError(f"{topic}: the message is no {kind} ({type(error).__name__}: {error})") from error
         with self._lock:
@@ -310,34 +358,30 @@ class BagWriter:
             known, connection = self._topics[topic]
             if known != kind:
                 raise FormatError(f"{topic} was recorded as {known}, and now as {kind}; use two topics")
-            with self._told():
+            with self._writing():
                 self._writer.write(connection, nanos, data)
                 self._fresh = True
-                if time.monotonic() - self._kept >= self._at_risk:
-                    self._flush()
+        if time.monotonic() - self._kept >= self._at_risk:
+            self.flush()
 
     def flush(self) -> None:
         """Hand all that was written over to the system: no crash of this process takes it then."""
-        with self._lock, self._told():
-            self._flush()
+        with self._lock, self._writing():
+            if self._writer is not None and self._fresh:
+                self._writer.storage.close_chunk()
+                self._writer.storage.bio.flush()
+            self._kept, self._fresh = time.monotonic(), False
 
     def close(self) -> None:
         """Write the index. May be called twice."""
         with self._lock:
             if self._writer is not None:
-                with self._told():
+                with self._writing():
                     self._writer.close()
                 self._writer = None
 
-    def _flush(self) -> None:
-        if self._writer is not None and self._fresh:
-            self._writer.storage.close_chunk()
-            self._writer.storage.bio.flush()
-            self._fresh = False
-        self._kept = time.monotonic()
-
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _writing(self) -> Iterator[None]:
         """Turn the system's errors into ours. They end the recording: nothing after half a chunk could be read."""
         try:
             yield
@@ -351,37 +395,30 @@ class BagWriter:
 
 
 def pick(
-    topics: Mapping[str, str],
-    kinds: Sequence[str],
-    asked: str | None,
-    *,
-    where: str,
-    option: str,
-    error: type[EagorError] = FormatError,
+    topics: Mapping[str, str], kinds: Sequence[str], asked: str | None, *, where: str, option: str
 ) -> tuple[str, str]:
     """The topic `asked` for, or the only one of the first of `kinds` that there is; with its type.
 
     Of an Image and a CompressedImage with the same pictures (``name``, ``name/compressed``) the first kind is taken.
-    `where` ("the bag x.mcap") and `option` ("--image-topic") are for the text of the error: the topic is not there, has
-    another type, or there are several.
+    `where` ("the bag x.mcap") and `option` ("--image-topic") are for the text of the `FormatError`: the topic is not
+    there, has another type, or there are several.
     """
     has = f"{where} has {listed(topics)}"
     if asked is not None:
         name = asked if asked.startswith("/") else f"/{asked}"
         if name not in topics:
-            raise error(f"{where} has no topic {name}; it has {listed(topics)}")
+            raise FormatError(f"{where} has no topic {name}; it has {listed(topics)}")
         if topics[name] not in kinds:
-            raise error(f"{name} is of type {topics[name]}; wanted {' or '.join(kinds)}. {has}")
+            raise FormatError(f"{name} is of type {topics[name]}; wanted {' or '.join(kinds)}. {has}")
         return name, topics[name]
     others = (TF_STATIC, "/compressedDepth", "/goal_pose", "/initialpose")  # none by itself: what it is not about
-    fit = [(name, kind) for name, kind in topics.items() if kind in kinds and not name.endswith(others)]
+    fit = {name: kind for name, kind in topics.items() if kind in kinds and not name.endswith(others)}
     if not fit:
-        raise error(f"{where} has no topic of type {' or '.join(kinds)}; it has {listed(topics)}")
-    kind = next(kind for kind in kinds if any(each[1] == kind for each in fit))
-    found = [name for name, its in fit if its == kind]
-    if set(kinds) == set(PICTURES):
-        base = {name.removesuffix("/compressed") for name, _ in fit}
-        found = found if len(base) == 1 else sorted(base)
+        raise FormatError(f"{where} has no topic of type {' or '.join(kinds)}; it has {listed(topics)}")
+    kind = min(fit.values(), key=kinds.index)
+    found = [name for name, its in fit.items() if its == kind]
+    if set(kinds) == set(PICTURES) and len(base := {name.removesuffix("/compressed") for name in fit}) > 1:
+        found = sorted(base)
     if len(found) > 1:
-        raise error(f"{where} has several topics that fit: {', '.join(found)}; say which one with {option}")
+        raise FormatError(f"{where} has several topics that fit: {', '.join(found)}; say which one with {option}")
     return found[0], kind

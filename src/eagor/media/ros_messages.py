@@ -18,7 +18,7 @@ import numpy as np
 from PIL import Image
 
 from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
-from eagor.errors import EagorError, ImageError, PoseError, TimeError
+from eagor.errors import ImageError, PoseError, TimeError
 from eagor.media import Pose
 from eagor.media.panorama import read_image
 from eagor.tracking.poses import FARTHEST
@@ -26,8 +26,8 @@ from eagor.tracking.poses import FARTHEST
 __all__ = [
     "CAMERA_INFO", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE", "TEXT", "TRANSFORM",
     "TRANSFORMS", "VECTOR", "compressed_message", "header", "image_message", "message", "odometry_message",
-    "panorama_of", "pose_of", "quaternion", "seconds", "stamp_of", "store", "taken_as", "text_message", "time_message",
-    "transform_message", "transforms_message", "vector", "vector_message",
+    "panorama_of", "pose_of", "quaternion", "seconds", "stamp_of", "store", "taken_as",
+    "transform_message", "transforms_message", "vector", 
 ]  # fmt: skip
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -51,16 +51,16 @@ ENCODINGS: Mapping[str, tuple[int, slice | list[int]]] = {
 AS_OPENCV = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8", "16UC3": "bgr16", "16UC4": "bgra16"}
 BAYER = {f"bayer_{pattern}{bits}": pattern for pattern in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)}
 DEPTH = ("16UC1", "32FC1", "compressedDepth")  # REP-118
-# Two pixels of YUV 4:2:2 in four bytes: where Y of both, U and V are. The older names are the same formats.
-YUV_422: Mapping[str, tuple[list[int], int, int]] = {
-    "uyvy": ([1, 3], 0, 2), "yuv422": ([1, 3], 0, 2),
-    "yuyv": ([0, 2], 1, 3), "yuv422_yuy2": ([0, 2], 1, 3),
+# Rows and columns of pixels that share U and V (0 rows: all in one plane, Y in every second byte), the first Y there,
+# and the places of U and V among themselves. The longer names are older ones.
+YUV: Mapping[str, tuple[int, int, int, int, int]] = {
+    "uyvy": (0, 2, 1, 0, 1), "yuv422": (0, 2, 1, 0, 1), "yuyv": (0, 2, 0, 0, 1), "yuv422_yuy2": (0, 2, 0, 0, 1),
+    "nv12": (2, 2, 0, 0, 1), "nv21": (2, 2, 0, 1, 0), "nv24": (1, 1, 0, 0, 1),
 }  # fmt: skip
-# A plane of Y, then one of U and V in turn: how many rows and columns of pixels share them, and where U and V are.
-PLANES: Mapping[str, tuple[int, int, int]] = {"nv12": (2, 0, 1), "nv21": (2, 1, 0), "nv24": (1, 0, 1)}
 # RGB of Y (16 to 235), U and V (16 to 240 about 128), as ITU-R BT.601 has it; cameras of ROS drivers use it.
-_RGB_OF_YUV = np.array([[1.164384, 0.0, 1.596027], [1.164384, -0.391762, -0.812968], [1.164384, 2.017232, 0.0]])
-_BLACK = np.array([16.0, 128.0, 128.0])
+_RGB_OF_YUV = np.array(
+    [[1.164384, 0.0, 1.596027], [1.164384, -0.391762, -0.812968], [1.164384, 2.017232, 0.0]], np.float32
+)
 
 
 def message(kind: str, **fields: Any) -> Any:
@@ -69,12 +69,6 @@ def message(kind: str, **fields: Any) -> Any:
 
 
 # --- time ---
-
-
-def time_message(stamp: float) -> Any:
-    """`stamp` (seconds from 1970) as builtin_interfaces/Time. Raises `TimeError`."""
-    sec, nanosec = divmod(nanoseconds(stamp), NANO)
-    return message("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
 
 
 def nanoseconds(stamp: float) -> int:
@@ -96,8 +90,10 @@ def stamp_of(received: Any) -> float:
 
 
 def header(stamp: float, frame: str) -> Any:
-    """A std_msgs/Header."""
-    return message("std_msgs/msg/Header", stamp=time_message(stamp), frame_id=frame)
+    """A std_msgs/Header; `stamp`: seconds from 1970. Raises `TimeError`."""
+    sec, nanosec = divmod(nanoseconds(stamp), NANO)
+    stamped = message("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+    return message("std_msgs/msg/Header", stamp=stamped, frame_id=frame)
 
 
 # --- pictures ---
@@ -106,11 +102,8 @@ def header(stamp: float, frame: str) -> Any:
 def image_message(panorama: np.ndarray, stamp: float, frame: str) -> Any:
     """A sensor_msgs/Image in rgb8 of ``(H, W, 3)`` uint8 RGB."""
     height, width, _ = panorama.shape
-    data = np.ascontiguousarray(panorama, dtype=np.uint8).reshape(-1)
-    return message(
-        IMAGE, header=header(stamp, frame), height=height, width=width, encoding="rgb8", is_bigendian=0,
-        step=3 * width, data=data,
-    )  # fmt: skip
+    data, kind = np.ascontiguousarray(panorama, dtype=np.uint8).reshape(-1), {"encoding": "rgb8", "is_bigendian": 0}
+    return message(IMAGE, header=header(stamp, frame), height=height, width=width, step=3 * width, data=data, **kind)
 
 
 def compressed_message(panorama: np.ndarray, stamp: float, frame: str, *, kind: str = "jpeg", quality: int = 90) -> Any:
@@ -141,10 +134,8 @@ def taken_as(received: Any) -> str | None:
 
 def _raw(received: Any) -> np.ndarray:
     encoding = AS_OPENCV.get(received.encoding) or received.encoding
-    if encoding in YUV_422:
-        return _of_yuv(*_packed(_rows(received, 2), *YUV_422[encoding]))
-    if encoding in PLANES:
-        return _of_yuv(*_planes(received, *PLANES[encoding]))
+    if encoding in YUV:
+        return _of_yuv(received, *YUV[encoding])
     if encoding not in ENCODINGS and encoding not in BAYER:
         raise _refused("an Image has the encoding", encoding)
     count, places = ENCODINGS.get(encoding, (1, slice(1)))
@@ -160,7 +151,7 @@ def _raw(received: Any) -> np.ndarray:
 
 def _refused(what: str, encoding: str) -> ImageError:
     why = "depth, and no picture (REP-118)" if encoding in DEPTH else "which names no colours that are known here"
-    known = ", ".join([*ENCODINGS, *AS_OPENCV, *BAYER, *YUV_422, *PLANES])
+    known = ", ".join([*ENCODINGS, *AS_OPENCV, *BAYER, *YUV])
     return ImageError(f"{what} {encoding!r}, {why}; wanted one of {known}")
 
 
@@ -176,10 +167,8 @@ def _demosaiced(mosaic: np.ndarray, pattern: str) -> np.ndarray:
     sites, planes = np.array([*pattern])[np.add.outer(2 * rows, columns)], []
     for colour, corner in zip("rgb", (1.0, 0.0, 1.0), strict=True):
         near = np.array([[corner, 2, corner], [2, 4, 2], [corner, 2, corner]], np.float32)
-        total, seen = (
-            convolve(np.where(sites == colour, values, 0).astype(np.float32), near, mode="constant")
-            for values in (mosaic, 1)
-        )
+        both = ((sites == colour) * np.float32(1) * values for values in (mosaic, 1))
+        total, seen = (convolve(each, near, mode="constant") for each in both)
         planes.append(total / seen.clip(1.0))
     return np.rint(np.stack(planes, axis=-1)).clip(0, 255).astype(np.uint8)
 
@@ -187,7 +176,7 @@ def _demosaiced(mosaic: np.ndarray, pattern: str) -> np.ndarray:
 def _rows(received: Any, size: int) -> np.ndarray:
     """The bytes ``(H, W, size)`` of an Image. Raises `ImageError` if there are too few."""
     height, width, step = received.height, received.width, received.step
-    data = np.frombuffer(memoryview(received.data).cast("B"), dtype=np.uint8)
+    data = np.frombuffer(received.data, dtype=np.uint8)
     if height < 1 or width < 1 or step < width * size or len(data) < height * step:
         raise ImageError(
             f"an Image of {width} x {height} pixels of {size} bytes has {step} bytes a row and {len(data)} in all; "
@@ -196,39 +185,32 @@ def _rows(received: Any, size: int) -> np.ndarray:
     return data[: height * step].reshape(height, step)[:, : width * size].reshape(height, width, size)
 
 
-def _packed(rows: np.ndarray, y: list[int], u: int, v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Y, U and V, each ``(H, W)``, of two pixels in four bytes. Raises `ImageError` for an odd width."""
-    height, width, _ = rows.shape
-    if width % 2:
-        raise ImageError(f"an Image of YUV 4:2:2 is {width} pixels wide; wanted an even number: two share their colour")
-    pairs = np.ascontiguousarray(rows).reshape(height, width // 2, 4)
-    return pairs[..., y].reshape(height, width), *(np.repeat(pairs[..., each], 2, axis=1) for each in (u, v))  # type: ignore[return-value]
-
-
-def _planes(received: Any, shared: int, u: int, v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Y, U and V, each ``(H, W)``, of two planes. Raises `ImageError` if the second is too short, or sides are odd."""
-    height, width = received.height, received.width
-    y = _rows(received, 1)[..., 0]
-    colours = np.frombuffer(memoryview(received.data).cast("B"), dtype=np.uint8)[height * received.step :]
-    step = 2 * received.step // shared  # of the second plane's rows
-    if height % shared or width % shared or len(colours) < height // shared * step:
-        raise ImageError(
-            f"an Image of {width} x {height} pixels as {received.encoding} has {len(colours)} bytes of colour; wanted "
-            f"{height // shared * step}, and {'even sides' if shared > 1 else 'two a pixel'}"
-        )
-    pairs = colours[: height // shared * step].reshape(height // shared, step)[:, : 2 * width // shared]
-    return y, *(pairs[:, each::2].repeat(shared, axis=0).repeat(shared, axis=1) for each in (u, v))  # type: ignore[return-value]
-
-
-def _of_yuv(y: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """RGB ``(H, W, 3)`` uint8 of Y, U and V, each ``(H, W)``."""
-    yuv = np.stack([y, u, v], axis=-1).astype(np.float32) - _BLACK.astype(np.float32)
-    return np.rint(yuv @ _RGB_OF_YUV.T.astype(np.float32)).clip(0, 255).astype(np.uint8)
+def _of_yuv(received: Any, down: int, across: int, y: int, u: int, v: int) -> np.ndarray:
+    """RGB ``(H, W, 3)`` uint8 of an Image in YUV (`YUV`). Raises `ImageError` for a size that cannot be shared."""
+    height, width, step = received.height, received.width, received.step
+    rows = _rows(received, 2 if down == 0 else 1).reshape(height, -1)
+    if down == 0:  # Y between U and V
+        if width % 2:
+            wanted = "wanted an even number: two share their colour"
+            raise ImageError(f"an Image of YUV 4:2:2 is {width} pixels wide; {wanted}")
+        light, colours, down = rows[:, y::2], rows[:, 1 - y :: 2], 1
+    else:
+        colours, wide = np.frombuffer(received.data, dtype=np.uint8)[height * step :], 2 * step // across
+        if height % down or width % across or len(colours) < height // down * wide:
+            raise ImageError(
+                f"an Image of {width} x {height} pixels as {received.encoding} has {len(colours)} bytes of colour; "
+                f"wanted {height // down * wide}, and {'even sides' if down > 1 else 'two a pixel'}"
+            )
+        light = rows
+        colours = colours[: height // down * wide].reshape(-1, wide)[:, : 2 * width // across]
+    blue, red = (colours[:, each::2].repeat(down, axis=0).repeat(across, axis=1) for each in (u, v))
+    yuv = np.stack([light, blue, red], axis=-1).astype(np.float32) - np.array([16, 128, 128], np.float32)
+    return np.rint(yuv @ _RGB_OF_YUV.T).clip(0, 255).astype(np.uint8)
 
 
 def _decoded(received: Any) -> np.ndarray:
     """By compressed_image_transport's format, such as "bayer_rggb8; png compressed ", or only "jpeg"."""
-    told, data = received.format, bytes(memoryview(received.data).cast("B"))
+    told, data = received.format, bytes(received.data)
     encoding = "compressedDepth" if "compressedDepth" in told else told.partition(";")[0].strip()
     if encoding in DEPTH or (encoding not in AS_OPENCV and re.fullmatch(r"\d+[USF]C\d*", encoding)):
         raise _refused("a CompressedImage has the format", encoding)
@@ -258,33 +240,23 @@ def _is_swapped(told: str) -> bool:
 
 def vector(values: Any) -> Any:
     """A geometry_msgs/Vector3."""
-    x, y, z = (float(value) for value in values)
-    return message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+    return message("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, values), strict=True)))
 
 
 def quaternion(rotation: np.ndarray) -> Any:
     """A geometry_msgs/Quaternion of a rotation ``(3, 3)``."""
-    x, y, z, w = (float(value) for value in xyzw_from_rotation(rotation))
-    return message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
-
-
-def vector_message(values: Any, stamp: float, frame: str) -> Any:
-    """A geometry_msgs/Vector3Stamped."""
-    return message(VECTOR, header=header(stamp, frame), vector=vector(values))
-
-
-def pose_part(pose: Pose) -> Any:
-    """A geometry_msgs/Pose; a pose without a position is at the origin."""
-    x, y, z = (0.0, 0.0, 0.0) if pose.position is None else map(float, pose.position)
-    point = message("geometry_msgs/msg/Point", x=x, y=y, z=z)
-    return message("geometry_msgs/msg/Pose", position=point, orientation=quaternion(pose.world_R_body))
+    values = map(float, xyzw_from_rotation(rotation))
+    return message("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", values, strict=True)))
 
 
 def odometry_message(
     pose: Pose, frame: str = "odom", child: str = "base_link", *, velocity: Any = (0, 0, 0), turning: Any = (0, 0, 0)
 ) -> Any:
-    """A nav_msgs/Odometry; `velocity` m/s and `turning` rad/s in the axes of the body."""
-    placed = message("geometry_msgs/msg/PoseWithCovariance", pose=pose_part(pose), covariance=np.zeros(36))
+    """A nav_msgs/Odometry; `velocity` m/s and `turning` rad/s in the axes of the body. No position: the origin."""
+    x, y, z = (0.0, 0.0, 0.0) if pose.position is None else map(float, pose.position)
+    point = message("geometry_msgs/msg/Point", x=x, y=y, z=z)
+    place = message("geometry_msgs/msg/Pose", position=point, orientation=quaternion(pose.world_R_body))
+    placed = message("geometry_msgs/msg/PoseWithCovariance", pose=place, covariance=np.zeros(36))
     twist = message("geometry_msgs/msg/Twist", linear=vector(velocity), angular=vector(turning))
     moving = message("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
     return message(ODOMETRY, header=header(pose.stamp, frame), child_frame_id=child, pose=placed, twist=moving)
@@ -293,19 +265,12 @@ def odometry_message(
 def transform_message(stamp: float, parent: str, child: str, rotation: np.ndarray, translation: Any = (0, 0, 0)) -> Any:
     """A geometry_msgs/TransformStamped: where the frame `child` is in the frame `parent`."""
     transform = message("geometry_msgs/msg/Transform", translation=vector(translation), rotation=quaternion(rotation))
-    return message(
-        "geometry_msgs/msg/TransformStamped", header=header(stamp, parent), child_frame_id=child, transform=transform
-    )
+    return message(TRANSFORM, header=header(stamp, parent), child_frame_id=child, transform=transform)
 
 
 def transforms_message(*transforms: Any) -> Any:
     """A tf2_msgs/TFMessage."""
     return message(TRANSFORMS, transforms=list(transforms))
-
-
-def text_message(text: str) -> Any:
-    """A std_msgs/String."""
-    return message(TEXT, data=text)
 
 
 def pose_of(received: Any) -> Pose:
@@ -314,14 +279,15 @@ def pose_of(received: Any) -> Pose:
     Raises `PoseError`.
     """
     if hasattr(received, "transform"):
-        inner = received.transform
-        return Pose(stamp_of(received), rotation_of(inner.rotation), triple(inner.translation))
-    if hasattr(received, "orientation_covariance"):
+        turn, place = received.transform.rotation, received.transform.translation
+    elif hasattr(received, "orientation_covariance"):
         if received.orientation_covariance[0] == -1:  # sensor_msgs/Imu: there is no orientation
             raise PoseError("an Imu says that it has no orientation; wanted one that has, or odometry")
-        return Pose(stamp_of(received), rotation_of(received.orientation), None)
-    inner = received.pose.pose if hasattr(received.pose, "covariance") else received.pose
-    return Pose(stamp_of(received), rotation_of(inner.orientation), triple(inner.position))
+        turn, place = received.orientation, None
+    else:
+        inner = received.pose.pose if hasattr(received.pose, "covariance") else received.pose
+        turn, place = inner.orientation, inner.position
+    return Pose(stamp_of(received), rotation_of(turn), None if place is None else triple(place))
 
 
 def rotation_of(q: Any) -> np.ndarray:
@@ -330,19 +296,15 @@ def rotation_of(q: Any) -> np.ndarray:
     length = math.hypot(*values)
     if not abs(length - 1) <= _NORM:
         raise PoseError(f"a quaternion x, y, z, w = {values} has the length {length:.3g}, wanted 1: is it unset?")
-    try:
-        return rotation_from_xyzw(np.array(values))
-    except EagorError as error:
-        raise PoseError(str(error)) from error
+    return rotation_from_xyzw(np.array(values))
 
 
 def triple(place: Any) -> np.ndarray:
     """The numbers ``(3,)`` of a Point or Vector3. Raises `PoseError` unless they can be metres on Earth."""
     values = np.array([place.x, place.y, place.z], dtype=np.float64)
     if not (np.abs(values) <= FARTHEST).all():
-        raise PoseError(
-            f"a position is {values.tolist()}; wanted finite metres, each within {FARTHEST:g} of the origin"
-        )
+        wanted = f"wanted finite metres, each within {FARTHEST:g} of the origin"
+        raise PoseError(f"a position is {values.tolist()}; {wanted}")
     return values
 
 

@@ -16,22 +16,16 @@ import numpy as np
 
 from eagor.cameras import Lens, Rig
 from eagor.errors import FormatError
+from eagor.grids import PerspectiveGrid
 from eagor.media.bags import TF_STATIC, Bag, pick
-from eagor.media.intrinsics import Camera, IntrinsicsHint, ordinary_grid, rig_of_info
+from eagor.media.intrinsics import Camera, rig_of_info
 from eagor.media.panorama import is_whole
-from eagor.media.ros_frames import BODY, IDENTITY, TransformTree, contradiction, optical
+from eagor.media.ros_frames import BODY, TransformTree, contradiction, optical
 from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
 from eagor.media.stitching import PanoramaBuilder, sizes_of
 
 __all__ = [
-    "Lenses",
-    "TopicPictures",
-    "beside",
-    "lens_in_bag",
-    "lens_of_info",
-    "placed",
-    "placed_in_bag",
-    "topics_of",
+    "Lenses", "TopicPictures", "beside", "lens_in_bag", "lens_of_info", "placed", "placed_in_bag", "topics_of",
 ]  # fmt: skip
 
 OPTION = "--camera-info"
@@ -95,38 +89,25 @@ class TopicPictures:
         for topic, each in zip(topics, firsts, strict=True):
             if (how := taken_as(each)) is not None:
                 warnings.warn(f"{topic}: {how}", UserWarning, stacklevel=3)
-        self._sizes, rig = sizes_of(pictures), lenses.rig
-        infos = topics_of(lenses.info, OPTION)
-        if lenses.info is not None and len(infos) != len(topics):
+        infos = topics_of(lenses.info, OPTION) if lenses.info is not None else (None,) * len(topics)
+        if len(infos) != len(topics):
             raise FormatError(
                 f"{OPTION} {lenses.info} names {len(infos)} topics, and {len(topics)} have pictures; wanted one for "
                 "each, in their order"
             )
-        names = [str(each.header.frame_id) for each in firsts]
-        self.camera: Camera | None = lenses.camera
-        self.frame: str | None = names[0]
-        if len(topics) == 1:
-            known = rig is not None or (self.camera is not None and self.camera.known) or is_whole(pictures[0])
-            if (infos[0] is not None or not known) and (found := told(topics[0], infos[0])) is not None:
-                self.camera, self.frame = found[0], names[0] or found[1]
-        elif rig is not None:
-            self.camera, self.frame = None, None
-        else:
-            cameras: list[Camera] = []
-            for at, topic in enumerate(topics):
-                camera, info = lenses.camera, infos[at] if lenses.info is not None else None
-                if camera is None or not camera.known:
-                    if (found := told(topic, info)) is None:
-                        raise FormatError(
-                            f"nothing tells the lens of {topic}: there is no CameraInfo on {beside(topic)}; name it "
-                            f"with {OPTION}, or give all lenses and their places with --rig FILE.yaml"
-                        )
-                    camera, names[at] = found[0], names[at] or found[1]
-                cameras.append(camera)
-            self.camera, self.frame = None, names[0]
-            rig = _rig_of(topics, names, cameras, self._sizes, placed)
-        name = ", ".join(topics)
-        self.builder = PanoramaBuilder(self._sizes, name, rig=rig, camera=self.camera, rows=lenses.rows)
+        self._sizes, rig, camera = sizes_of(pictures), lenses.rig, lenses.camera
+        known, frame = camera is not None and camera.known, str(firsts[0].header.frame_id)
+        if len(topics) > 1:
+            if rig is None:
+                found = [(camera, "") if camera and known else told(*each) for each in zip(topics, infos, strict=True)]
+                rig, frame = self._rig(topics, firsts, found, placed)
+            camera, frame = None, frame if lenses.rig is None else None
+        elif infos[0] is not None or not (known or rig or is_whole(pictures[0])):
+            info = told(topics[0], infos[0])
+            camera, frame = (info[0], frame or info[1]) if info is not None else (camera, frame)
+        self.camera: Camera | None = camera
+        self.frame: str | None = frame
+        self.builder = PanoramaBuilder(self._sizes, ", ".join(topics), rig=rig, camera=self.camera, rows=lenses.rows)
         self.builder.check(*pictures)
 
     def made(self, received: Sequence[Any], otherwise: str = "") -> np.ndarray:
@@ -137,35 +118,30 @@ class TopicPictures:
                 raise FormatError(f"it is {width} x {height}, and the first was {wide} x {high}{otherwise}")
         return self.builder.make(*pictures)
 
-
-def _rig_of(
-    topics: Sequence[str],
-    frames: Sequence[str],
-    cameras: Sequence[Camera],
-    sizes: Sequence[tuple[int, int]],
-    placed: Callable[[Sequence[str]], Sequence[np.ndarray]],
-) -> Rig:
-    """The rig of several cameras, in the axes of the first."""
-    for topic, frame in zip(topics, frames, strict=True):
-        if not frame:
-            raise FormatError(
-                f"the pictures of {topic} name no frame (frame_id is empty), so that nothing tells where this camera "
-                "is on the body; set it in the camera's driver, or give all lenses with --rig FILE.yaml"
-            )
-    found: list[Lens] = []
-    for at, turn in enumerate(placed(frames)):
-        lens = _lens_of(cameras[at], sizes[at], topics[at])
-        found.append(replace(lens, name=frames[at], picture=at, body_R_lens=turn @ lens.body_R_lens))
-    return Rig(tuple(sizes), tuple(found))
-
-
-def _lens_of(camera: Camera, size: tuple[int, int], name: str) -> Lens:
-    """The lens of pictures of a `size` (width, height)."""
-    if camera.rig is not None:
-        return camera.rig.scaled(camera.rig.factor_of((size,), name)).lenses[0]
-    grid = ordinary_grid(camera, IntrinsicsHint(), size, name)
-    assert grid is not None  # it is known
-    return grid.lens
+    def _rig(self, topics: Any, firsts: Any, found: Sequence[Info | None], placed: Any) -> tuple[Rig, str]:
+        """The rig of several cameras, in the axes of the first, and the frame of that."""
+        frames, lenses = [], list[Lens]()
+        for topic, first, info, size in zip(topics, firsts, found, self._sizes, strict=True):
+            if info is None:
+                raise FormatError(
+                    f"nothing tells the lens of {topic}: there is no CameraInfo on {beside(topic)}; name it with "
+                    f"{OPTION}, or give all lenses and their places with --rig FILE.yaml"
+                )
+            frames.append(str(first.header.frame_id) or info[1])
+            if not frames[-1]:
+                raise FormatError(
+                    f"the pictures of {topic} name no frame (frame_id is empty), so that nothing tells where this "
+                    "camera is on the body; set it in the camera's driver, or give all lenses with --rig FILE.yaml"
+                )
+            if (lens_rig := info[0].rig) is not None:
+                lens = lens_rig.scaled(lens_rig.factor_of((size,), topic)).lenses[0]
+            else:
+                assert info[0].hfov is not None  # it is known
+                lens = PerspectiveGrid(size[1], size[0], info[0].hfov).lens
+            lenses.append(replace(lens, name=frames[-1], picture=len(lenses)))
+        turned = zip(lenses, placed(frames), strict=True)
+        placed_lenses = tuple(replace(each, body_R_lens=turn @ each.body_R_lens) for each, turn in turned)
+        return Rig(tuple(self._sizes), placed_lenses), frames[0]
 
 
 # --- what CameraInfo and the fixed transforms tell ---
@@ -197,10 +173,7 @@ def lens_of_info(received: Any, topic: str, image_topic: str) -> Info:
 
 
 def placed_in_bag(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:
-    """The rotations ``(3, 3)`` of the axes of cameras (x ahead) in those of the first, by the frames that name them.
-
-    Raises `FormatError` where ``/tf_static`` does not connect them.
-    """
+    """As `placed`, of the ``/tf_static`` of a bag."""
     tree = TransformTree()
     if bag.topics.get(TF_STATIC) == TRANSFORMS:
         for _, _, _, received in bag.messages([TF_STATIC]):
@@ -212,13 +185,13 @@ def placed_in_bag(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:
 
 
 def placed(tree: TransformTree, frames: Sequence[str]) -> list[np.ndarray]:
-    """As `placed_in_bag`, of what a tree knows; a name that contradicts a mount is a `UserWarning`.
+    """The rotations ``(3, 3)`` of the axes of cameras (x ahead) in those of the first, by the frames that name them.
 
-    Raises `FormatError`.
+    A name that contradicts a mount is a `UserWarning`. Raises `FormatError` where the `tree` does not connect them.
     """
     own, found = optical(frames[0]), []
     for frame in frames:
-        between = tree.at(frames[0], frame, 0.0) if frame != frames[0] else IDENTITY
+        between = tree.at(frames[0], frame, 0.0)
         if between is None:
             raise FormatError(
                 f"{TF_STATIC} does not tell where {frame} is in {frames[0]}; cameras of a rig are fixed to each other: "

@@ -26,7 +26,8 @@ import math
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from itertools import takewhile
+from operator import itemgetter
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
@@ -54,9 +55,13 @@ ALIASES = {
     **{f"q{axis}": _TURN + axis for axis in "wxyz"},
     **{angle: angle.replace("deg", "rad") for angle in ANGLES},
 }
+NUMBERS = ("stamp", *QUATERNION, *ANGLES, *POSITION)
 _UNIT = re.compile(r"[\[(]\s*(\w*)[^\])]*[\])]\s*$")
-TUM, EUROC = ["stamp", "x", "y", "z", "qx", "qy", "qz", "qw"], ["stamp", "x", "y", "z", "qw", "qx", "qy", "qz"]
-EUROC_COLUMNS = 17  # with velocities and biases
+# Tables without names: their mark (None: blanks), how many columns they have, and those that begin a line.
+UNNAMED = (
+    (None, {8}, ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")),  # TUM
+    (",", range(17, 1000), ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")),  # EuRoC, with velocities and biases
+)
 COUNTS = ((1e4, ("milliseconds", "ms")), (1e7, ("microseconds", "us")), (math.inf, ("nanoseconds", "ns")))
 APART = 10.0  # seconds between poses from which on they are rather counts of something shorter
 MUCH = 1e100  # of anything: products of more have no end
@@ -81,11 +86,10 @@ class FramePose(NamedTuple):
 class Poses(tuple[FramePose, ...]):
     """The poses of a file. `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours.
 
-    `form`: that of another program, in words. `partial`: it may lack pictures.
+    `form`: that of another program, in words, which may lack pictures.
     """
 
     axes = form = ""
-    partial = False
 
     def made(self, poses: Iterable[FramePose]) -> Poses:
         """Others of the same file."""
@@ -121,31 +125,33 @@ def read_poses(path: str | Path) -> Poses:
 
 def _of_table(lines: Sequence[str]) -> Poses:
     """The poses of a table; errors begin with what comes after the file's name."""
-    told = [number for number, line in enumerate(lines) if line.strip()]
-    at = next((number for number in told if not lines[number].lstrip().startswith("#")), None)
-    if at is None:
+    comments = [line.strip() for line in takewhile(lambda line: not line.strip() or line.lstrip()[0] == "#", lines)]
+    if len(comments) == len(lines):
         raise FormatError(f" is empty; wanted a line with the names of the columns: {HEADERS}")
-    mark = next((mark for mark in ",;\t" if mark in lines[at]), None)
-    fields = _split(lines[at], mark)
-    begin, unit, degree, ours = at + 1, 0.0, 1.0, False
-    if not all(map(_is_number, fields[:7])) or len(fields) < 2:
-        names, unit, degree, ours = _named(fields)
-    else:  # no names, or in the comment above
-        above = next((lines[number].strip().lstrip("#").strip() for number in reversed(told) if number < at), "")
-        names, unit, degree, ours = _named(_split(above, next((each for each in ",;\t" if each in above), None)))
-        begin = at
-        if len(names) != len(fields) or "stamp" not in names:
-            names, unit, ours = _unnamed(fields, mark), 0.0, False
-    try:
-        _check_header(names)
-    except FormatError as error:
-        raise FormatError(f", line {at + 1}: {error}") from error
-    rows = list(_rows(lines, begin, mark, len(names)))
+    mark = _mark(lines[len(comments)])
+    rows = _rows(lines, len(comments), mark)
+    line, first = next(rows, (len(comments) + 1, [""]))
+    rows = [*rows]
+    names, unit, degree, ours = _named(first)
+    if len(first) > 1 and all(map(_is_number, first[:7])):  # no names, or in the comment above
+        rows.insert(0, (line, first))
+        above = next((each.lstrip("#").strip() for each in reversed(comments) if each), "")
+        names, unit, degree, ours = _named(above.split(_mark(above)))
+        if len(names) != len(first) or "stamp" not in names:
+            names, unit, ours = _unnamed(len(first), mark), 0.0, False
+    _check_names(names, line)
     if not rows:
         raise FormatError(f" has a header but no poses; wanted one line per frame: {HEADERS}")
-    numbers = {name: _numbers(name, [(line, row[names.index(name)]) for line, row in rows])
-               for name in ("stamp", *QUATERNION, *ANGLES, *POSITION) if name in names}  # fmt: skip
-    stamps = numbers["stamp"] / (unit or unit_of(numbers["stamp"][0]))
+    for number, row in rows:
+        if len(row) != len(names):
+            found = f"has {len(row)} fields where the header has {len(names)}"
+            raise FormatError(f", line {number}: {found}; cut off, or a comma too many?")
+    at = {name: names.index(name) for name in (*NUMBERS, "frame") if name in names}
+    table = {
+        name: np.array([_number(name, row[column], number) for number, row in rows])
+        for name, column in at.items() if name in NUMBERS
+    }  # fmt: skip
+    stamps = table["stamp"] / (unit or unit_of(table["stamp"][0]))
     for index in np.flatnonzero(~((np.diff(stamps, prepend=-math.inf) > 0) & (np.abs(stamps) <= LATEST)))[:1]:
         try:
             text = f"stamp {checked_stamp(float(stamps[index])):.6f} comes after {stamps[index - 1]:.6f}; wanted"
@@ -153,8 +159,8 @@ def _of_table(lines: Sequence[str]) -> Poses:
             raise TimeError(text)
         except TimeError as error:
             raise TimeError(f", line {rows[index][0]}: {error}") from error
-    if "qw" in names:
-        wxyz = np.stack([numbers[name] for name in QUATERNION], axis=1)
+    if "qw" in at:
+        wxyz = np.stack([table[name] for name in QUATERNION], axis=1)
         with np.errstate(over="ignore"):
             lengths = np.sqrt((wxyz**2).sum(axis=1))
         for index in np.flatnonzero(~(np.abs(lengths - 1) <= NORM))[:1]:
@@ -164,55 +170,39 @@ def _of_table(lines: Sequence[str]) -> Poses:
             )
         turns = rotation_from_wxyz(wxyz / lengths[:, None])
     else:
-        angles = np.stack([numbers[name] for name in ANGLES], axis=1) * degree
+        angles = np.stack([table[name] for name in ANGLES], axis=1) * degree
         turns = Rotation.from_euler("ZYX", np.fmod(angles, 360), degrees=True).as_matrix()
-    places = np.stack([numbers[name] for name in POSITION], axis=1) if "x" in names else [None] * len(rows)
-    frames = [row[names.index("frame")] or None for _, row in rows] if "frame" in names else [None] * len(rows)
+    places = np.stack([table[name] for name in POSITION], axis=1) if "x" in at else [None] * len(rows)
+    frames = [row[at["frame"]] or None if "frame" in at else None for _, row in rows]
     poses = Poses(map(FramePose, stamps.tolist(), turns, places, frames))
-    poses.axes = ("body?" if ours else "") if "qw" in names else "body"
+    poses.axes = ("body?" if ours else "") if "qw" in at else "body"
     return poses
 
 
-def _split(line: str, mark: str | None) -> list[str]:
-    if mark == ",":
-        try:
-            return next(csv.reader([line], strict=True), [])
-        except csv.Error:
-            pass
-    return line.split(mark)
+def _mark(line: str) -> str | None:
+    """What separates columns; None: blanks."""
+    return next((mark for mark in ",;\t" if mark in line), None)
 
 
-def _rows(lines: Sequence[str], begin: int, mark: str | None, count: int) -> Iterator[tuple[int, list[str]]]:
+def _rows(lines: Sequence[str], begin: int, mark: str | None) -> Iterator[tuple[int, list[str]]]:
     """Number and fields of each line from `begin` on that is neither blank nor a comment. Raises `FormatError`."""
-    reader = csv.reader((f"{line}\n" for line in lines[begin:]), strict=True) if mark == "," else None
-    number = begin
+    text = (f"{line if mark else ' '.join(line.split())}\n" for line in lines[begin:])
+    reader = csv.reader(text, delimiter=mark or " ", strict=True)
     try:
-        for fields in reader if reader is not None else (line.split(mark) for line in lines[begin:]):
-            number = number + 1 if reader is None else begin + reader.line_num
-            if not any(map(str.strip, fields)) or fields[0].lstrip().startswith("#"):
-                continue
-            if len(fields) != count:
-                found = f"has {len(fields)} fields where the header has {count}"
-                raise FormatError(f", line {number}: {found}; cut off, or a comma too many?")
-            yield number, [field.strip() for field in fields]
+        for fields in reader:
+            if any(map(str.strip, fields)) and not fields[0].lstrip().startswith("#"):
+                yield begin + reader.line_num, [field.strip() for field in fields]
     except csv.Error as error:
-        line = begin + (reader.line_num if reader is not None else 0)
-        raise FormatError(f", line {line}: is not CSV ({error}); wanted {HEADERS}") from error
+        raise FormatError(f", line {begin + reader.line_num}: is not CSV ({error}); wanted {HEADERS}") from error
 
 
-def _numbers(name: str, cells: Sequence[tuple[int, str]]) -> np.ndarray:
-    """The numbers ``(n,)`` in a column, of which the lines are given. Raises `FormatError`."""
-    with suppress(ValueError):
-        values = np.array([float(text) for _, text in cells])
-        if np.isfinite(values).all() and not any("_" in text for _, text in cells):  # Python would take 1_0 for 10
-            return values
-    for line, text in cells:
-        if not _is_number(text) or "_" in text:
-            raise FormatError(f", line {line}: {name} is {_cut(repr(text))}; wanted a number")
-        if not math.isfinite(float(text)):
-            what = "wanted a finite number. Leave out lines without a known pose"
-            raise FormatError(f", line {line}: {name} is {_cut(text)}; {what}")
-    raise AssertionError("one of them is no number")
+def _number(name: str, text: str, line: int) -> float:
+    if not _is_number(text) or "_" in text:  # Python would take 1_0 for 10
+        raise FormatError(f", line {line}: {name} is {_cut(repr(text))}; wanted a number")
+    if not math.isfinite(float(text)):
+        what = "wanted a finite number. Leave out lines without a known pose"
+        raise FormatError(f", line {line}: {name} is {_cut(text)}; {what}")
+    return float(text)
 
 
 def _is_number(text: str) -> bool:
@@ -239,32 +229,33 @@ def _named(fields: Sequence[str]) -> tuple[list[str], float, float, bool]:
     return names, unit, degree, all(each in bare for each in names)
 
 
-def _unnamed(fields: Sequence[str], mark: str | None) -> list[str]:
-    if mark == "," and len(fields) >= EUROC_COLUMNS:
-        return [*EUROC, *(f"column {k}" for k in range(len(EUROC), len(fields)))]
-    if mark is None and len(fields) == len(TUM):
-        return TUM
-    if len(fields) == 12:
+def _unnamed(count: int, mark: str | None) -> list[str]:
+    for each, counts, names in UNNAMED:
+        if each == mark and count in counts:
+            return [*names, *(f"column {k}" for k in range(len(names), count))]
+    if count == 12:
         raise FormatError(": twelve numbers a line are KITTI's poses, which have no times; wanted a column stamp")
     raise FormatError(
-        f": {len(fields)} numbers a line, and no names of columns; wanted a first line of names (with a # or without), "
+        f": {count} numbers a line, and no names of columns; wanted a first line of names (with a # or without), "
         "or TUM's eight numbers with blanks between: stamp x y z qx qy qz qw"
     )
 
 
-def _check_header(names: Sequence[str]) -> None:
+def _check_names(names: Sequence[str], line: int) -> None:
     """Raise `FormatError` unless there is a stamp and exactly one form of orientation, each column once."""
-    twice = sorted({n for n in ("stamp", *QUATERNION, *ANGLES, *POSITION, "frame") if names.count(n) > 1})
-    if twice:
-        raise FormatError(f"the column {twice[0]!r} appears twice")
-    groups = {group: [n for n in group if n in names] for group in (QUATERNION, ANGLES, POSITION)}
+    wrong = next(
+        (f"the column {each!r} appears twice" for each in sorted((*NUMBERS, "frame")) if names.count(each) > 1), ""
+    )
+    groups = {group: [name for name in group if name in names] for group in (QUATERNION, ANGLES, POSITION)}
     for group, found in groups.items():
         if found and len(found) < len(group):
-            raise FormatError(f"has {', '.join(found)} but not {', '.join(n for n in group if n not in found)}")
-    if "stamp" not in names or bool(groups[QUATERNION]) == bool(groups[ANGLES]):
+            wrong = wrong or f"has {', '.join(found)} but not {', '.join(n for n in group if n not in found)}"
+    if not wrong and ("stamp" not in names or bool(groups[QUATERNION]) == bool(groups[ANGLES])):
         hint = " (fields must be separated by commas)" if len(names) == 1 else ""
         hint += "; yaw in degrees or radians? Name it yaw_deg or yaw_rad" if "yaw" in names else ""
-        raise FormatError(f"the columns are {_cut(', '.join(names))}{hint}; wanted {HEADERS}")
+        wrong = f"the columns are {_cut(', '.join(names))}{hint}; wanted {HEADERS}"
+    if wrong:
+        raise FormatError(f", line {line}: {wrong}")
 
 
 def _oddities(poses: Poses) -> Iterator[str]:
@@ -274,8 +265,7 @@ def _oddities(poses: Poses) -> Iterator[str]:
     leans by more than 60 degrees in some, and would in none if the scalar part were in the last column of the four, or
     if the columns qx, qy, qz, qw held w, x, y, z.
     """
-    stamps = np.array([pose.stamp for pose in poses])
-    apart = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    apart = float(np.median(np.diff([pose.stamp for pose in poses]))) if len(poses) > 1 else 0.0
     if apart >= APART:
         what, short = next(names for most, names in COUNTS if apart < most)
         yield f"its poses are {apart:g} s apart. Are the stamps {what}? Then call that column stamp_{short}"
@@ -334,15 +324,15 @@ def _nerfstudio(text: str) -> Poses:
 def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: str, form: str) -> Poses:
     """Pictures by name in order of the names, one a second where these are no times."""
     order = sorted(range(len(names)), key=lambda k: natural(_base(names[k])))
-    stamps = times_of([PurePath(_base(name)).stem for name in names])
-    if stamps is not None and len(set(stamps)) == len(stamps):
-        order.sort(key=stamps.__getitem__)
-        stamps = sorted(stamps)
-    else:
+    stamps = times_of([PurePath(_base(names[k])).stem for k in order])
+    if stamps is None or len({*stamps}) < len(stamps):
         stamps = [float(k) for k in range(len(names))]
-    poses = Poses(FramePose(at, turns[k], places[k], names[k]) for at, k in zip(stamps, order, strict=True))
-    poses.axes, poses.form, poses.partial = axes, form, True
-    return poses
+    poses = sorted(
+        (FramePose(at, turns[k], places[k], names[k]) for at, k in zip(stamps, order, strict=True)), key=itemgetter(0)
+    )
+    found = Poses(poses)
+    found.axes, found.form = axes, form
+    return found
 
 
 # --- at a time, and with pictures ---
@@ -404,7 +394,7 @@ def pair(
     pairs = tuple((pose, by_name.get(each) or by_stem.get(each)) for pose, each in zip(poses, told, strict=True))
     used = [image.name for _, image in pairs if image is not None]
     missing = [n for n in by_name if n not in {*used}]
-    if missing and used and getattr(poses, "partial", False):
+    if missing and used and getattr(poses, "form", ""):
         text = f"{name} has no pose for {_some(missing)}, {len(missing)} of {len(images)} pictures: left out"
         warnings.warn(text, UserWarning, stacklevel=2)
     elif missing:

@@ -13,11 +13,11 @@ the process.)
 
 from __future__ import annotations
 
+import io
 import os
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -66,10 +66,6 @@ class MotionTrack:
         """The last stamp."""
         return float(self.stamps[-1])
 
-    @lazy
-    def _between(self) -> Slerp:
-        return Slerp(self.stamps, self.rotations)
-
     def world_R_body(self, stamp: float) -> np.ndarray:
         """The pose ``(3, 3)`` at `stamp`, on the shortest turn between the samples around it.
 
@@ -82,6 +78,10 @@ class MotionTrack:
                 "give the poses in another way"
             )
         return self._between(min(max(stamp, self.start), self.end)).as_matrix()
+
+    @lazy
+    def _between(self) -> Slerp:
+        return Slerp(self.stamps, self.rotations)
 
     @classmethod
     def of_imu(cls, gyro: np.ndarray, acceleration: np.ndarray | None, source: str) -> MotionTrack:
@@ -140,8 +140,7 @@ def _in_order(samples: np.ndarray) -> np.ndarray:
 # --- Insta360 ---
 
 
-@dataclass(frozen=True, eq=False)
-class Trailer:
+class Trailer(NamedTuple):
     """What a trailer says: the `camera` ("" if unknown) and its IMU, rows of seconds, x, y, z in the IMU's own axes.
 
     `gyro` ``(N, 4)``: radians per second. `acceleration` ``(N, 4)``: m/s^2.
@@ -163,27 +162,22 @@ class Trailer:
         up = np.sum(self.acceleration[:, 1:], axis=0)
         axis = int(np.abs(up).argmax())
         z, x = np.eye(3)[axis] * np.sign(up[axis] or 1.0), np.eye(3)[(axis + 1) % 3]
-        imu_R_body = np.stack([x, np.cross(z, x), z], axis=1)
-        gyro, felt = (
-            np.concatenate([table[:, :1], table[:, 1:] @ imu_R_body], axis=1)
-            for table in (self.gyro, self.acceleration)
-        )
-        return MotionTrack.of_imu(gyro, felt, "Insta360 gyroscope")
+        to_body = np.eye(4)  # of a row: its time stays
+        to_body[1:, 1:] = np.stack([x, np.cross(z, x), z], axis=1)
+        return MotionTrack.of_imu(self.gyro @ to_body, self.acceleration @ to_body, "Insta360 gyroscope")
 
 
 def read_insta360(file: BinaryIO) -> Trailer | None:
     """The trailer of `file`; None if it has none. Raises `FormatError` if it is damaged."""
     size = file.seek(0, os.SEEK_END)
-    if size < ENDING:
-        return None
-    file.seek(size - ENDING)
+    at = file.seek(max(size - ENDING, 0))
     ending = file.read(ENDING)
-    if not ending.endswith(MAGIC):
+    if len(ending) < ENDING or not ending.endswith(MAGIC):
         return None
     length = struct.unpack_from("<I", ending, 32)[0]
     if not ENDING <= length <= size:
         raise FormatError(f"has a damaged Insta360 trailer: it claims {length} bytes, in a file of {size}")
-    records, at = {}, size - ENDING
+    records: dict[int, bytes] = {}
     while at - 6 >= size - length:  # the last one first
         file.seek(at - 6)
         _, kind, count = struct.unpack("<BBI", file.read(6))
@@ -193,7 +187,7 @@ def read_insta360(file: BinaryIO) -> Trailer | None:
         if kind in (ABOUT, IMU) and kind not in records and count <= LARGEST:
             file.seek(at)
             records[kind] = file.read(count)
-    about = dict(_fields(records.get(ABOUT, b"")))
+    about = _fields(records.get(ABOUT, b""))
     camera = about.get(CAMERA_NAME)
     name = camera.decode("utf-8", "replace") if isinstance(camera, bytes) else ""
     return Trailer(name, *_samples(records.get(IMU, b""), about))
@@ -204,44 +198,43 @@ def _samples(data: bytes, about: dict[int, int | bytes]) -> tuple[np.ndarray, np
     raw = about.get(RAW, 0) == 1
     kind = np.dtype([("t", "<u8"), ("v", "<u2" if raw else "<f8", 6)])
     table = np.frombuffer(data, kind, len(data) // kind.itemsize)
-    values = table["v"].astype(np.float64)
-    sound = (np.abs(values) < ABSURD).all(axis=1)  # NaN fails the comparison
-    values, g, turn = values[sound], G, 1.0
+    table = table[(np.abs(table["v"]) < ABSURD).all(axis=1)]  # NaN fails the comparison
+    values, g, turn = table["v"].astype(np.float64), G, 1.0
     if raw:  # 16 bits for the whole range
-        ranges = dict(_fields(about.get(RANGES, b"")))
+        ranges = _fields(about.get(RANGES, b""))
         most = [ranges.get(field) for field in (1, 2)]
         acceleration, rate = (m if isinstance(m, int) and m else n for m, n in zip(most, (16, 2000), strict=True))
         values, g, turn = (values - 32768) / 32768, G * acceleration, np.radians(rate)
     first, later = about.get(FIRST), about.get(LATER) if about.get(HAS_LATER) == 1 else None
     shift = struct.unpack("<d", later)[0] if isinstance(later, bytes) and len(later) == 8 else 0.0
-    times = (table["t"][sound].astype(np.float64) - (first if isinstance(first, int) else 0)) / (1e6 if raw else 1e3)
+    times = (table["t"].astype(np.float64) - (first if isinstance(first, int) else 0)) / (1e6 if raw else 1e3)
     times = (times - (shift / 1e3 if np.isfinite(shift) else 0.0))[:, None]  # milliseconds from the pictures to the IMU
     return np.concatenate([times, values[:, 3:] * turn], axis=1), np.concatenate([times, values[:, :3] * g], axis=1)
 
 
-def _fields(data: int | bytes) -> Iterator[tuple[int, int | bytes]]:
+def _fields(data: int | bytes) -> dict[int, int | bytes]:
     """The fields of a message (Protocol Buffers, "Encoding"): numbers as int, all else as bytes. Ends where damaged."""
-    data, at = data if isinstance(data, bytes) else b"", 0
-    while at < len(data):
-        tag, at = _varint(data, at)
-        kind = tag & 7
-        if kind == 0:
-            value, at = _varint(data, at)
-            yield tag >> 3, value
-            continue
-        length, at = _varint(data, at) if kind == 2 else ({1: 8, 5: 4}.get(kind, len(data) + 1), at)
-        if at + length > len(data):
-            return
-        yield tag >> 3, data[at : at + length]
-        at += length
+    found: dict[int, int | bytes] = {}
+    left = io.BytesIO(data if isinstance(data, bytes) else b"")
+    try:
+        while True:
+            tag = _varint(left)
+            if tag & 7 == 0:
+                found[tag >> 3] = _varint(left)
+            else:
+                size = _varint(left) if tag & 7 == 2 else {1: 8, 5: 4}[tag & 7]
+                if len(value := left.read(min(size, LARGEST))) < size:
+                    return found
+                found[tag >> 3] = value
+    except (IndexError, KeyError):  # it ends, or is of another kind
+        return found
 
 
-def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """A number of variable length and its end; beyond the end of `data` if it is cut off."""
+def _varint(data: BinaryIO) -> int:
     value = shift = 0
-    while at < len(data) and shift < 64:
-        value |= (data[at] & 127) << shift
-        shift, at = shift + 7, at + 1
-        if data[at - 1] < 128:
-            return value, at
-    return value, len(data) + 1
+    while shift < 64:
+        byte = data.read(1)[0]
+        value, shift = value | (byte & 127) << shift, shift + 7
+        if byte < 128:
+            return value
+    raise IndexError("a number of more than 64 bits")
