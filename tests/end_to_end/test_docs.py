@@ -259,7 +259,7 @@ def test_the_charts_of_the_results_are_drawn_from_the_tables(monkeypatch, tmp_pa
 def test_the_demo_shows_the_study_of_the_docs():
     page = (DOCS / "results" / "navigation.md").read_text(encoding="utf-8").partition(STUDY_COMMAND)[2]
     rows = [row.split()[1:] for row in page.splitlines() if re.match("(frame|eagor|vmf|grid_filter) +[0-9]", row)][:4]
-    written = [[float(word.strip("[]")) for word in row if word.strip("[]")][:9] for row in rows]
+    written = [[float(word.strip("[],")) for word in row if word.strip("[],")][:9] for row in rows]
     assert written == [[number for cell in cells for number in cell] for cells in STUDY.values()]
 
 

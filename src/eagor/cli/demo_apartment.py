@@ -48,8 +48,8 @@ STUDY = {
     "a grid filter": ((11.13, 8.11, 14.66), (8.21, 6.61, 9.98), (36.79, 23.24, 51.46)),
 }
 STUDY_IN_WORDS = (
-    "One search proves nothing. Over 200 of them memory takes more than a quarter off the error while the thing is hidden "
-    "again. In sight no memory helps, and other filters are as good as ours: compare them with eagor bench."
+    "One search proves nothing. Over 200 of them memory takes more than a quarter off the error while the thing is "
+    "hidden again. In sight no memory helps, and other filters are as good as ours: compare them with eagor bench."
 )
 
 
