@@ -17,7 +17,7 @@ from eagor.perception.truth import WIDEST, Noise, TruthPerception
 from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation, world_R_body
 
 PERSISTENCES = [0.0, 0.3, 0.8]
-IDEAL, MODERATE = Noise.ideal(), Noise.moderate()
+IDEAL, MODERATE = Noise.parse("ideal"), Noise.parse("moderate")
 
 
 @dataclass(frozen=True)

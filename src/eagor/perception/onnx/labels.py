@@ -13,6 +13,7 @@ from eagor._files import read_file
 from eagor.errors import FormatError
 
 MOST = 100_000  # classes
+WANTED = "wanted a list of names, or names by number"
 _NOTHING = {"background", "__background__", "n/a", "none", "???", ""}  # what numbers are called that no class has
 _NUMBERED = re.compile(r"(\d+)\s*[:=,\t ]\s*(.+)")
 
@@ -25,27 +26,22 @@ def names_of(labels: Labels, first: int, where: str = "labels") -> tuple[str, ..
     `labels`: a file (`read_labels`), a list, or names by number. `first`: the number of the first name of a list that
     does not begin with the background, which has number 0. Raises `FormatError` for what is no such thing.
     """
+    listed: Any = labels
     if isinstance(labels, str | os.PathLike):
-        where, labels = f"the labels in {os.fspath(labels)}", read_labels(labels)
+        where, listed = f"the labels in {os.fspath(labels)}", read_labels(labels)
     try:
-        if not isinstance(labels, Mapping):
-            labels = dict(enumerate(labels, 0 if labels[0].strip().lower() in _NOTHING else first))
-        named = {int(number): name.strip() for number, name in labels.items()}
+        if not isinstance(listed, Mapping):
+            listed = dict(enumerate(listed, 0 if listed[0].strip().lower() in _NOTHING else first))
+        names = {int(number): name.strip() for number, name in listed.items()}
     except (TypeError, ValueError, AttributeError, IndexError):
-        named = {}
-    named = {number: "" if name.lower() in _NOTHING else name for number, name in named.items()}
-    if not any(named.values()) or min(named) < 0 or max(named) >= MOST:
-        raise FormatError(f"{where}: {shown(labels)}; wanted a list of names, or names by number")
-    return tuple(named.get(number, "") for number in range(max(named) + 1))
+        names = {}
+    names = {number: "" if name.lower() in _NOTHING else name for number, name in names.items()}
+    if not any(names.values()) or min(names) < 0 or max(names) >= MOST:
+        raise FormatError(f"{where}: {shown(listed)}; {WANTED}")
+    return tuple(names.get(number, "") for number in range(max(names) + 1))
 
 
-def names_in(metadata: Mapping[str, str]) -> tuple[str, ...] | None:
-    """The names that an ONNX file has of its own, under ``names``; None without any. Raises `FormatError`."""
-    where = "'names' in the file's metadata"
-    return names_of(_literal(metadata["names"], where), 0, where) if metadata.get("names", "").strip() else None
-
-
-def read_labels(path: str | os.PathLike[str]) -> list[str] | dict[int, str]:
+def read_labels(path: str | os.PathLike[str]) -> Any:
     """The labels in a text file: one per line, ``id name`` on each line, or a list or an object as JSON.
 
     Empty lines at the end do not count. Raises `FormatError`, which says what is wrong where.
@@ -57,21 +53,19 @@ def read_labels(path: str | os.PathLike[str]) -> list[str] | dict[int, str]:
     if not text:
         raise FormatError(f"{path} has no labels; wanted one per line, 'id name' lines, or a JSON list")
     if text.lstrip()[0] in "[{":
-        return _literal(text, str(path))
+        return literal(text, str(path))
     lines = [line.strip() for line in text.splitlines()]
-    found = [match.groups() for line in lines if (match := _NUMBERED.fullmatch(line))]
-    if len(found) < len(lines):
+    numbered = [match.groups() for line in lines if (match := _NUMBERED.fullmatch(line))]
+    if len(numbered) < len(lines):
         return lines
-    if len({int(number) for number, _ in found}) < len(found):
+    if len({int(number) for number, _ in numbered}) < len(numbered):
         raise FormatError(f"{path} has a number twice; wanted 'id name' lines, each id once")
-    return {int(number): name for number, name in found}
+    return {number: name for number, name in numbered}
 
 
-def _literal(text: str, where: str) -> Any:
-    """A list or mapping written as JSON or as Python writes it; nothing in it is run."""
+def literal(text: str, where: str) -> Any:
+    """A list or mapping written as JSON or as Python writes it; nothing in it is run. Raises `FormatError`."""
     try:
         return ast.literal_eval(text.strip())
     except (ValueError, SyntaxError, MemoryError, RecursionError, TypeError):
-        raise FormatError(
-            f"{where} cannot be read: {shown(text)}; wanted a list of names, or names by number"
-        ) from None
+        raise FormatError(f"{where} cannot be read: {shown(text)}; {WANTED}") from None

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import expit, softmax
 
 from eagor.errors import EagorError
-from eagor.perception.onnx.network import Fit, Values
 
 MASKS = 32  # further columns of Ultralytics' tables with masks
 STRIDE = 4  # pixels per cell of CenterNet
@@ -37,12 +36,12 @@ class Layout:
 
     title: str
     outputs: Callable[[int, int], Sequence[tuple[int | None, ...]]]
-    read: Callable[[Arrays, int, float], tuple[np.ndarray, ...]]
+    read: Callable[[Arrays, int, float], Sequence[np.ndarray]]
     centred: bool = False
     fractions: bool = False
     suppressed: bool = True
-    fit: Fit = "stretch"
-    values: Values = "unit"
+    fit: str = "stretch"
+    values: str = "unit"
     size: int = 640
     first: int = 0
     threshold: float = 0.25
@@ -60,12 +59,10 @@ class Layout:
 def _peaks(outputs: Arrays, classes: int, threshold: float) -> tuple[np.ndarray, ...]:
     """CenterNet's: peaks are cells that no neighbour of 3 x 3 exceeds; distances are from a cell's top left corner."""
     distances, scores = outputs
-    rows, columns = scores.shape[1:]
     kind, row, column = np.nonzero(scores >= threshold)  # a few of a million
-    peaks = np.ones(len(kind), dtype=bool)
-    for down, across in np.ndindex(3, 3):
-        y, x = np.clip(row + down - 1, 0, rows - 1), np.clip(column + across - 1, 0, columns - 1)
-        peaks &= scores[kind, row, column] >= scores[kind, y, x]
+    padded = np.pad(scores, [(0, 0), (1, 1), (1, 1)], mode="edge")
+    around = [padded[kind, row + down, column + across] for down, across in np.ndindex(3, 3)]
+    peaks = scores[kind, row, column] >= np.max(around, axis=0, initial=-np.inf)
     kind, row, column = kind[peaks], row[peaks], column[peaks]
     corners = STRIDE * np.stack([column, row, column, row], axis=1)
     return corners + distances[:, row, column].T * [-1, -1, 1, 1], scores[kind, row, column], kind
@@ -107,11 +104,11 @@ LAYOUTS: dict[str, Layout] = {
     ),
     "rtdetr-boxes": Layout(
         "boxes (1, n, 4) by corners in pixels, scores (1, n), labels (1, n) (RT-DETR, D-FINE with post-processing)",
-        lambda c, more: [(1, None, 4), (1, None), (1, None)], lambda o, c, t: tuple(o),
+        lambda c, more: [(1, None, 4), (1, None), (1, None)], lambda o, c, t: o,
     ),
     "torchvision": Layout(
         "boxes (n, 4) by corners in pixels, scores (n,), labels (n,)",
-        lambda c, more: [(None, 4), (None,), (None,)], lambda o, c, t: tuple(o), fit="letterbox", first=1,
+        lambda c, more: [(None, 4), (None,), (None,)], lambda o, c, t: o, fit="letterbox", first=1,
     ),
     "centernet": Layout(
         "distances (1, 4, h, w) to left, top, right, bottom in pixels, scores (1, C, h, w) (CenterNet)",
@@ -134,22 +131,22 @@ def choose_layout(
         raise EagorError(f"it was made for the task {task!r}; wanted a detector of upright boxes")
     key_points = [int(side) for side in re.findall(r"\d+", metadata.get("kpt_shape", "[17, 3]"))]
     more = {"detect": 0, "segment": MASKS, "pose": int(np.prod(key_points))}[task]
-    shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items()) + f", of {classes} classes"
     picks = {name: picked for name in LAYOUTS if (picked := _match_outputs(name, outputs, classes, more))}
     listing = "; ".join(f"{name}: {LAYOUTS[name].title}" for name in picks or LAYOUTS)
+    shapes = ", ".join(f"{name} {array.shape}" for name, array in outputs.items()) + f", of {classes} classes"
     settled = _layout_in_metadata(metadata, picks)
-    name = stated or settled
-    if name is None:
+    if not stated and not settled:
         raise EagorError(
-            f"its metadata do not say how it writes boxes: {shown}. Say it by layout=NAME; by the shapes "
+            f"its metadata do not say how it writes boxes: {shapes}. Say it by layout=NAME; by the shapes "
             f"{'it can be' if picks else 'it is none of'} {listing}. For other outputs, call the network yourself, and "
             "give eagor.Detector a function that returns boxes and scores"
         )
+    name = stated or settled or ""
     if settled not in (name, None):
         raise EagorError(f"layout = {name!r}, and the file's metadata say {settled!r}; leave layout out")
     if name not in picks:
         raise EagorError(
-            f"the outputs do not fit layout {name!r}; they are {shown}. Wanted as many labels=... as there are "
+            f"the outputs do not fit layout {name!r}; they are {shapes}. Wanted as many labels=... as there are "
             f"classes, and {'a layout that fits' if picks else 'one of the layouts'}: {listing}"
         )
     return name, picks[name]
@@ -172,16 +169,16 @@ def _match_outputs(name: str, outputs: Mapping[str, np.ndarray], classes: int, m
 
     Of two with the same shape, boxes are known by their name, and labels by whole numbers.
     """
-    found: list[str] = []
+    picked: list[str] = []
     for place, shape in enumerate(LAYOUTS[name].outputs(classes, more)):
         fits = [
             key for key, array in outputs.items()
-            if key not in found and array.ndim == len(shape) and (place == 2) == (array.dtype.kind in "iu")
+            if key not in picked and array.ndim == len(shape) and (place == 2) == (array.dtype.kind in "iu")
             and all(wanted in (None, side) for wanted, side in zip(shape, array.shape, strict=True))
         ]  # fmt: skip
-        if len(fits) > 1 and not found:
+        if len(fits) > 1 and not picked:
             fits = [key for key in fits if any(word in key.lower() for word in BOXES)]
         if len(fits) != 1:
             return None
-        found += fits
-    return tuple(found)
+        picked += fits
+    return tuple(picked)
