@@ -11,7 +11,7 @@ from onnx_files import onnx_file, seeing_file
 from eagor.errors import EagorError, FormatError, ImageError, ResponseError
 from eagor.perception import load
 from eagor.perception.onnx import LAYOUTS, OnnxDetector, from_text
-from eagor.perception.onnx.labels import names_of
+from eagor.perception.onnx.layouts import names_of
 from eagor.perception.onnx.network import Network
 from eagor.perception.views import Detector
 
@@ -199,7 +199,11 @@ def test_what_gives_no_upright_boxes_is_refused(task, tmp_path):
     [
         ({"output0": end_to_end()["output0"] * np.float32(7)}, "end-to-end", r"scores outside \[0, 1\]"),
         ({"output0": end_to_end()["output0"] + np.float32([0, 0, 0, 0, 0, 0.4])}, "end-to-end", "classes such as"),
-        ({"output0": end_to_end()["output0"] + np.float32([0, 0, 0, 0, 0, 2])}, "end-to-end", "classes such as .* of 3 that have labels"),
+        (
+            {"output0": end_to_end()["output0"] + np.float32([0, 0, 0, 0, 0, 2])},
+            "end-to-end",
+            "classes such as .* of 3 that have labels",
+        ),
         ({"output0": end_to_end()["output0"][..., [2, 3, 0, 1, 4, 5]]}, "end-to-end", "corners in pixels"),
         ({"output0": end_to_end()["output0"] / np.float32([64] * 4 + [1] * 2)}, "end-to-end", "corners in pixels"),
         ({"output0": end_to_end()["output0"] * np.float32([9] * 4 + [1] * 2)}, "end-to-end", "boxes such as"),

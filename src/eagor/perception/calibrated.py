@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -40,14 +40,6 @@ FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # of `Motion
 _PARTS = {"calibration": READING, "detector": tuple(model_as_json(DetectorModel())), "forgetting": FORGETTING}
 
 
-class _File(msgspec.Struct):
-    perception: str
-    forgetting: MotionModel
-    calibration: Calibration | None = None
-    detector: DetectorModel | None = None
-    found_by: dict[str, Any] = {}
-
-
 @dataclass(frozen=True)
 class Calibrated:
     """The calibration of one perception.
@@ -58,8 +50,8 @@ class Calibrated:
     """
 
     perception: str
-    calibration: Calibration | None
-    forgetting: dict[str, float | tuple[float, ...]] = field(default_factory=dict)
+    calibration: Calibration | None = None
+    forgetting: dict[str, Any] = field(default_factory=dict)
     found_by: dict[str, Any] = field(default_factory=dict)
     detector: DetectorModel | None = None
 
@@ -98,14 +90,14 @@ def from_json(stored: Any, source: str) -> Calibrated:
             raise EagorError(f"calibration lacks {', '.join(lacking)}")
         if isinstance(rates := parts.get("forgetting"), dict) and "wander" in rates:
             wander = rates["wander"] if isinstance(rates["wander"], list | tuple) else [rates["wander"]]
-            parts["forgetting"] = rates | {"wander": [] if list(wander) == [0] else wander}
-        found = checked(parts if isinstance(stored, dict) else stored, _File, "the file")
+            parts["forgetting"] = rates = rates | {"wander": [] if list(wander) == [0] else wander}
+        found = checked(parts if isinstance(stored, dict) else stored, Calibrated, "the file")
+        motion = checked(rates, MotionModel, "forgetting")
         if found.calibration is None and found.detector is None:
             raise EagorError("it has neither a calibration nor a detector")
     except EagorError as error:
         raise EagorError(f"{source} is not a calibration: {error}; wanted what `eagor calibrate` writes") from error
-    forgetting = {name: getattr(found.forgetting, name) for name in parts["forgetting"]}
-    return Calibrated(found.perception, found.calibration, forgetting, found.found_by, found.detector)
+    return replace(found, forgetting={name: getattr(motion, name) for name in found.forgetting})
 
 
 def read_calibrated(file: Path) -> Calibrated:

@@ -247,11 +247,24 @@ def things_seen(
     The looks of a `ThingSeen` are those since the poses were last lost.
     """
     begins = max((number for number, each in enumerate(recorded.posed) if each.lost), default=0)
-    found = []
+    hidden, found = hidden or HiddenParts(), []
     for query in asked_for(recorded.replay):
-        thing = _thing(recorded, begins, query, config, hidden or HiddenParts())
-        if thing is not None:
-            found.append(thing)
+        tracker, looks, among, last, now = DirectionTracker(config), 0, 0, -math.inf, 0.0
+        for posed in (*recorded.posed[begins:], None):
+            poses = recorded.after if posed is None else posed.poses[-1:] if posed.lost else posed.poses
+            for pose in poses:
+                tracker.add_pose(pose.stamp, pose.world_R_body, None if config.ranges is None else pose.position)
+                now = pose.stamp
+            if posed is None or posed.frame.problem or poses[-1].spread >= UNSURE:
+                continue
+            evidence = hidden.covered(recorded.replay.looks_near(query, now), None)
+            among += 1
+            for each in evidence:
+                tracker.observe(each.widened(poses[-1].spread))
+            if any(each.detections is None or len(each.detections) for each in evidence):
+                looks, last = looks + 1, now
+        if looks:
+            found.append(ThingSeen(query, tracker.estimate(now), looks, among, last))
         done()
     return sorted(found, key=lambda each: -each.sure)
 
@@ -260,30 +273,3 @@ def asked_for(replay: ReplayPerception) -> list[str]:
     """What a file can be asked for, each once: the labels of what was seen, and the queries that were looked for."""
     queries = [record.query for record in replay.records if record.query is not None and record.kind != "pose"]
     return [*dict.fromkeys([*sorted(replay.labels), *queries])]
-
-
-def _thing(
-    recorded: RecordedLooks, begins: int, query: str, config: TrackerConfig, hidden: HiddenParts
-) -> ThingSeen | None:
-    """What is known of one thing from this frame on; None if it was not seen there."""
-    tracker, looks, among, last, now = DirectionTracker(config), 0, 0, -math.inf, 0.0
-
-    def move(poses: Iterable[Pose]) -> None:
-        nonlocal now
-        for pose in poses:
-            tracker.add_pose(pose.stamp, pose.world_R_body, None if config.ranges is None else pose.position)
-            now = pose.stamp
-
-    for posed in recorded.posed[begins:]:
-        assert posed.pose is not None
-        move((posed.pose,) if posed.lost else posed.poses)
-        if posed.frame.problem or posed.pose.spread >= UNSURE:
-            continue
-        evidence = hidden.covered(recorded.replay.looks_near(query, now), None)
-        among += 1
-        for each in evidence:
-            tracker.observe(each.widened(posed.pose.spread))
-        if any(each.detections is None or len(each.detections) for each in evidence):
-            looks, last = looks + 1, now
-    move(recorded.after)
-    return ThingSeen(query, tracker.estimate(now), looks, among, last) if looks else None

@@ -35,13 +35,10 @@ UNIT = 1e-3  # by how much the length of a quaternion may differ from 1
 WHOLE = 0.999  # of the sphere: the least that the solid angles of several views of one look come to
 HINTS = {  # for keys that others use, and whose sign or unit may differ
     "pitch_deg": "pitch_up_deg is positive UP, like elevation_deg; pitch_deg of a pose file is positive nose DOWN",
-    "pitch": "pitch_up_deg is positive UP, in degrees",
-    "yaw": "yaw_left_deg is positive to the LEFT, in degrees",
     "yaw_deg": "yaw_left_deg is positive to the LEFT",
     "roll": "roll_right_deg is positive where the camera leans to its RIGHT, in degrees",
     "roll_deg": "roll_right_deg is positive where the camera leans to its RIGHT",
     "fov": "hfov_deg is the HORIZONTAL field of view, in degrees",
-    "vfov_deg": "hfov_deg is the HORIZONTAL field of view",
     "bbox": "box is x0, y0, x1, y1, not x, y, width, height",
 }
 
@@ -133,6 +130,14 @@ class _Response(_Part):
     cols: _Pixels
     values: list[Finite]
 
+    def table(self, logits: bool) -> np.ndarray:
+        count, values = self.rows * self.cols, self.values
+        need(len(values) == count, "values", f"{len(values)} values", f"rows * cols = {count} numbers")
+        wrong = [] if logits else [value for value in values if not 0 <= value <= 1]
+        need(not wrong, "values", wrong[:3], 'numbers in [0, 1] (of logits, say "scores": "logit" in the line)')
+        table = np.array(values, dtype=np.float64).reshape(self.rows, self.cols)
+        return (expit(table) if logits else table).astype(np.float32)
+
 
 class _View(_Part):
     image: _Image
@@ -149,10 +154,23 @@ class _Pose(_Part):
     z: _Metres | None = None
     spread_deg: Annotated[float, Meta(ge=0)] = 0.0
 
+    def at(self, stamp: float) -> Pose:
+        place = [self.x, self.y, self.z]
+        need(None not in place or place == [None] * 3, "pose", place, "x, y and z, or none of them")
+        position = None if None in place else np.array(place, dtype=np.float64)
+        return Pose(stamp, _rotation(self, "world_R_body"), position, math.radians(self.spread_deg))
+
 
 class _Unseen(_Part):
     rows: Annotated[int, Meta(ge=1, le=4096)]
-    runs: list[Annotated[int, Meta(ge=0)]]  # lengths of runs: seen, not seen, seen, ...
+    runs: list[Annotated[int, Meta(ge=0)]]  # lengths of runs, row by row from the upper left: seen, not seen, seen, ...
+
+    def mask(self) -> BodyMask:
+        cells = 2 * self.rows**2
+        need(sum(self.runs) == cells, "runs", f"{sum(self.runs)} cells", f"rows * 2 * rows = {cells} in all")
+        seen = np.repeat(np.arange(len(self.runs)) % 2 == 0, self.runs)
+        need(bool(seen.any()), "runs", "nothing that is seen", "a camera that sees something")
+        return BodyMask(seen.reshape(self.rows, 2 * self.rows))
 
 
 class Footage(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -320,8 +338,8 @@ def _record(found: dict[str, Any]) -> Record:
     look = None if entry.look is None else str(entry.look)
     return Record(
         entry.stamp, entry.query, look, kinds[0] if kinds else "pose", **_looked(entry), frame=entry.frame,
-        pose=None if entry.pose is None else _pose(entry.pose, entry.stamp), lost=entry.lost, problem=entry.problem,
-        unseen=None if entry.unseen is None else _mask(entry.unseen),
+        pose=None if entry.pose is None else entry.pose.at(entry.stamp), lost=entry.lost, problem=entry.problem,
+        unseen=None if entry.unseen is None else entry.unseen.mask(),
     )  # fmt: skip
 
 
@@ -332,7 +350,7 @@ def _looked(entry: _Line) -> dict[str, Any]:
         views = _views(entry.views, logits)
         return {"views": views, "labels": tuple(box.label for view in entry.views for box in view.boxes)}
     if entry.response is not None:
-        values = _response(entry.response, logits)
+        values = entry.response.table(logits)
         return {"values": values, "grid": image.view(*values.shape) or PatchGrid(*values.shape)}
     items = entry.boxes if entry.boxes is not None else entry.points
     if items is None:
@@ -398,22 +416,6 @@ def _views(views: Sequence[_View], logits: bool) -> tuple[Seen, ...]:
     return tuple(found)
 
 
-def _pose(pose: _Pose, stamp: float) -> Pose:
-    place = [pose.x, pose.y, pose.z]
-    need(None not in place or place == [None] * 3, "pose", place, "x, y and z, or none of them")
-    position = None if None in place else np.array(place, dtype=np.float64)
-    return Pose(stamp, _rotation(pose, "world_R_body"), position, math.radians(pose.spread_deg))
-
-
-def _mask(unseen: _Unseen) -> BodyMask:
-    """The mask of what is seen, from the lengths of runs along the rows of a panorama, from the upper left on."""
-    cells = 2 * unseen.rows**2
-    need(sum(unseen.runs) == cells, "runs", f"{sum(unseen.runs)} cells", f"rows * 2 * rows = {cells} in all")
-    seen = np.repeat(np.arange(len(unseen.runs)) % 2 == 0, unseen.runs)
-    need(bool(seen.any()), "runs", "nothing that is seen", "a camera that sees something")
-    return BodyMask(seen.reshape(unseen.rows, 2 * unseen.rows))
-
-
 def _rotation(turn: _Image | _Pose, name: str) -> np.ndarray:
     """The rotation ``(3, 3)`` of a quaternion."""
     for key in _TURN:
@@ -434,16 +436,6 @@ def _boxes(boxes: Sequence[_Box], grid: ErpGrid | PerspectiveGrid) -> np.ndarray
         wanted = f"[x0, y0, x1, y1] in pixels of the {width} x {height} image (not x, y, width, height, and not 0 to 1)"
         need(fine, "box", [x0, y0, x1, y1], wanted)
     return np.array([each.box for each in boxes], dtype=np.float64).reshape(-1, 4)
-
-
-def _response(response: _Response, logits: bool) -> np.ndarray:
-    """The values ``(rows, cols)`` float32."""
-    count, values = response.rows * response.cols, response.values
-    need(len(values) == count, "values", f"{len(values)} values", f"rows * cols = {count} numbers")
-    wrong = [] if logits else [value for value in values if not 0 <= value <= 1]
-    need(not wrong, "values", wrong[:3], 'numbers in [0, 1] (of logits, say "scores": "logit" in the line)')
-    table = np.array(values, dtype=np.float64).reshape(response.rows, response.cols)
-    return (expit(table) if logits else table).astype(np.float32)
 
 
 def _probabilities(items: Sequence[_Box] | Sequence[_Point], logits: bool) -> np.ndarray:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eagor._checks import within
-from eagor.errors import EagorError, FormatError, QueryError, TimeError
+from eagor.errors import FormatError, QueryError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
@@ -92,9 +92,20 @@ class ReplayPerception:
         first = bisect_left(self.records, stamp - self.tolerance, key=lambda r: r.stamp)
         last = bisect_right(self.records, stamp + self.tolerance, key=lambda r: r.stamp)
         found = [r for r in self.records[first:last] if r.answers(query)]
+        if not found and not (stamps := [r.stamp for r in self.records if r.answers(query)]):
+            asked = sorted({str(r.query) for r in self.records if r.kind != "pose"})[:8]
+            more = ". That was never looked for, so nobody knows: eagor look FRAMES --for NAME ... looks for it"
+            raise QueryError(
+                f"{self.name} has nothing for the query {query!r}; it has {', '.join(map(repr, asked))}"
+                f"{more if self.footage else ''}"
+            )
+        nearest = min([r.stamp for r in found] or stamps, key=lambda at: abs(at - stamp))
         if not found:
-            raise self._nothing(query, stamp)
-        nearest = min(found, key=lambda r: abs(r.stamp - stamp)).stamp
+            raise TimeError(
+                f"{self.name} has no record for {query!r} within {self.tolerance:g} s of stamp {stamp:.6f}; the "
+                f"nearest is at {nearest:.6f} ({nearest - stamp:+.6f} s). Do both use one clock? Otherwise raise the "
+                "tolerance"
+            )
         return tuple(r for r in found if abs(r.stamp - nearest) <= SAME_MOMENT)
 
     def _evidence(self, records: Sequence[Record], query: str) -> tuple[Evidence, ...]:
@@ -143,20 +154,6 @@ class ReplayPerception:
         raise QueryError(
             f"{self.used(query, 0)}. Ask for one of them. If the detector looked for {query!r} and saw none, its lines "
             'want "query": the words that it looked for'
-        )
-
-    def _nothing(self, query: str, stamp: float) -> EagorError:
-        stamps = [r.stamp for r in self.records if r.answers(query)]
-        if not stamps:
-            asked = sorted({str(r.query) for r in self.records if r.kind != "pose"})[:8]
-            text = f"{self.name} has nothing for the query {query!r}; it has {', '.join(map(repr, asked))}"
-            if self.footage is not None:
-                text += ". That was never looked for, so nobody knows: eagor look FRAMES --for NAME ... looks for it"
-            return QueryError(text)
-        nearest = min(stamps, key=lambda s: abs(s - stamp))
-        return TimeError(
-            f"{self.name} has no record for {query!r} within {self.tolerance:g} s of stamp {stamp:.6f}; the nearest "
-            f"is at {nearest:.6f} ({nearest - stamp:+.6f} s). Do both use one clock? Otherwise raise the tolerance"
         )
 
     def __call__(self, panorama: np.ndarray | None, query: str, *, stamp: float | None = None) -> Evidence:

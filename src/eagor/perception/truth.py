@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._checks import whole, within
+from eagor._checks import require, whole, within
 from eagor.errors import EagorError, GridError, ImageError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -56,14 +56,10 @@ class Noise:
     weakest: float = 1.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value, highest = (
-                getattr(self, field.name),
-                {"spread": math.pi / 2, "smallest": math.inf}.get(field.name, 1.0),
-            )
-            if not within(value, 0, highest):
-                unit = " radians (degrees in the text form)" if field.name == "spread" else ""
-                raise EagorError(f"{field.name} = {value!r}; wanted a number from 0 to {highest:.4g}{unit}")
+        most = {field.name: 1.0 for field in fields(self)} | {"smallest": math.inf, "spread": math.pi / 2}
+        wanted = {name: f"a number from 0 to {highest:.4g}" for name, highest in most.items()}
+        wanted["spread"] += " radians (degrees in the text form)"
+        require(self, {name: (within(getattr(self, name), 0, most[name]), text) for name, text in wanted.items()})
 
     @classmethod
     def parse(cls, text: str) -> Noise:

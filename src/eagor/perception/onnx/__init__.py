@@ -21,8 +21,7 @@ import numpy as np
 from eagor._checks import whole, within
 from eagor.errors import EagorError, ImageError, ResponseError
 from eagor.evidence.shapes import are_fractions
-from eagor.perception.onnx.labels import Labels, literal, names_of
-from eagor.perception.onnx.layouts import LAYOUTS, choose_layout
+from eagor.perception.onnx.layouts import LAYOUTS, Labels, choose_layout, literal, names_of
 from eagor.perception.onnx.network import FITS, ORDERS, PAD, VALUES, Network, Size, letterbox
 
 if TYPE_CHECKING:
@@ -141,10 +140,16 @@ class OnnxDetector:
 
     def _detections(self, outputs: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Boxes in pixels of the input, scores and numbers of classes, of all that reaches the threshold."""
-        boxes, scores, *numbers = self._layout.detections(outputs, self.size, len(self._names), self.threshold)
+        self._check(all(np.isfinite(each).all() for each in outputs), "numbers that are not finite")
+        layout, count = self._layout, len(self._names)
+        batched = layout.outputs(count, 0)[0][0] == 1
+        single = [(each[0] if batched else each).astype(np.float32, copy=False) for each in outputs]
+        boxes, scores, *numbers = (each.astype(np.float64) for each in layout.read(single, count, self.threshold))
+        if layout.centred:
+            boxes = np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
+        boxes = boxes * np.tile(self.size[::-1], 2) if layout.fractions else boxes
         reach = scores >= self.threshold
         rows, *columns = np.nonzero(reach)
-        self._check(all(np.isfinite(each).all() for each in outputs), "numbers that are not finite")
         self._check(not scores.size or (scores.min() >= -SLACK and scores.max() <= 1 + SLACK), "scores outside [0, 1]")
         boxes, scores = boxes[rows], np.clip(scores[reach], 0, 1)
         numbers = numbers[0][rows] if numbers else columns[0]
