@@ -92,14 +92,13 @@ class ReplayPerception:
         first = bisect_left(self.records, stamp - self.tolerance, key=lambda r: r.stamp)
         last = bisect_right(self.records, stamp + self.tolerance, key=lambda r: r.stamp)
         found = [r for r in self.records[first:last] if r.answers(query)]
-        if not found and not (stamps := [r.stamp for r in self.records if r.answers(query)]):
+        stamps = [r.stamp for r in found or self.records if r.answers(query)]
+        if not stamps:
             asked = sorted({str(r.query) for r in self.records if r.kind != "pose"})[:8]
             more = ". That was never looked for, so nobody knows: eagor look FRAMES --for NAME ... looks for it"
-            raise QueryError(
-                f"{self.name} has nothing for the query {query!r}; it has {', '.join(map(repr, asked))}"
-                f"{more if self.footage else ''}"
-            )
-        nearest = min([r.stamp for r in found] or stamps, key=lambda at: abs(at - stamp))
+            more = f"{', '.join(map(repr, asked))}{more if self.footage else ''}"
+            raise QueryError(f"{self.name} has nothing for the query {query!r}; it has {more}")
+        nearest = min(stamps, key=lambda at: abs(at - stamp))
         if not found:
             raise TimeError(
                 f"{self.name} has no record for {query!r} within {self.tolerance:g} s of stamp {stamp:.6f}; the "

@@ -64,16 +64,15 @@ DETECTOR = DetectorModel(
 )
 
 
-def coco_detector(together: int = 1) -> OnnxDetector:
+def coco_detector() -> OnnxDetector:
     """The detector, from the user's cache: a callable ``detect(picture, query) -> boxes, scores, labels``.
 
-    `picture` is ``(h, w, 3)`` uint8 RGB, boxes are x0, y0, x1, y1 in its pixels. `together`: how many pictures it looks
-    at at the same time, one core each, where it gets several. Raises `MissingExtraError` where onnxruntime, or the
-    model, is not installed; the text says what to type.
+    `picture` is ``(h, w, 3)`` uint8 RGB, boxes are x0, y0, x1, y1 in its pixels. Raises `MissingExtraError` where
+    onnxruntime, or the model, is not installed; the text says what to type.
     """
     from eagor.perception.onnx import OnnxDetector
 
-    return OnnxDetector(_installed(), together=together)
+    return OnnxDetector(_installed())
 
 
 def from_text(text: str = "", /, **options: Any) -> Detector:
