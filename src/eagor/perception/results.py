@@ -46,7 +46,7 @@ def boxes_of(result: Any, names: Names | None = None) -> Boxes:
         boxes, scores, labels = read(result)
     except (KeyError, AttributeError, TypeError, IndexError) as error:
         raise ResponseError(f"the detector returned {_kind(result)} without {error}; wanted {WANTED}") from error
-    corners = _numbers(boxes, "boxes", "numbers, (b, 4)")
+    corners = _numbers(boxes, "boxes", "numbers, (n, 4)")
     values = _numbers(scores, "scores", "one number for each box").reshape(-1)
     corners = corners.reshape(0, 4) if corners.size == 0 else corners
     if corners.ndim != 2 or corners.shape[1] != 4:
