@@ -16,15 +16,14 @@ import math
 import common
 import numpy as np
 
-from eagor.lab.agents.methods import answer_at
 from eagor.lab.envs.episodes import EpisodeSpec, episode_specs
-from eagor.lab.tasks.sim.play import Runner, StepInfo
+from eagor.lab.tasks.sim.play import Runner, Step
 from eagor.metrics import angular_error_deg
 
 OURS, FRAME = "eagor", "frame"
 
 
-def frame_errors(steps: list[StepInfo]) -> np.ndarray:
+def frame_errors(steps: list[Step]) -> np.ndarray:
     """Degrees ``(n,)`` between the truth and the highest value of each look; NaN where there is no response map."""
     found = np.full(len(steps), math.nan)
     for index, step in enumerate(steps):
@@ -34,12 +33,12 @@ def frame_errors(steps: list[StepInfo]) -> np.ndarray:
     return found
 
 
-def errors(runner: Runner, name: str, spec: EpisodeSpec, steps: list[StepInfo]) -> np.ndarray:
+def errors(runner: Runner, name: str, spec: EpisodeSpec, steps: list[Step]) -> np.ndarray:
     """Degrees ``(n,)`` of error of a method after each look."""
     if name == FRAME:
         return frame_errors(steps)
     method = runner.method(name, spec)
-    answers = [answer_at(method, step.stamp, step.pose, step.evidence) for step in steps]
+    answers = [step.answered_by(method) for step in steps]
     return np.array([float(angular_error_deg(answer, step.truth)) for answer, step in zip(answers, steps, strict=True)])
 
 
@@ -56,7 +55,7 @@ def main() -> None:
     runner = Runner({"task": "navigation", "perception": given.perception})
     names, rows, seeds, pointed = [FRAME, *given.methods], [], [], []
     for spec in episode_specs("navigation", given.episodes, given.seed):
-        steps: list[StepInfo] = []
+        steps: list[Step] = []
         record = runner.run_episode(spec, [OURS], steps.append)
         visible = record["methods"][OURS]["trace"]["visible"]
         found = {name: errors(runner, name, spec, steps) for name in names}

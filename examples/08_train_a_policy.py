@@ -15,6 +15,7 @@ from scipy.stats import binomtest
 from stable_baselines3 import PPO
 
 from eagor import perception
+from eagor.conventions import rotation_from_wxyz
 from eagor.lab.agents.methods import answer_at, make_estimator
 from eagor.lab.agents.models import EpisodePerception
 from eagor.lab.envs.rules import NavigationRules
@@ -46,7 +47,8 @@ class Estimate(gymnasium.Wrapper):
 
     def estimate(self, seen, info):
         stamp = info["num_steps"] * self.unwrapped.camera.seconds
-        return answer_at(self.method, stamp, seen["pose"], self.eye.look(seen, info, stamp)).astype(np.float32)
+        pose = rotation_from_wxyz(seen["pose"][3:]), seen["pose"][:3]
+        return answer_at(self.method, stamp, *pose, self.eye.look(seen, info, stamp)).astype(np.float32)
 
 
 def make(apartments):

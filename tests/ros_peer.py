@@ -28,8 +28,7 @@ from eagor.sphere import world_R_body
 BALL = 0.6  # radians: its azimuth in the world
 SETTINGS = {
     "seconds": 20.0, "rate": 10.0, "rows": 128, "transport": "raw", "reliable": True, "poses": "odom", "turn": 0.5,
-    "sim_time": False, "frame": "base_link", "namespace": "", "delay": 0.0, "start": 0.0, "hfov_deg": 0.0,
-    "tf": False, "static_after": 0.0,
+    "sim_time": False, "frame": "base_link", "namespace": "", "start": 0, "hfov_deg": 0, "tf": False, "static_after": 0,
 }  # fmt: skip
 
 
@@ -78,7 +77,6 @@ def main() -> None:
             sent += 1
         rclpy.spin_once(node, timeout_sec=0.0)
         time.sleep(0.01)
-    print(json.dumps({"sent": sent}))
     node.destroy_node()
     rclpy.shutdown()
 

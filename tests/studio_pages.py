@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 from eagor import Belief
-from eagor.drawing.panorama import heat_of
+from eagor.drawing.heat import heat_of
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import azimuth_elevation, direction, world_R_body
@@ -178,7 +178,6 @@ def known_episode() -> dict[str, Any]:
     """An EPISODE of a camera that turns left by 10 degrees a step, with `BELIEF` in the axes of the world."""
     heat = heat_of(BELIEF)
     assert heat is not None
-    assert heat.share is not None
     glow = Image.fromarray(np.rint(255 * heat.contrast**2 * heat.share).astype(np.uint8))
     mode, entropy = np.asarray(BELIEF.mode()), float(BELIEF.entropy())
     steps = []

@@ -188,7 +188,7 @@ def write_run(folder, records, **config):
         "rules": {"step": 0.25, "success_distance": 1.0},
         "disturbances": {"miss": 0.3, "false_alarm": 0.2},
         "methods": list(dict.fromkeys(m for r in records for m in r.get("methods", {}))),
-        "versions": {"eagor": "0.2.0", "apartment": 1},
+        "versions": {"eagor": "0.2.0", "apartment": "1"},
         **config,
     }
     (folder / "run.json").write_text(json.dumps(settings))

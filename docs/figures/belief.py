@@ -82,7 +82,7 @@ def main() -> None:
     field = np.asarray(eagor.RealHarmonics(DEGREE).synthesise(some.coefficients(DEGREE), fine))
     signed(c, field, float(np.abs(field).max()))
     titled(c, "3  Had only this part been looked at (degree 15)")
-    paint_belief(d, seen, tracker.estimate(stamp), truth)
+    paint_belief(d, seen, tracker.estimate(stamp), truth=truth)
     titled(d, f"4  {LOOKS} looks: belief, candidates, estimate, truth (green)")
     for axes, left in ((a, True), (b, False), (c, True), (d, False)):
         framed(axes, left)

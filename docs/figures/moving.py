@@ -20,7 +20,7 @@ import numpy as np
 import eagor
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import paint_belief
-from eagor.drawing.panorama import OURS, TRUTH
+from eagor.drawing.marks import OURS, TRUTH
 from eagor.drawing.style import INK, QUIET, far_in_words, figure, image
 from eagor.lab.agents.methods import BASE
 from eagor.lab.envs.episodes import EpisodeSpec
@@ -97,7 +97,7 @@ def draw(seen: np.ndarray, estimate: eagor.Estimate, truth: np.ndarray, way: Way
     tall, head, foot = round(width * HIGHEST / 180), 34, 26
     sheet = figure(width, tall + head + foot)
     axes = sheet.add_axes((0, foot / (tall + head + foot), 1, tall / (tall + head + foot)))
-    paint_belief(axes, seen, estimate, truth, modes=())
+    paint_belief(axes, seen, estimate, truth=truth, modes=())
     axes.set_ylim(-HIGHEST, HIGHEST)
     axes.set_axis_off()
     off = "not known"

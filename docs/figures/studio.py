@@ -28,13 +28,14 @@ import numpy as np
 from PIL import Image
 
 from eagor.errors import EagorError
+from eagor.lab.envs.place_env import MobileBase
 from eagor.lab.envs.places import APARTMENT, Place, load_place, pixels_of
 from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.sim.navigation import distance_to_box
 from eagor.lab.tasks.sim.walk import FINE_ROWS, Walker, walled
 from eagor.lab.worlds.navmesh import along, length_of
 from eagor.perception.scout import ScoutPerception
-from eagor.sphere import angular_distance, heading, world_R_body
+from eagor.sphere import angular_distance
 from eagor.tracking import TrackerConfig
 from eagor.tracking.follower import Follower
 
@@ -104,10 +105,11 @@ def played(place: Place, target: int, way: np.ndarray, query: str) -> Walked:
     scout, follower, found = ScoutPerception(), Follower(TrackerConfig()), Walked()
     thing = np.asarray(place.scene.instances[target].centre)
     ahead = thing[:2] - way[0]
-    walker = Walker(place.ground, way[0], math.atan2(ahead[1], ahead[0]), "tour", [*way[1:], *way[::-1]])
+    body = MobileBase(place.ground, way[0], math.atan2(ahead[1], ahead[0]))
+    walker = Walker(body, "tour", [*way[1:], *way[::-1]])
     known, stood = None, 0.0
     for number in itertools.count():
-        stamp, here, pose = number * STEP, walker.position, world_R_body(walker.yaw)
+        stamp, here, pose = number * STEP, body.pose.position, body.pose.world_R_body
         follower.move(stamp, pose, here)
         if number % round(LOOK / STEP) == 0:
             seen = place.renderer.panorama(here, pose, scout.rows, range=False, ids=False).rgb
@@ -123,7 +125,11 @@ def played(place: Place, target: int, way: np.ndarray, query: str) -> Walked:
             found.tracking.append(estimate.status == "tracking")
             found.errors.append(math.degrees(float(angular_distance(known, d))))
         walker.move(STEP, known, False)
-        stood = 0.0 if not np.array_equal(walker.position, here) or walker.yaw != heading(pose) else stood + STEP
+        stood = (
+            0.0
+            if not (np.array_equal(body.pose.position, here) and np.array_equal(body.pose.world_R_body, pose))
+            else stood + STEP
+        )
         if stood > STANDS and not walker.way:
             return found
     return found

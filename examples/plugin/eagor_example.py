@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import trimesh
@@ -26,7 +25,7 @@ from eagor.errors import QueryError, WorldError
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import load_place, pixels_of
-from eagor.lab.tasks.sim.play import EpisodeResult
+from eagor.lab.tasks.sim.play import Rollout
 from eagor.lab.tasks.sim.task import SimTask
 from eagor.lab.tasks.task import degrees
 from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene
@@ -100,23 +99,13 @@ class TurntableRules:
     visible_pixels: int = 6
 
 
-@dataclass(frozen=True)
-class TurntableEpisode(Episode):
-    """`route`: x, y, yaw of the body at each step, metres and radians."""
-
-    route: tuple[tuple[float, float, float], ...] = ()
-
-
 class TurntableEnv(AnsweringEnv):
     """The camera turns once around itself, and names the direction of a thing at each step."""
 
     task = "turntable"
+    rules = TurntableRules()
 
-    def __init__(self, rules: TurntableRules | None = None, **settings: Any) -> None:
-        super().__init__(**settings)
-        self.rules = rules or TurntableRules()
-
-    def plan(self, spec: EpisodeSpec) -> TurntableEpisode:
+    def plan(self, spec: EpisodeSpec) -> Episode:
         """The episode of this spec. Everything random comes from ``spec.rng``."""
         place = load_place(spec.world, spec.seed, self.camera.radius)
         rng = spec.rng("plan")
@@ -127,7 +116,7 @@ class TurntableEnv(AnsweringEnv):
                 if pixels_of(ids, (target,)) >= self.rules.visible_pixels:
                     start = float(rng.uniform(-math.pi, math.pi))
                     turns = start + 2 * math.pi * np.arange(self.rules.steps) / self.rules.steps
-                    return TurntableEpisode(
+                    return Episode(
                         spec=spec,
                         scene=place.scene.source,
                         scene_hash=place.scene.hash,
@@ -142,7 +131,7 @@ class TurntableEnv(AnsweringEnv):
         raise WorldError(f"{place.scene.source} has nothing that is in view from anywhere")
 
 
-def measure(result: EpisodeResult) -> dict[str, float | None]:
+def measure(result: Rollout) -> dict[str, float | None]:
     """Figures of one method in one episode: mean error and the error at the end, degrees."""
     errors = [error for error in result.trace["error_deg"] if error is not None]
     return {"error": float(np.mean(errors)), "last": errors[-1]}

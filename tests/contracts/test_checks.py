@@ -246,9 +246,9 @@ def measured(change):
     return replace(TURNTABLE, measure=lambda played: change(example.measure(played)))
 
 
-def sideways(self):
+def sideways(self, ids):
     """The truth in the world's axes."""
-    found = example.TurntableEnv._info(self)
+    found = example.TurntableEnv._info(self, ids)
     found["truth"]["direction"] = found["truth"]["world_R_body"] @ found["truth"]["direction"]
     return found
 
@@ -256,29 +256,26 @@ def sideways(self):
 def wandering():
     turn = itertools.count()
 
-    def step(self, action):
+    def act(self, action):
         self.body.xy = self.body.xy + 0.01 * next(turn)
-        return example.TurntableEnv.step(self, action)
+        return example.TurntableEnv._act(self, action)
 
-    return env(step=step)
+    return env(_act=act)
 
 
 def obeying(self, action):
-    found = example.TurntableEnv.step(self, action)
     if float(action[0]) > 0:
-        self._move_to(self.body.xy, self.body.yaw + 0.5)
-        return (self._observation(), *found[1:4], self._info())
-    return found
+        self.body.xy = self.body.xy + 0.1
+    return example.TurntableEnv._act(self, action)
 
 
 def endless(self, action):
-    observation, reward, _, _, info = example.TurntableEnv.step(self, action)
-    return observation, reward, False, False, info
+    return example.TurntableEnv._act(self, action)[0], False, False
 
 
 def blank(self):
     """Nothing is rendered: only the number of steps matters."""
-    self.ids, self._picture = np.full((64, 128), -1, np.int32), None
+    return lambda rows, **how: Frame(None, None, np.full((64, 128), -1, np.int32))
 
 
 def forgetful():
@@ -295,10 +292,9 @@ BROKEN_TASKS = {
         "plans the same episode for specs",
     ),
     "a way that is drawn anew": (wandering(), "another path when the same episode is played again"),
-    "a way that answers bend": (env(step=obeying), "another path when other answers are given"),
+    "a way that answers bend": (env(_act=obeying), "another path when other answers are given"),
     "the direction in the world": (env(_info=sideways), "from the nearest pixel that shows it"),
-    "no end": (env(step=endless, _frame=blank), "has not ended after"),
-    "a figure that is NaN": (measured(lambda m: m | {"last": math.nan}), "wanted a finite number, or None"),
+    "no end": (env(_act=endless, view=blank), "has not ended after"),
     "a figure that is missing": (measured(lambda m: {"error": m["error"]}), "wanted also last, which its table shows"),
     "better the other way round": (
         replace(TURNTABLE, metrics=(replace(TURNTABLE.metrics[0], better="high"), TURNTABLE.metrics[1])),

@@ -54,7 +54,6 @@ def test_another_process_gets_every_message_unchanged_until_the_link_is_closed()
             assert link.topics(0.3).keys() == {"there", "back"}
             peer.communicate(timeout=20)
     assert [message for message, _ in got] == [numbered(number) for number in range(20)]
-    assert abs(got[-1][1] - time.time()) < 200
     with pytest.raises(DeviceError, match="a message of there cannot be sent: its link is closed"):
         writer.write(numbered(20))
     assert (writer.readers, reader.matched) == (0, frozenset())

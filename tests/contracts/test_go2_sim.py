@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from processes import alive, sessions_of, wait_for
+from processes import wait_for
 
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
@@ -18,15 +14,13 @@ pytest.importorskip("rosbags")
 from eagor.errors import DeviceError, QueryError, WorldError
 from eagor.grids import ErpGrid
 from eagor.lab.worlds.render import Ball, Renderer
-from eagor.robots.dds import Link, free_domain
+from eagor.robots.dds import Link
 from eagor.robots.go2.camera import DdsCamera
 from eagor.robots.go2.house import CAMERA_TOPIC, SimWorld, panorama
 from eagor.robots.go2.sim import Rehearsal, SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import Go2State
 from eagor.sphere import angular_distance, world_R_body
-
-live = pytest.mark.xdist_group("real time")
 
 
 def test_the_same_seed_gives_the_same_walk():
@@ -90,7 +84,7 @@ def test_settings_that_cannot_be_say_so(settings, error, said):
 
 
 @pytest.mark.slow
-@live
+@pytest.mark.xdist_group("real time")
 def test_a_rehearsal_walks_sends_pictures_and_tells_the_truth_beside(capfd):
     with Rehearsal(SimSettings(target="red ball", rows=32, latency=0.5)) as robot, Link(robot.domain, "lo") as link:
         assert robot.targets.shape == (1, 3)
@@ -108,25 +102,3 @@ def test_a_rehearsal_walks_sends_pictures_and_tells_the_truth_beside(capfd):
         np.testing.assert_allclose(position - turned @ (0, 0, 0.4), state.newest.position, atol=0.2)
         camera.close()
     assert "Traceback" not in capfd.readouterr().err  # though a picture was on its way at the end
-
-
-@pytest.mark.slow
-@live
-def test_nothing_stays_behind_whatever_ends_it(tmp_path):
-    code = f"""
-import time
-from eagor.robots.go2.sim import *
-if __name__ == "__main__":
-    with SimulatedGo2(SimSettings(seed=3, rows=16), {free_domain()}):
-        print("ready", flush=True)
-        time.sleep(600)
-"""
-    script = tmp_path / "robot.py"
-    script.write_text(code, encoding="utf-8")
-    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, start_new_session=True) as process:
-        assert process.stdout.readline() == b"ready\n"
-        sessions = sessions_of(process.pid)
-        assert len(alive(sessions)) >= 2
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-    wait_for(lambda: not alive(sessions))

@@ -121,11 +121,11 @@ def test_a_move_that_is_no_velocity_is_refused_and_moves_nothing():
 
 
 def test_dangerous_commands_are_never_sent():
-    assert {"sport": {1, 1002, 1003, 1004, 1005, 1008}, "obstacles_avoid": {1, 1001, 1003, 1004}} == sport.ALLOWED
+    assert {"sport": {1, 1002, 1003, 1004, 1008}, "obstacles_avoid": {1, 1001, 1003, 1004}} == sport.ALLOWED
     with robot() as (link, server):
         client = sport.SportClient(link, timeout=LONG)
         client.wait(20)
-        for number in (1030, 1031, 1032, *range(2041, 2048), 1006, 1001, 0):
+        for number in (1030, 1031, 1032, *range(2041, 2048), 1006, 1005, 1001, 0):
             with pytest.raises(DeviceError, match=f"command {number} of 'sport' is never sent"):
                 client.request(number)
         for velocity in (math.nan, 1e308):

@@ -554,7 +554,7 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     assert [entry["stamp"] for entry in entries] == [0.0, 1.0]
     assert entries[-1]["distance_m"] is not None
     for entry, line in zip(entries, done.stdout.splitlines()[1:], strict=True):
-        far = distance_in_words(entry["distance_m"], entry["distance_spread"])
+        far = distance_in_words(entry["distance_m"], entry["distance_spread"]) or "-"
         assert re.search(rf" {re.escape(far)} +\d+  {entry['status']}$", line)
     assert len(list(pictures.iterdir())) == 2
     head = eagor(*words[:6], "--compare").stdout.splitlines()[0]

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from listed_rooms import contents, room
@@ -9,7 +10,6 @@ from listed_rooms import contents, room
 from eagor.cli import main
 from eagor.cli.export import scenes_of
 from eagor.lab.envs.place_env import MobileBase
-from eagor.lab.envs.rules import Camera, NoiseModel
 from eagor.lab.worlds.glb import export_glb
 
 
@@ -48,8 +48,9 @@ def test_seeds_are_written_as_ranges_and_counted_once():
 
 def test_a_path_over_steps_is_as_long_as_in_space():
     """habitat-lab sums the moves of the feet in three dimensions."""
-    body = MobileBase(Camera(), NoiseModel(), np.random.default_rng(0), np.zeros(2), 0.0)
-    body.move(np.array([3.0, 0.0]), 0.0, 4.0)
+    stairs = SimpleNamespace(height=lambda xy: 4.0 * (xy[0] > 0))
+    body = MobileBase(stairs, np.zeros(2), 0.0)
+    body.carry(np.array([3.0, 0.0]), 0.0)
     assert body.walked == 5.0
-    body.move(np.array([3.0, 0.0]), 1.0, 4.0)
+    body.carry(np.array([3.0, 0.0]), 1.0)
     assert body.walked == 5.0

@@ -1,5 +1,7 @@
 """Fitting by log score: it finds what it should, judges on apartments that it has not seen, and its file is checked."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from detections_made_up import detected
@@ -14,7 +16,7 @@ from eagor.grids import PatchGrid
 from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.eval.calibration import TASKS, at_places, counted, fit, make_runners, places_of, record, score
 from eagor.lab.eval.labelled_looks import development_specs
-from eagor.lab.tasks.sim.play import Rollout, StepInfo
+from eagor.lab.tasks.sim.play import Rollout, Step
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.perception.truth import TruthPerception
 from eagor.sphere import direction, world_R_body
@@ -36,16 +38,18 @@ def recording(seed, steps=16, right=0.6, height=0.0):
             np.exp(30 * (GRID.directions @ at - 1)) * high for at, high in ((seen, 0.8), (other, 0.8 * rng.random()))
         ]
         evidence = [Evidence.from_response(look.astype(np.float32), GRID, stamp=0.5 * k) for look in looks]
-        moments.append(StepInfo(0.5 * k, world_R_body(0.1 * k), np.array([0.0, 0.0, height]), *evidence))
+        moments.append(Step(0.5 * k, world_R_body(0.1 * k), np.array([0.0, 0.0, height]), *evidence))
     return episode_of(seed, moments, target)
 
 
 def episode_of(seed, moments, target):
-    steps = len(moments)
-    directions = np.array([moment.world_R_body.T @ target for moment in moments])
-    truth = {"present": [True] * steps, "visible": [True] * steps}
+    there = {"present": True, "visible": True, "distance": 1.0}
+    steps = []
+    for moment in moments:
+        pose = {"world_R_body": moment.world_R_body, "position": moment.position}
+        steps.append(replace(moment, state=there | pose | {"direction": moment.world_R_body.T @ target}))
     episode = Episode(EpisodeSpec("waypoint", "none", seed, 0, 0), "none", "", "chair", (0,), (0.0, 0.0), 0.0, 1.0)
-    return Rollout(episode, truth, tuple(moments), directions, np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    return Rollout(episode, tuple(steps))
 
 
 def detecting(seed, steps=24, height=0.0, **made):
@@ -53,7 +57,7 @@ def detecting(seed, steps=24, height=0.0, **made):
     looks = detected(np.random.default_rng(seed), 1, steps, targets=(1,), **made)
     others = detected(np.random.default_rng([seed, 1]), 1, steps, targets=(0,), **made)
     moments = [
-        StepInfo(look.stamp, look.world_R_body, np.array([0.0, 0.0, height]), look.evidence, other.evidence)
+        Step(look.stamp, look.world_R_body, np.array([0.0, 0.0, height]), look.evidence, other.evidence)
         for look, other in zip(looks, others, strict=True)
     ]
     return episode_of(seed, moments, looks[0].world_R_body @ looks[0].targets[0])

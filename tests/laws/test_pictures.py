@@ -14,7 +14,9 @@ from PIL import Image
 import eagor
 from eagor import baselines
 from eagor._values import where, wide
-from eagor.drawing import draw_belief, draw_strip, panorama, still
+from eagor.drawing import draw_belief, draw_strip, still
+from eagor.drawing.heat import heat_of
+from eagor.drawing.marks import backdrop
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, world_R_body
@@ -46,7 +48,7 @@ def painted(belief, **how):
 def heat(axes):
     """How far the heat changes the picture ``(H, W)``; None where it does not."""
     (shown,) = (np.asarray(image.get_array()).astype(int) for image in axes.get_images())
-    changed = np.abs(shown - panorama.backdrop(PANORAMA, None, *shown.shape[1::-1])).sum(axis=-1)
+    changed = np.abs(shown - backdrop(PANORAMA, None, *shown.shape[1::-1])).sum(axis=-1)
     return changed if changed.any() else None
 
 
@@ -81,7 +83,7 @@ def test_the_border_is_that_of_the_region_of_the_estimate():
     points = np.concatenate(above.get_segments())
     places = direction(np.radians(points[:, 0]), np.radians(points[:, 1]))
     assert np.abs(estimate.log_density(places) - border).max() < 0.3
-    assert np.array_equal(points, np.concatenate(panorama.heat_of(estimate).border))
+    assert np.array_equal(points, np.concatenate(heat_of(estimate).border))
     cells = PatchGrid(360, 720)
     assert float(cells.weights[estimate.log_density(cells.directions) >= border].sum()) == pytest.approx(area, rel=0.1)
 

@@ -29,7 +29,7 @@ ZIGZAG = room((2.4, 0.0, 2.6, 4.8), (5.0, 1.2, 5.2, 6.0))
 
 def walk(ground, start, goal, steps, detour=True, slide=True, noise=None):
     """Follow the policy towards a goal until it is near; the last place. `noise()`, radians: added to what is told."""
-    policy, xy, goal = Policy(STEP, detour), np.array(start, dtype=float), np.array(goal, dtype=float)
+    policy, xy, goal = Policy(STEP, detour=detour), np.array(start, dtype=float), np.array(goal, dtype=float)
     yaw = 0.0
     for _ in range(steps):
         if np.hypot(*(goal - xy)) < 0.6:

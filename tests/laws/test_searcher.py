@@ -14,7 +14,6 @@ from eagor.lab.agents.search_space import (
     UNKNOWN,
     Chance,
     FloorMap,
-    SearchedGround,
     SteeringInput,
 )
 from eagor.lab.agents.steering import Searcher, search_config, steering_for
@@ -55,10 +54,9 @@ class World:
         azimuth = math.remainder(math.atan2(to[1], to[0]) - self.yaw, 2 * math.pi)
         return self.situation(azimuth, 1.0, float(np.hypot(*to)))
 
-    def step(self, walk):
-        turn, metres = walk
+    def step(self, turn):
         self.yaw = math.remainder(self.yaw + turn, 2 * math.pi)
-        ahead = metres * np.array([math.cos(self.yaw), math.sin(self.yaw)])
+        ahead = STEP * np.array([math.cos(self.yaw), math.sin(self.yaw)])
         self.xy, collided = self.ground.move(self.xy, ahead)
         return collided
 
@@ -79,7 +77,7 @@ def test_a_look_shows_floor_walls_and_what_is_hidden(yaw, tilt):
     """The camera may be turned and tilted: the floor is where it is."""
     world, known = World(TWO_ROOMS, (2.0, 2.0), yaw, tilt), FloorMap()
     now = world.situation()
-    known.look(now.floor, now.world_R_body, now.position)
+    known.look(now)
     rows, cols = np.nonzero(known.state == FLOOR)
     places = known.centres(np.stack([rows, cols], axis=-1))
     away = np.hypot(*(places - world.xy).T)
@@ -144,14 +142,14 @@ FADING = Chance(0.5, 0.9, DetectorModel(kept_for=1.0).habits, elapsed=50.0)
     ids=["recall", "repeats its mistakes", "mistakes that fade", "could not be read"],
 )
 def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(chance, first, again):
-    world, ground = World(TWO_ROOMS, (2.0, 3.0)), SearchedGround(CAMERA)
+    world, ground = World(TWO_ROOMS, (2.0, 3.0)), FloorMap(CAMERA.radius)
     missed = []
     for _ in range(3):
         ground.look(world.situation(chance=chance))
-        row, col = ground.known.cells(np.array([2.6, 3.0]))
-        missed.append(ground.known.miss_cost[row, col])
+        row, col = ground.cells(np.array([2.6, 3.0]))
+        missed.append(ground.miss_cost[row, col])
     assert missed == pytest.approx([first, first * again, first * again**2])
-    assert shown(ground.known, (2.6, 3.0)) == FLOOR
+    assert shown(ground, (2.6, 3.0)) == FLOOR
 
 
 @pytest.mark.parametrize(("chance", "steps"), [(CHANCE, 60), (None, 100), (Chance(LEAST), 100), (Chance(1.0), 100)])
@@ -161,7 +159,7 @@ def test_it_searches_both_rooms_whatever_its_looks_can_find_and_does_not_go_to_a
         world.step(searcher.walk(world.situation(chance=chance)))
         places.append(world.xy)
     assert np.array(places)[:, 0].max() > 4.5
-    assert shown(searcher.ground.known, (6.0, 3.0)) == FLOOR
+    assert shown(searcher.known, (6.0, 3.0)) == FLOOR
     if chance is CHANCE:
         early = np.array(places)[: int((np.array(places)[:, 0] > 4.5).argmax())]
         gone = np.hypot(*np.diff(early, axis=0).T).sum()

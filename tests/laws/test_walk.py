@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from eagor.errors import DeviceError
+from eagor.lab.envs.place_env import MobileBase
 from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.sim.walk import Walker
 from eagor.live.loop import Sink
@@ -29,49 +30,53 @@ class Hall:
         return 0.0
 
 
+def walker_at(x, *how):
+    return Walker(MobileBase(Hall(), np.array([x, 0.0]), 0.0), *how)
+
+
 def test_the_person_steers_and_cannot_be_faster_than_allowed():
-    walker = Walker(Hall(), np.zeros(2), 0.0, "person")
+    walker = walker_at(0.0, "person")
     walker.move(60.0, AHEAD, False)
-    assert walker.xy.tolist() == [0, 0], "nothing is steered"
+    assert walker.body.xy.tolist() == [0, 0], "nothing is steered"
     walker.steer(100.0, 0.0, 0.1)
-    assert 0 < walker.xy[0] <= 0.2
+    assert 0 < walker.body.xy[0] <= 0.2
     for _ in range(20):
         walker.steer(100.0, 0.0, 0.1)
-    assert walker.xy[0] == 1.0
+    assert walker.body.xy[0] == 1.0
     walker.steer(0.0, 1.0, 0.4)
-    assert walker.yaw == pytest.approx(0.4), "as far as the key was held, however late that is read"
+    assert walker.body.yaw == pytest.approx(0.4), "as far as the key was held, however late that is read"
     walker.drive("policy")
     walker.steer(100.0, 1.0, 0.5)  # a late message
-    assert walker.yaw == pytest.approx(0.4)
+    assert walker.body.yaw == pytest.approx(0.4)
 
 
 def test_the_policy_walks_to_the_answer_without_a_leap_and_stops_on_arrival():
-    walker = Walker(Hall(), np.array([-4.0, 0.0]), 0.0)
+    walker = walker_at(-4.0)
     walker.move(60.0, AHEAD, False)  # a late tick
-    assert -4.0 < walker.xy[0] < -3.5
+    assert -4.0 < walker.body.xy[0] < -3.5
     for _ in range(100):
-        walker.move(0.1, np.array([math.cos(walker.yaw), -math.sin(walker.yaw), 0.0]), False)
-    assert walker.xy[0] > -2.0
-    there = walker.xy.tolist()
+        walker.move(0.1, np.array([math.cos(walker.body.yaw), -math.sin(walker.body.yaw), 0.0]), False)
+    assert walker.body.xy[0] > -2.0
+    there = walker.body.xy.tolist()
     walker.move(0.1, AHEAD, True)
-    assert walker.xy.tolist() == there
+    assert walker.body.xy.tolist() == there
     walker.move(0.1, None, False)  # nothing is known: it looks around
-    assert walker.yaw != 0.0
+    assert walker.body.yaw != 0.0
 
 
 def test_a_tour_waits_for_an_answer_stops_at_its_end_and_comes_back():
-    walker = Walker(Hall(), np.zeros(2), 0.0, "tour", [np.array([-1.0, 0.0]), np.array([-1.0, 0.0]), np.zeros(2)])
+    walker = walker_at(0.0, "tour", [np.array([-1.0, 0.0]), np.array([-1.0, 0.0]), np.zeros(2)])
     walker.move(0.5, None, False)
-    assert walker.xy.tolist() == [0, 0]
+    assert walker.body.xy.tolist() == [0, 0]
     reached, stood = False, 0
     for _ in range(200):
-        before = walker.xy.copy()
+        before = walker.body.xy.copy()
         walker.move(0.1, AHEAD, False)
-        reached |= walker.xy[0] < -0.99
-        stood += reached and np.array_equal(before, walker.xy) and walker.xy[0] < -0.99
+        reached |= walker.body.xy[0] < -0.99
+        stood += reached and np.array_equal(before, walker.body.xy) and walker.body.xy[0] < -0.99
     assert reached
     assert stood >= 50
-    assert walker.xy == pytest.approx([0, 0], abs=0.06)
+    assert walker.body.xy == pytest.approx([0, 0], abs=0.06)
 
 
 @pytest.fixture
@@ -95,7 +100,7 @@ def test_it_keeps_the_contract_of_cameras_and_gives_its_own_poses_and_hears_the_
 def test_its_truth_is_where_the_thing_is_and_unknown_words_have_none(walk):
     thing = walk.place.scene.instances[walk._named("bed")[0]]
     truth, goal = walk.truth("bed", np.eye(3))
-    away = np.asarray(thing.centre) - walk.walker.position
+    away = np.asarray(thing.centre) - walk.walker.body.pose.position
     assert angular_distance(truth, away / np.linalg.norm(away)) < 1e-6
     assert goal["metres"] > 0
     assert thing.name in walk.targets("bed")

@@ -502,3 +502,15 @@ def test_the_pictures_tell_how_the_camera_turns(tmp_path):
     assert told.pose_age is not None
     assert still.pose_age is None
     assert told.estimate.credible_angle < still.estimate.credible_angle
+
+
+def test_what_the_camera_and_the_odometry_say_of_themselves_is_a_fault_as_long_as_they_do():
+    camera, odometry = Camera(), Odometry()
+    camera.problem, odometry.problem = "it tells no times", "nothing tells where the camera is"
+
+    def mended(answer):
+        camera.problem = odometry.problem = None
+        return True
+
+    loop = loop_of(camera, Seeing(), poses=odometry)
+    followed(loop, says(camera.problem, odometry.problem), mended, lambda answer: not says("tells")(answer))

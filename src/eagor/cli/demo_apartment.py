@@ -18,14 +18,14 @@ from eagor.cli import terminal
 from eagor.cli.checks import keep_picture
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
-from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerEstimator, answer_at
+from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerEstimator
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, Place, load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.eval import episodes as parts
 from eagor.lab.eval.page import Cell, Pictures, Row, Section, Table, Text, address_of, page
 from eagor.lab.eval.results import OURS
-from eagor.lab.tasks.sim.play import Runner, StepInfo
+from eagor.lab.tasks.sim.play import Runner, Step
 from eagor.metrics import angular_error_deg
 from eagor.sphere import direction
 from eagor.tracking.estimate import Estimate
@@ -114,11 +114,11 @@ class Search:
 def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
     """Walk through one episode of navigation with our tracker, and give its looks to every method."""
     spec, config = EpisodeSpec("navigation", APARTMENT, seed, index, index), {"task": "navigation"}
-    runner, steps, estimates = Runner(config | {"perception": perception}), list[StepInfo](), list[Estimate]()
+    runner, steps, estimates = Runner(config | {"perception": perception}), list[Step](), list[Estimate]()
     if say:
         print(f"Building {APARTMENT} {seed}, and walking in search of something ...", flush=True)
 
-    def keep(seen: StepInfo) -> None:
+    def keep(seen: Step) -> None:
         steps.append(seen)
         if isinstance(seen.method, TrackerEstimator):
             estimates.append(seen.method.estimate)
@@ -132,7 +132,7 @@ def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
         for name in EVERY:
             if name != OURS:
                 method = runner.method(name, spec)
-                answers[name] = np.array([answer_at(method, seen.stamp, seen.pose, seen.evidence) for seen in steps])
+                answers[name] = np.array([seen.answered_by(method) for seen in steps])
                 advance()
     errors = {name: np.asarray(angular_error_deg(found, truths)) for name, found in answers.items()}
     return Search(spec, runner.rules, record, estimates, answers, errors, perception)

@@ -137,9 +137,10 @@ def live(options: Live) -> int:
     told, sinks = _Told(options, queries, looks), []
     try:
         if options.rerun is not None:
-            from eagor.live.rerun import LiveLog
+            from eagor.live.rerun import RerunLog
 
-            sinks.append(LiveLog(checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {source}"))
+            title = f"{', '.join(queries)}: {source}"
+            sinks.append(RerunLog(checked_out(options.rerun, "--rerun"), title, realtime=True))
         loop = loop_of(options, [*sinks, looks])
     except BaseException:
         for sink in sinks:

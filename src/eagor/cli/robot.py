@@ -154,15 +154,14 @@ def sim(options: RobotSim) -> int:
     if not options.json:
         terminal.log("waiting for the camera" if settings.rows else "without a camera")
     with robot as live:
-        if options.json:
-            terminal.emit(_facts(live, options))
-        else:
-            _tell(live, options)
-        begun = time.monotonic()
+        facts, begun = _facts(live, options), time.monotonic()
+        terminal.emit(facts) if options.json else _tell(facts, options)
         try:
             _until(options.seconds, live)
         finally:
-            _sum_up(live, time.monotonic() - begun)
+            skipped = f", {live.skipped} steps late" if live.skipped else ""
+            did = f"walked {live.plant.walked:.2f} m, {live.asked} commands{skipped}"
+            terminal.log(f"after {time.monotonic() - begun:.0f} s: {did}")
     return terminal.OK
 
 
@@ -198,23 +197,19 @@ def _facts(live: SimulatedGo2, options: RobotSim) -> dict[str, Any]:
     }
 
 
-def _tell(live: SimulatedGo2, options: RobotSim) -> None:
-    facts = _facts(live, options)
+def _tell(facts: dict[str, Any], options: RobotSim) -> None:
     (x, y, _), yaw = facts["start"]["position"], facts["start"]["yaw_deg"]
+    targets = [f"{each['name']}, {math.dist(each['position'][:2], (x, y)):.1f} m away" for each in facts["targets"]]
+    things = facts["things"].items()
     where = "only this machine" if options.interface == "lo" else f"all on {options.interface}"
     found = {
-        "simulated Go2": f"DDS domain {live.link.domain} on {options.interface}, which {where} can hear",
+        "simulated Go2": f"DDS domain {facts['domain']} on {options.interface}, which {where} can hear",
         "house": facts["world"],
-        "start": f"x {x:.2f} m, y {y:.2f} m, heading {yaw:.0f} degrees",
-        "posture": "lying" if options.lying else "standing, ready to walk",
+        "start": f"x {x:.2f} m, y {y:.2f} m, heading {yaw:.0f} degrees, {'lying' if options.lying else 'standing'}",
+        "target": "; ".join(targets) or "none",
+        "things": ", ".join(name if number == 1 else f"{number} {name}s" for name, number in things),
+        "topics": ", ".join(facts["topics"]),
     }
-    for each in facts["targets"]:
-        rolls = f", which rolls at {options.speed:g} m/s" if each["name"].endswith(" ball") and options.speed else ""
-        far = math.dist(each["position"][:2], (x, y))
-        found["target"] = f"{each['name']}{rolls}, {far:.1f} m away"
-    things = facts["things"].items()
-    found["things"] = ", ".join(name if number == 1 else f"{number} {name}s" for name, number in things)
-    found["topics"] = ", ".join(live.topics)
     terminal.facts(found)
     print("end it with Ctrl-C" if options.seconds is None else f"it ends after {options.seconds:g} s", flush=True)
 
@@ -227,8 +222,3 @@ def _until(seconds: float | None, live: SimulatedGo2) -> None:
         waiting.wait(min(0.5, left))
         if not live.alive:
             raise terminal.RunError("the camera's process has ended; start the robot again")
-
-
-def _sum_up(live: SimulatedGo2, seconds: float) -> None:
-    skipped = f", {live.skipped} steps late" if live.skipped else ""
-    terminal.log(f"after {seconds:.0f} s: walked {live.plant.walked:.2f} m, {live.asked} commands{skipped}")

@@ -27,10 +27,9 @@ from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Static,
 from eagor.errors import DeviceError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from eagor.live.loop import Loop
     from eagor.media import CameraSource
+    from eagor.robots.go2.sim import Rehearsal
     from eagor.robots.safety.walking import Step
 
 
@@ -123,17 +122,12 @@ FLOOR = 0.0  # metres: the odometry of a Go2 begins on the floor
 
 @dataclass(frozen=True)
 class Place:
-    """Where to walk: the robot's network, its camera, and what only a simulation knows.
-
-    `truth()` gives the true position ``(3,)`` and orientation ``(3, 3)`` of the camera now; `targets` ``(n, 3)``: the
-    true places of the things.
-    """
+    """Where to walk: the robot's network, its camera, and the `robot` itself, which knows the truth, if simulated."""
 
     domain: int
     interface: str | None
     camera: Callable[[], CameraSource]
-    truth: Callable[[], tuple[np.ndarray, np.ndarray] | None] = lambda: None
-    targets: np.ndarray | tuple[()] = ()
+    robot: Rehearsal | None = None
 
 
 @dataclass
@@ -163,11 +157,10 @@ class Summary:
         if xy is not None and (self.mark is None or math.dist(xy, self.mark) >= SWAY):
             self.metres += 0.0 if self.mark is None else math.dist(xy, self.mark)
             self.mark = xy
-        if (truth := place.truth()) is None or estimate.direction is None or estimate.status != "tracking":
-            return
-        (at, world_R_body), targets = truth, place.targets
-        if len(targets):
-            ways = (targets - at) / np.linalg.norm(targets - at, axis=1, keepdims=True)
+        robot, known = place.robot, estimate.direction is not None and estimate.status == "tracking"
+        if robot is not None and robot.truth is not None and known and len(robot.targets):
+            at, world_R_body = robot.truth
+            ways = (robot.targets - at) / np.linalg.norm(robot.targets - at, axis=1, keepdims=True)
             angles = np.arccos(np.clip(ways @ (world_R_body @ estimate.direction), -1, 1))
             self.errors.append(math.degrees(float(angles.min())))
 
@@ -311,10 +304,7 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
     with Rehearsal(settings) as robot:
         terminal.log(f"it stands in {options.world} {options.seed}, on DDS domain {robot.domain} of the interface lo")
         # Its stamps are those of capture.
-        yield Place(
-            robot.domain, INTERFACE, lambda: DdsCamera(CAMERA_TOPIC, robot.domain, INTERFACE, rows),
-            lambda: robot.truth, robot.targets,
-        )  # fmt: skip
+        yield Place(robot.domain, INTERFACE, lambda: DdsCamera(CAMERA_TOPIC, robot.domain, INTERFACE, rows), robot)
 
 
 def _walk(options: RobotRun, steps: Iterator[Step], summary: Summary, place: Place) -> None:

@@ -14,7 +14,7 @@ from eagor.cli.checks import ordinary, perception_for, rig_of, rows_for, tracker
 from eagor.cli.options import Common
 
 if TYPE_CHECKING:
-    from eagor.robots.ros import Setup
+    from eagor.tracking import TrackerConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +42,8 @@ def ros(options: Ros) -> int:
     return terminal.OK if run(setup, options.arguments) else terminal.USAGE
 
 
-def setup(values: Mapping[str, Any], queries: Sequence[str]) -> Setup:
-    """What the node's parameters mean. Raises `EagorError`."""
-    from eagor.robots.ros import Setup
+def setup(values: Mapping[str, Any], queries: Sequence[str]) -> tuple[str, TrackerConfig, dict[str, Any]]:
+    """What the node's parameters mean: see `eagor.robots.ros.node.Setup`. Raises `EagorError`."""
 
     def told(name: str) -> Any:
         return None if values[name] == "" or values[name] != values[name] else values[name]
@@ -55,5 +54,5 @@ def setup(values: Mapping[str, Any], queries: Sequence[str]) -> Setup:
     perception = perception_for(queries, told("perception"))
     config = tracker_config(15, perception, path("calibration"), told("detector"), static=values["static"])
     lens, rig = ordinary(told("hfov_deg"), path("intrinsics"), path("rig")), rig_of(path("rig"))
-    camera = {"rows": rows_for(perception), "rig": rig, "camera": lens}
-    return Setup(perception, replace(config, floor_height=told("floor")), camera)
+    lenses = {"rows": rows_for(perception), "rig": rig, "camera": lens}
+    return perception, replace(config, floor_height=told("floor")), lenses

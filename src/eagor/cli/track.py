@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from eagor.live.events import Answer, Event
     from eagor.live.in_turn import Followed, Method
     from eagor.live.loop import Loop, Sink
+    from eagor.live.rerun import RerunLog
     from eagor.perception import Perception
     from eagor.perception.recordings import RecordedLooks
 
@@ -119,7 +120,14 @@ def track(options: Track) -> int:
             if result.query == queries[-1]:
                 advance()
 
+        log: RerunLog | None = None
         sinks: list[Sink] = [Notes(), ByFrame(each, partial(_rivals, spec) if options.compare else dict)]
+        if options.rerun:
+            from eagor.live.rerun import RerunLog
+
+            title = f"{', '.join(queries)}: {options.rerun.name}"
+            log = RerunLog(checks.checked_out(options.rerun, "--rerun"), title)
+            sinks.append(log)
         loop = Loop(
             journey.source, journey.poses, perception, queries, sinks=sinks, config=config, looks=journey.looks,
             mask=mask,
@@ -131,6 +139,8 @@ def track(options: Track) -> int:
             if not run.frames or isinstance(error, ShapeError):
                 raise
             run.broken = str(error)
+        if log is not None and log.problem is not None:
+            terminal.warning(log.problem)
     return run.close(loop)
 
 
@@ -322,11 +332,6 @@ def _outputs(options: Track, queries: Sequence[str], spec: str, journey: Journey
         outputs.append(lambda result: write(_entry(result, options.modes)) if result.told else None)
     if options.picture:
         outputs.append(_painter(options.picture, queries, options.modes))
-    if options.rerun:
-        from eagor.drawing.rerun_log import RerunLog
-
-        log = RerunLog(checks.checked_out(options.rerun, "--rerun"), f"{', '.join(queries)}: {options.rerun.name}")
-        outputs.append(_logged(stack.enter_context(log)))
     used = {"perception": spec, "poses": journey.told}
     used |= {"calibration": str(options.calibration)} if options.calibration else {}
     for query in queries:
@@ -346,21 +351,7 @@ def _outputs(options: Track, queries: Sequence[str], spec: str, journey: Journey
 def _filmed(video: Any, query: str, begins: float) -> Output:
     def add(result: Followed) -> None:
         if result.picture is not None and result.query == query:
-            video.add(
-                result.picture, result.estimate, stamp=result.stamp - begins, query=query, problem=result.problem,
-                grid=result.grid,
-            )  # fmt: skip
-
-    return add
-
-
-def _logged(log: Any) -> Output:
-    def add(result: Followed) -> None:
-        if result.picture is not None or result.told:
-            log.add(
-                result.picture, result.estimate, stamp=result.stamp, query=result.query, position=result.position,
-                others=result.others, problem=result.problem, grid=result.grid,
-            )  # fmt: skip
+            video.add(result.picture, result.estimate, query=query, **_shown(result, begins))
 
     return add
 
@@ -370,13 +361,14 @@ def _paged(page: Any, query: str, begins: float) -> Output:
         if not result.told or result.query != query:
             return
         if result.lost:
-            page.note(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
-        page.add(
-            result.picture, result.estimate, stamp=result.stamp - begins, name=result.frame,
-            problem=result.problem, grid=result.grid,
-        )  # fmt: skip
+            page.notes.append(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
+        page.add(result.picture, result.estimate, name=result.frame, **_shown(result, begins))
 
     return add
+
+
+def _shown(result: Followed, begins: float) -> dict[str, Any]:
+    return {"stamp": result.stamp - begins, "problem": result.problem, "grid": result.grid}
 
 
 def _painter(folder: Path, queries: Sequence[str], most: int) -> Output:

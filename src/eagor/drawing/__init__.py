@@ -5,13 +5,13 @@ Every function `draw_...` returns a `PIL.Image.Image`. Panoramas and their axes 
 without pyplot: it changes no global state and opens no window.
 """
 
+from eagor.drawing.marks import Mosaic
 from eagor.drawing.page import BeliefPage
-from eagor.drawing.step import draw_step
+from eagor.drawing.step import StepPainter
 from eagor.drawing.still import draw_belief, draw_errors, draw_map, draw_strip, paint_belief
 from eagor.drawing.video import BeliefVideo
-from eagor.drawing.view import Mosaic
 
 __all__ = [
-    "BeliefPage", "BeliefVideo", "Mosaic", "draw_belief", "draw_errors", "draw_map", "draw_step", "draw_strip",
+    "BeliefPage", "BeliefVideo", "Mosaic", "StepPainter", "draw_belief", "draw_errors", "draw_map", "draw_strip",
     "paint_belief",
 ]  # fmt: skip

@@ -5,23 +5,32 @@ The file needs nothing else: it opens from disk and sends no request. All words 
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from html import escape
+from importlib.resources import files
 from pathlib import Path
-from types import TracebackType
+from string import Template
 
 import numpy as np
 
 from eagor._files import written
 from eagor._values import wide
 from eagor._version import __version__
-from eagor.drawing.html_parts import FULL, Strips, as_address, facts, filled, items, key
-from eagor.drawing.step import ScenePainter
-from eagor.drawing.style import STATUS, candidates_in_words, far_in_words, in_words, signed, status_in_words
-from eagor.drawing.timeline import COLOURS, SIDES, Moment, Thinned, TimeLine
-from eagor.errors import EagorError, StorageError
+from eagor.drawing.step import StepPainter
+from eagor.drawing.style import (
+    candidates_in_words,
+    far_in_words,
+    in_words,
+    signed,
+    status_in_words,
+)
+from eagor.drawing.timeline import Moment, Thinned, TimeLine
+from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
 
@@ -29,25 +38,13 @@ __all__ = ["BeliefPage"]
 
 PICTURES = 60  # of `as_address`: 7.4 MB as text, so that the page can be sent by mail
 WIDTH = 1120  # columns of a picture
+LARGEST = 92_000  # bytes of a picture
 ROWS = 1500  # of the table
 NAMED = 50  # problems that are listed
-COLUMNS = ("frame", "time (s)", "picture", "azimuth (°)", "elevation (°)", "90 % cone (°)", "presence", "status")
-LEFT, WIDE = 64, 914  # user units of the time line: where the axis begins, its width
-AZIMUTH_STRIP, PRESENCE_STRIP, STATUS_STRIP = (8, 148), (158, 186), (194, 206)  # rows: from, to
-TALL = 226  # the whole height
-AROUND = (  # what a picture of a panorama shows
-    "The middle of a picture is ahead of the camera, its edges are behind it. Cyan: the answer, with an arrow that "
-    "shows which way to turn where 90 % lie within 90 degrees of it."
-)
-IN_VIEW = (  # and one of an ordinary camera
-    "Large: the camera's picture. Small: all around, with straight ahead in the middle and the outline of the picture; "
-    "what was not looked at yet is dark. Cyan: the answer; out of view, an arrow at the edge of the picture leads to "
-    "it, unless it may be anywhere. “80 % sure”: the probability that it is here, and within 15 degrees of the answer "
-    "or half its own size."
-)
+WIDE = 914  # user units of the time line's axis, in the template
 
 
-class BeliefPage:
+class BeliefPage(AbstractContextManager["BeliefPage"]):
     """Takes the steps of a track one by one and writes the page to `path` when it is closed.
 
     Use it as a context manager: the page is written after Ctrl-C or an error too, and says that the run did not end.
@@ -61,7 +58,7 @@ class BeliefPage:
         used: what the answers come from, by name: perception, poses, calibration, ...; the version is added.
         span: length of the clip in seconds, if known.
 
-    Raises `EagorError` for another suffix, or if there is no such folder.
+    Folders above it are made. Raises `EagorError` for another suffix.
     """
 
     def __init__(
@@ -70,11 +67,9 @@ class BeliefPage:
         self.path, self.query, self.used = Path(path), query, dict(used or {})
         if self.path.suffix.lower() not in (".html", ".htm"):
             raise EagorError(f"{path} ends in {self.path.suffix or 'nothing'}; wanted a page, .html")
-        if not self.path.absolute().parent.is_dir():
-            raise EagorError(f"{path}: there is no folder {self.path.absolute().parent}; make it first")
         self.line = TimeLine(span)
-        self.notes: list[str] = []
-        self._painter = ScenePainter(WIDTH)
+        self.notes: list[str] = []  # sentences under "What was left out"
+        self.painter = StepPainter(WIDTH, bare=True)
         self._pictures, self._rows = Thinned(PICTURES), Thinned(ROWS)
         self._problems: list[str] = []
         self._last: tuple[int, str, Moment]  # what is known of the newest frame, and all that is drawn of it
@@ -91,9 +86,8 @@ class BeliefPage:
         problem: str | None = None,
         grid: PerspectiveGrid | None = None,
     ) -> None:
-        """Append one frame: what was seen, the answer, when, its name, why it could not be used.
+        """Append one frame with its `name`; other arguments as for `StepPainter.paint`.
 
-        `picture` ``(H, W, 3)``: a panorama, or what an ordinary camera with this `grid` saw; None if it cannot be read.
         Raises `TimeError` unless the stamps grow.
         """
         moment = Moment.of(estimate, stamp, problem)
@@ -103,43 +97,30 @@ class BeliefPage:
             self._problems.append(f"{name}: {problem}")
         self._ordinary = self._ordinary or grid is not None
         self._last, self._newest = (self._rows.count, name, moment), (picture, estimate, problem, grid)
-        if not self._pictures.wants:
-            self._painter.look(picture, estimate, grid)
+        if not self._pictures.wants and grid is not None and picture is not None:  # it is part of what is around
+            self.painter.mosaic.add(picture, grid, estimate.world_R_body)
         self._pictures.add((self._painted() if self._pictures.wants else None, *self._last))
         self._rows.add(self._last)
 
     def _painted(self) -> str:
         """The picture of the frame that was added last."""
-        return as_address(self._painter.paint(*self._newest))
-
-    def note(self, text: str) -> None:
-        """A sentence under "What was left out"."""
-        self.notes.append(text)
+        picture, estimate, problem, grid = self._newest
+        return as_address(self.painter.paint(picture, estimate, problem=problem, grid=grid))
 
     def close(self) -> None:
         """Write the page; nothing without steps. Raises `StorageError`."""
-        if self._closed or self.line.last is None:
-            return
-        self._closed = True
-        written(self.path, self._page())
+        if not self._closed and self.line.last is not None:
+            self._closed = True
+            written(self.path, self._page())
 
-    def __enter__(self) -> BeliefPage:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is not None:
             why = "it was interrupted" if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
             self.notes.insert(0, f"The run did not end ({why}); the page holds what came before.")
-        try:
-            self.close()
-        except StorageError:
-            if error is None:  # else the first error says what was wrong
-                raise
+        self.close()
 
     def _page(self) -> str:
-        query, pictures = " ".join(self.query.split()), self._pictures.items
+        pictures = self._pictures.items
         if pictures[-1][1] != self._last[0]:  # the answer above is that of the last frame: it is shown first
             pictures = [*pictures, (self._painted(), *self._last)]
         steps = [
@@ -149,80 +130,67 @@ class BeliefPage:
                 "name": name,
                 "at": round(moment.stamp - self.line.first, 4),
                 "row": index,
-                "x": None if self._ordinary or moment.azimuth is None else round(0.5 - moment.azimuth / (2 * np.pi), 4),
+                "x": None if self._ordinary or moment.azimuth is None else round(0.5 - moment.azimuth / math.tau, 4),
             }
             for picture, index, name, moment in pictures
         ]
-        data = {"steps": steps, "left": LEFT, "wide": WIDE, "full": FULL, "span": self.line.span}
+        data = {"steps": steps, "span": self.line.span}
         used = self.used | {"frames": str(self._rows.count), "version": f"eagor {__version__}"}
         shown = {index: number for number, (_, index, _, _) in enumerate(pictures)}
         more = [f"and {len(self._problems) - NAMED} more frames"] if len(self._problems) > NAMED else []
         left_out = [*self.notes, *self._problems[:NAMED], *more]
-        lines = [("answer", "answer, presence"), ("band", "azimuths of its 90 % cone")]
-        return filled(
-            "track.html", "track.css",
-            title=escape(f"Where is “{query}”?"),
+        thinned = []
+        if (kept := self._pictures).stride > 1:
+            thinned.append(f"One of {kept.stride} frames has a picture ({kept.count} frames).")
+        if self._rows.stride > 1:
+            thinned.append(f"The table has one of {self._rows.stride} frames.")
+        scale, last, (_, estimate, *_) = WIDE / self.line.span, self._last[2], self._newest
+        words, far = candidates_in_words(estimate), far_in_words(estimate)
+        folder = files("eagor.drawing") / "templates"
+        page, css = ((folder / name).read_text(encoding="utf-8") for name in ("track.html", "track.css"))
+        return Template(page).substitute(
+            css=css,
+            version=__version__,
+            query=escape(" ".join(self.query.split())),
             data=json.dumps(data, ensure_ascii=False).replace("<", "\\u003c").replace("&", "\\u0026"),
-            answer=escape(self._answer()),
-            status=escape(self._status()),
+            answer=escape(f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}"),
+            status=last.status,
+            meaning=status_in_words(last.status, last.presence),
+            here=f"{last.presence:.2f}",
+            belief="" if last.cone is None else f"The belief: {estimate.certainty}.",
             shown=pictures[-1][0],
             said=escape(steps[-1]["said"]),
             most=len(pictures) - 1,
             count=len(pictures),
-            seen=escape(IN_VIEW if self._ordinary else AROUND),
-            pictures=escape(self._thinned()),
-            line=time_line(self.line),
-            key=key([*lines, *((status, f"status: {status}") for status in COLOURS)]),
-            heads="".join(f'<th scope="col">{head}</th>' for head in COLUMNS),
+            seen="ordinary" if self._ordinary else "whole",
+            pictures=" ".join(thinned),
+            scale=f"{scale:.6g}",
+            ticks="".join(f'<text x="{scale * at:.2f}">{name}</text>' for at, name in self.line.ticks()),
+            **{name: path(boxes) for name, boxes in self.line.boxes().items()},
             rows="\n".join(_row(index, name, moment, shown.get(index)) for index, name, moment in self._rows.items),
-            used=facts(used),
-            left_out=items(left_out) if left_out else "<p>Nothing: every frame was used.</p>",
-        )  # fmt: skip
-
-    def _answer(self) -> str:
-        _, estimate, *_ = self._newest
-        words, far = candidates_in_words(estimate), far_in_words(estimate)
-        return f"{words[0].upper()}{words[1:]}{f', {far} away' if far else ''}, in the last frame."
-
-    def _status(self) -> str:
-        _, _, last = self._last
-        estimate = self._newest[1]
-        texts = [f"The status is {last.status}: {status_in_words(last.status, last.presence)}."]
-        texts.append(f"The probability that it is here at all is {last.presence:.2f}.")
-        if last.cone is not None:
-            texts.append(f"The belief: {estimate.certainty}.")
-        whole = max(self.line.end, 1e-9)
-        lasting = {name: 0.0 for name in STATUS}
-        for begin, end, name in self.line.stretches():
-            lasting[name] += end - begin
-        shares = [f"{100 * time / whole:.0f} % {name}" for name, time in lasting.items() if time > 0]
-        return " ".join(texts) + f" Of {self.line.now:.1f} seconds: {', '.join(shares)}."
-
-    def _thinned(self) -> str:
-        texts = []
-        if self._pictures.stride > 1:
-            texts.append(f"One of {self._pictures.stride} frames has a picture ({self._pictures.count} frames).")
-        if self._rows.stride > 1:
-            texts.append(f"The table has one of {self._rows.stride} frames.")
-        return " ".join(texts)
+            used="".join(f"<dt>{escape(name)}</dt><dd>{escape(str(value))}</dd>" for name, value in used.items()),
+            left_out="".join(f"<li>{escape(text)}</li>" for text in left_out or ["Nothing: every frame was used."]),
+        )
 
 
-def time_line(line: TimeLine) -> str:
-    """The time line as SVG, with a line ``now`` that can be moved."""
-    strips, (top, bottom) = Strips(LEFT, WIDE, 0.0, line.span), AZIMUTH_STRIP
-    for at, name in SIDES:
-        y = bottom - (bottom - top) * (at + 180) / 360
-        strips.rule(y)
-        strips.text(name, y)
-    for row, name in ((PRESENCE_STRIP, "presence"), (STATUS_STRIP, "status")):
-        strips.text(name, sum(row) / 2)
-    strips.boxes(line.bands(), AZIMUTH_STRIP, -180, 180, "band")
-    strips.steps(line.answers(), AZIMUTH_STRIP, -180, 180, "given", joined=False)
-    strips.boxes(np.insert(line.presence(), 2, 0.0, axis=1), PRESENCE_STRIP, 0, 1, "presence")
-    strips.stretches(line.stretches(), STATUS_STRIP, {})
-    now = f'<line id="now" class="now" x1="{LEFT}" x2="{LEFT}" y1="{top}" y2="{STATUS_STRIP[1]}"/>'
-    said = "Azimuth of the answer with its 90 percent cone, presence and status over time"
-    return strips.svg(TALL, said, line.first if 0 <= line.first < 1e5 else 0.0, now, ' id="timeline"')
+def as_address(pixels: np.ndarray) -> str:
+    """A picture as a data URL of a JPEG of at most `LARGEST` bytes; a picture too busy for that is made smaller."""
+    from PIL import Image
+
+    picture, quality = Image.fromarray(pixels), 82
+    while True:
+        buffer = io.BytesIO()
+        picture.save(buffer, "JPEG", quality=quality, optimize=True)
+        if buffer.tell() <= LARGEST:
+            return f"data:image/jpeg;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+        quality -= 8
+        if quality < 40:
+            picture, quality = picture.resize((picture.width * 3 // 4, picture.height * 3 // 4)), 74
+
+
+def path(boxes: Iterable[Iterable[float]]) -> str:
+    """An SVG path around boxes: begin, end, and two values."""
+    return "".join(f"M{b:.3f} {v:.3f}V{w:.3f}H{e:.3f}V{v:.3f}Z" for b, e, v, w in boxes)
 
 
 def _said(name: str, moment: Moment) -> str:

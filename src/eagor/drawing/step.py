@@ -1,150 +1,75 @@
 """One step of a track as a picture: what the camera saw with the belief, the answer in words, and the time line so far.
 
-The camera sees all around, and its panorama is drawn; or only a part, and its picture is drawn with a small panorama of
-what was looked at so far beside it (`eagor.drawing.view`).
+What an ordinary camera saw has a small panorama beside it, which shows the whole belief over what was looked at so far,
+in the body's axes of now, with the outline of the view: one look tells "behind you, to the left".
 
 A painter keeps its matplotlib figure and paints only lines and words with it, over pixels that NumPy and Pillow made:
-that is several times faster than a new figure with images for each frame. What is drawn over the panorama is drawn by
-`eagor.drawing.panorama.paint_marks`, as in the still pictures.
+that is several times faster than a new figure with images for each frame.
 """
 
 from __future__ import annotations
 
 import math
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor.drawing.panorama import backdrop, heat_of, paint_marks
-from eagor.drawing.style import DESIGN, FAINT, WORDS, blank, candidates_in_words, family, far_in_words, ground, over
-from eagor.drawing.timeline import COLOURS, SIDES, Moment, TimeLine, ticks
-from eagor.drawing.view import ViewScene, wipe
+from eagor.drawing import style
+from eagor.drawing.heat import Heat, heat_of, reader_of_heat
+from eagor.drawing.marks import ALONE, Marks, Mosaic, backdrop, outline, outline_of, paint_marks
+from eagor.drawing.style import COLOURS, DARK, DESIGN, FAINT, SIDES, WORDS
+from eagor.drawing.timeline import Moment, TimeLine
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from PIL.Image import Image
 
-__all__ = ["NARROWEST", "WIDEST", "ScenePainter", "StepPainter", "draw_step"]
+__all__ = ["StepPainter"]
 
-HEAD, FOOT = 64, 152  # rows above and below the panorama
-LEFT, RIGHT, TOP, BOTTOM = 78, 142, 12, 26  # pixels around the axes of the time line
-PRESENCE, STATUS, GAP = 22, 9, 7  # rows of the lower strips, and between them
+HEAD, FOOT = 64, 152  # rows above and below the picture
+LEFT, RIGHT, LOW, GAP = 78, 142, 26, 7  # pixels around the strips of the time line, and between them
+STRIPS = (("status", 9, (0, 1)), ("presence", 22, (0, 1)), ("azimuth", 69, (-180, 180)))  # from below: rows, ends
+LEAST, AROUND = 218, 14  # columns of a small panorama at least, and pixels around it
+SMALL = 0.6  # of markers and lines, on the small panorama
 NARROWEST, WIDEST = 320, 3840
-PANEL, RULE, ALARM = "#1a1e26", "#39404c", "#ffb000"
-BAND, NOW = "#2b6f7d", "#ffffff"
+PANEL, RULE, BAND, NOW, ALARM = "#1a1e26", "#39404c", "#2b6f7d", "#ffffff", "#ffb000"
 LONGEST_QUERY, LONGEST_PROBLEM = 38, 150  # characters
-MOST_CLOCK = 1e5  # seconds: stamps beyond are of a calendar, and the time line counts from the first one
 
-
-class Scene:
-    """The part of a figure in which a step is shown. `place`: left, top, width and height in pixels, `size`: all."""
-
-    def __init__(self, figure: Figure, size: tuple[int, int], place: tuple[int, int, int, int]) -> None:
-        left, top, wide, high = self.place = place
-        self.axes = figure.add_axes((left / size[0], 1 - (top + high) / size[1], wide / size[0], high / size[1]))
-        self.axes.set_axis_off()
-        self.axes.set_autoscale_on(False)
-        self.axes.set_xlim(180, -180)
-        self.axes.set_ylim(-90, 90)
-        self._figure, self._size = figure, size
-        self.view: ViewScene | None = None  # once there was a picture of an ordinary camera
-
-    def paint(
-        self,
-        pixels: np.ndarray,
-        picture: np.ndarray | None,
-        estimate: Estimate,
-        problem: str | None,
-        grid: PerspectiveGrid | None,
-    ) -> None:
-        """Paint a step, its pictures into `pixels` ``(H, W, 3)`` of the figure, the rest as artists."""
-        wipe(self.axes)
-        if grid is not None or (picture is None and self.view is not None):
-            shown = self.viewed().paint(pixels, picture, grid, estimate)
-        else:
-            if self.view is not None:
-                self.view.clear()
-            left, top, wide, high = self.place
-            heat, shown = heat_of(estimate), self.axes
-            pixels[top : top + high, left : left + wide] = backdrop(picture, heat, wide, high)
-            _mark(shown, estimate, heat)
-        if problem:
-            shown.text(
-                0.5, 0.9, f"left out: {_short(problem, LONGEST_PROBLEM)}", transform=shown.transAxes, fontsize=10,
-                color=ALARM, ha="center", va="top", zorder=9, family=family(),
-                bbox={"facecolor": "black", "alpha": 0.7, "edgecolor": ALARM, "linewidth": 0.8, "pad": 4},
-            )  # fmt: skip
-
-    def viewed(self) -> ViewScene:
-        """The scene of an ordinary camera, which remembers what it was shown."""
-        if self.view is None:
-            self.view = ViewScene(self._figure, self._size, self.place)
-        return self.view
-
-
-class ScenePainter:
-    """Paints pictures with beliefs, `width` pixels wide and half as high, without words around them.
-
-    Raises `EagorError` for an impossible width.
-    """
-
-    def __init__(self, width: int = DESIGN) -> None:
-        self.width = _checked(width)
-        self.height = self.width // 4 * 2
-        self._sheet = blank(self.width, self.height, 100 * self.width / DESIGN)
-        size = (self.width, self.height)
-        self._scene = Scene(self._sheet.figure, size, (0, 0, *size))
-
-    def paint(
-        self,
-        picture: np.ndarray | None,
-        estimate: Estimate,
-        problem: str | None = None,
-        grid: PerspectiveGrid | None = None,
-    ) -> np.ndarray:
-        """One picture ``(height, width, 3)`` uint8; arguments as for `StepPainter.paint`."""
-        pixels = ground(self.width, self.height)
-        self._scene.paint(pixels, picture, estimate, problem, grid)
-        return over(self._sheet, pixels)
-
-    def look(self, picture: np.ndarray | None, estimate: Estimate, grid: PerspectiveGrid | None) -> None:
-        """Keep what an ordinary camera shows, for later pictures, without painting this step."""
-        if grid is not None:
-            self._scene.viewed().look(picture, grid, estimate.world_R_body)
+Box = tuple[int, int, int, int]  # left, top, width and height, pixels
 
 
 class StepPainter:
     """Paints the steps of one track, in order of time; the time line grows with them.
 
     `width` of the pictures in pixels, 320 to 3840, made even. `span`: the seconds that the time line shows, if the
-    length of the clip is known. Raises `EagorError` for an impossible width, `TimeError` for an impossible span.
+    length of the clip is known. `bare`: only what was seen, twice as wide as high, without words and time line.
+    `mosaic`: what an ordinary camera was shown before; what is painted is added. Raises `EagorError` for an impossible
+    width, `TimeError` for an impossible span.
     """
 
-    def __init__(self, width: int = DESIGN, span: float | None = None) -> None:
-        self.line = TimeLine(span)
-        self.width = _checked(width)
-        scale = self.width / DESIGN
-        self.head, self.rows = round(HEAD * scale), self.width // 4 * 2
-        self.height = (self.head + self.rows + round(FOOT * scale)) // 2 * 2
-        self._sheet = blank(self.width, self.height, 100 * scale)
-        w, h = self.width, self.height
-        self._scene = Scene(self._sheet.figure, (w, h), (0, self.head, w, self.rows))
-        left, wide = LEFT * scale / w, 1 - (LEFT + RIGHT) * scale / w
-        low, places = BOTTOM * scale, []
-        for high in (STATUS * scale, PRESENCE * scale, 0.0):
-            high = high or h - self.head - self.rows - TOP * scale - low
-            places.append((left, low / h, wide, high / h))
-            low += high + GAP * scale
-        self._places = places
-        self._status, self._presence, self._azimuth = (_strip(self._sheet.figure, place) for place in places)
-        for strip, low, high in ((self._status, 0, 1), (self._presence, 0, 1), (self._azimuth, -180, 180)):
-            strip.set_ylim(low, high)
-        self._words = self._places_of_words()
-        self._rest, self._span = np.zeros(0), math.nan
+    def __init__(
+        self, width: int = DESIGN, span: float | None = None, bare: bool = False, mosaic: Mosaic | None = None
+    ) -> None:
+        if not (isinstance(width, int) and NARROWEST <= width <= WIDEST):
+            raise EagorError(f"a picture {width!r} pixels wide; wanted a whole number from {NARROWEST} to {WIDEST}")
+        self.line, self.mosaic = TimeLine(span), mosaic or Mosaic()
+        self.width = width // 2 * 2  # videos have colours for two by two pixels
+        self._scale = scale = self.width / DESIGN
+        self.rows, self.head = self.width // 4 * 2, 0 if bare else round(HEAD * scale)
+        self.height = self.rows if bare else (self.head + self.rows + round(FOOT * scale)) // 2 * 2
+        self._pixels = np.empty((self.height, self.width, 3), dtype=np.uint8)
+        self._figure = style.figure(self.width, self.height, 100 * scale)
+        self._seen, self._around = (self._figure.add_axes((0, 0, 1, 1), autoscale_on=False) for _ in range(2))
+        self._seen.axison = self._around.axison = False
+        self._grid: PerspectiveGrid | None = None  # of the step before
+        self._bare, self._span = bare, 0.0
+        self._said: list[Any] = []  # artists of this step
+        if not bare:
+            self._strips = {name: self._strip(index) for index, (name, _, _) in enumerate(STRIPS)}
+            self._drawn = self._artists()
 
     def paint(
         self,
@@ -155,6 +80,7 @@ class StepPainter:
         query: str = "",
         problem: str | None = None,
         grid: PerspectiveGrid | None = None,
+        more: Marks = ALONE,
     ) -> np.ndarray:
         """One step ``(height, width, 3)`` uint8.
 
@@ -166,165 +92,149 @@ class StepPainter:
             query: what is looked for.
             problem: why the frame could not be used, if so; it is written into the picture.
             grid: which directions of the body the pixels of an ordinary camera show.
+            more: what is marked beside the answer.
 
         Raises `TimeError` unless the stamps grow, `EagorError` for a picture of another shape.
         """
-        pixels = ground(self.width, self.height)
-        self._scene.paint(pixels, picture, estimate, problem, grid)
-        self.line.add(Moment.of(estimate, stamp, problem))
-        if self.line.span != self._span:
-            self._stretch()
-        rows = slice(self.head, self.head + self.rows)
-        scene, pixels = pixels[rows], self._rest.copy()
-        pixels[rows] = scene
-        self._say(estimate, query)
-        self._draw_line()
-        return over(self._sheet, pixels)
+        self._pixels[:] = DARK
+        for axes in (self._seen, self._around):
+            self._said += [*axes.lines, *axes.collections, *axes.patches, *axes.texts]
+        while self._said:
+            self._said.pop().remove()
+        heat = heat_of(estimate)
+        grid = self._grid = grid or (self._grid if picture is None else None)
+        if grid is None:
+            self._show(self._seen, (0, self.head, self.width, self.rows), picture, heat)
+            paint_marks(self._seen, estimate, heat, more)
+            for (at, name), side in zip(SIDES, ("left", "center", "center", "center", "right"), strict=True):
+                _name(self._seen, at, name, side, 9)
+        else:
+            self._view(picture, estimate, heat, grid, more)
+        if problem:
+            self._seen.text(
+                0.5, 0.9, f"left out: {style.short(problem, LONGEST_PROBLEM)}", transform=self._seen.transAxes,
+                fontsize=10, color=ALARM, ha="center", va="top", zorder=9, family=style.family(),
+                bbox={"facecolor": "black", "alpha": 0.7, "edgecolor": ALARM, "linewidth": 0.8, "pad": 4},
+            )  # fmt: skip
+        if not self._bare:
+            moment, right = Moment.of(estimate, stamp, problem), {"ha": "right", "weight": "normal"}
+            self.line.add(moment)
+            self._draw_line()
+            told = [] if moment.cone is None else [estimate.certainty]
+            told += [style.far_in_words(estimate), f"presence {moment.presence:.2f}", f"{moment.stamp:.2f} s"]
+            asked, answer = style.short(query, LONGEST_QUERY), style.candidates_in_words(estimate)
+            left, first, second = 16 * self._scale, 0.36 * self.head, 0.74 * self.head
+            self._say(left, first, f"“{asked}”" if asked else "", 14, WORDS)
+            self._say(left, second, answer, 11.5, WORDS, weight="normal")
+            self._say(self.width - left, first, estimate.status, 14, COLOURS[estimate.status], ha="right")
+            self._say(self.width - left, second, "   ".join(filter(None, told)), 11.5, FAINT, **right)
+        return style.painted(self._figure, self._pixels)
 
-    def _places_of_words(self) -> dict[str, Any]:
-        """The words that change from step to step, empty so far."""
-        figure, h = self._sheet.figure, self.height
-        first, second, edge = 1 - 0.36 * self.head / h, 1 - 0.74 * self.head / h, 16 / DESIGN
-        large: dict[str, Any] = {"va": "center", "family": family(), "fontsize": 14, "weight": "bold"}
-        small: dict[str, Any] = {"va": "center", "family": family(), "fontsize": 11.5}
-        return {
-            "query": figure.text(edge, first, "", color=WORDS, **large),
-            "answer": figure.text(edge, second, "", color=WORDS, **small),
-            "status": figure.text(1 - edge, first, "", ha="right", **large),
-            "rest": figure.text(1 - edge, second, "", color=FAINT, ha="right", **small),
-        }
+    def boxes(self, grid: PerspectiveGrid) -> tuple[Box, Box]:
+        """Where an ordinary picture is, as large as leaves a place for the small panorama, and where that is."""
+        gap, ratio = round(AROUND * self._scale), grid.width / grid.height
+        wide = min(self.width - round(LEAST * self._scale) - 2 * gap, round(self.rows * ratio))
+        free = self.width - wide - 2 * gap
+        small = min(free, self.rows)  # leaves half of the height to the words
+        around = wide + gap + (free - small) // 2, self.head + gap, small, small // 2
+        return (0, self.head, wide, min(self.rows, round(wide / ratio))), around
 
-    def _stretch(self) -> None:
-        """The ground of all pictures with this span of time: panels, rules, labels, what the colours mean."""
-        w, h, scale = self.width, self.height, self.width / DESIGN
-        sheet = blank(w, h, 100 * scale)
-        figure, small = sheet.figure, {"fontsize": 8.5, "color": FAINT, "va": "center"}
-        status, presence, azimuth = (_strip(figure, place, PANEL) for place in self._places)
-        azimuth.set_ylim(-180, 180)
-        for at, name in SIDES:
-            azimuth.axhline(at, color=RULE, linewidth=0.7 if abs(at) < 180 else 0, zorder=1)
-            azimuth.annotate(name, (0, at), xytext=(-5, 0), textcoords="offset points", ha="right", **small)
-        presence.set_ylim(0, 1)
-        presence.axhline(0.5, color=RULE, linewidth=0.7, zorder=1)
-        for axes, name in ((presence, "presence"), (status, "status")):
-            axes.text(-5 * scale / (self._places[0][2] * w), 0.5, name, transform=axes.transAxes, ha="right", **small)
-        span = self.line.span
-        offset = self.line.first if 0 <= self.line.first < MOST_CLOCK else 0.0
-        status.set_xlim(0, span)
-        status.set_xticks(times := ticks(span), [f"{offset + time:g} s" for time in times])
-        status.tick_params(colors=FAINT, labelsize=8.5, length=2, pad=2)
-        top = h - self.head - self.rows - TOP * scale
+    def _view(
+        self, picture: np.ndarray | None, estimate: Estimate, heat: Heat | None, grid: PerspectiveGrid, more: Marks
+    ) -> None:
+        """What an ordinary camera saw, what is around it, how sure it is, and the answer in words."""
+        if picture is not None:
+            self.mosaic.add(picture, grid, estimate.world_R_body)
+        view, around = self.boxes(grid)
+        self._show(self._seen, view, picture, heat, grid)
+        self._show(self._around, around, self.mosaic.seen_from(estimate.world_R_body), heat)
+        self._around.plot(*outline_of(grid).T, color="white", linewidth=1.6, zorder=5, path_effects=outline(3.2))
+        for at, name in SIDES[1:-1]:
+            _name(self._around, at, name, "center", 8)
+        paint_marks(self._around, estimate, heat, more, scale=SMALL)
+        paint_marks(self._seen, estimate, heat, more, grid)
+        left, top, width, height = around
+        if estimate.direction is not None:
+            colour = COLOURS[estimate.status]
+            self._say(left, top + height + 14 * self._scale, style.sureness(estimate), 22, colour, va="top")
+        kept = style.answer_in_words(estimate).replace(" degrees", "\u00a0degrees")  # a number stays with its unit
+        said = textwrap.fill(kept, max(12, int(width / (11.5 * self._scale))))
+        self._say(left, top + height + 56 * self._scale, said, 15, WORDS, va="top", linespacing=1.35)
+
+    def _show(
+        self, axes: Axes, box: Box, picture: np.ndarray | None, heat: Heat | None, grid: PerspectiveGrid | None = None
+    ) -> None:
+        """Paint a panorama, or with `grid` an ordinary picture, with heat on it, and move its axes there."""
+        (left, top, wide, high), rgba = box, None if heat is None else heat.rgba
+        if heat is not None and grid is not None:  # sampled about once per cell; to the pixels it is interpolated
+            cell = max(1.0, high / grid.height * grid.focal * math.pi / len(heat.rgba))
+            rgba = reader_of_heat(grid, math.ceil(high / cell), math.ceil(wide / cell))(heat.rgba)
+        self._pixels[top : top + high, left : left + wide] = backdrop(picture, rgba, wide, high)
+        w, h, whole = self.width, self.height, grid is None
+        axes.set(position=(left / w, 1 - (top + high) / h, wide / w, high / h))
+        axes.set(xlim=(180, -180) if whole else (0, 1), ylim=(-90, 90) if whole else (1, 0))
+
+    def _say(self, x: float, y: float, words: str, size: float, colour: str, **how: Any) -> None:
+        """Words of this step, at pixels from the left upper corner."""
+        how = {"va": "center", "weight": "bold", "family": style.family()} | how
+        made = self._figure.text(x / self.width, 1 - y / self.height, words, fontsize=size, color=colour, **how)
+        self._said.append(made)
+
+    def _strip(self, index: int) -> Axes:
+        """The axes of a strip of the time line, with its names and rules."""
+        scale, (name, rows, ends) = self._scale, STRIPS[index]
+        low = (LOW + sum(rows + GAP for _, rows, _ in STRIPS[:index])) * scale
+        wide = 1 - (LEFT + RIGHT) * scale / self.width
+        place = (LEFT * scale / self.width, low / self.height, wide, rows * scale / self.height)
+        axes = self._figure.add_axes(place, facecolor=PANEL, autoscale_on=False, ylim=ends, xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+        how: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "xytext": (-5, 0)}
+        for at, words in SIDES if name == "azimuth" else [(0.5, name)]:
+            if name != "status" and abs(at) < 180:
+                axes.axhline(at, color=RULE, linewidth=0.7, zorder=1)
+            axes.annotate(words, (0, at), fontsize=8.5, color=FAINT, ha="right", va="center", **how)
+        return axes
+
+    def _artists(self) -> list[tuple[str, Any]]:
+        """What grows along the time line, by its name in `TimeLine.boxes`; and in words, what its colours mean."""
+        from matplotlib.collections import PolyCollection
+
         x = 1 - (RIGHT - 18) / DESIGN
         for index, (name, colour) in enumerate([*COLOURS.items(), ("90 % cone", BAND)]):
-            y = (top - (6 + 17.5 * index) * scale) / h
-            figure.text(x, y, "■", fontsize=9, color=colour, va="center")
-            figure.text(x + 15 / DESIGN, y, name, **small)
-        for strip in (self._status, self._presence, self._azimuth):
-            strip.set_xlim(0, span)
-        self._rest, self._span = over(sheet, ground(w, h)), span
-
-    def _say(self, estimate: Estimate, query: str) -> None:
-        moment = self.line.last
-        assert moment is not None
-        told = [] if moment.cone is None else [estimate.certainty]
-        if far := far_in_words(estimate):
-            told.append(far)
-        told += [f"presence {moment.presence:.2f}", f"{moment.stamp:.2f} s"]
-        shown = _short(query, LONGEST_QUERY)
-        self._words["query"].set_text(f"“{shown}”" if shown else "")
-        self._words["answer"].set_text(candidates_in_words(estimate))
-        self._words["status"].set_text(estimate.status)
-        self._words["status"].set_color(COLOURS[moment.status])
-        self._words["rest"].set_text("   ".join(told))
+            y = (FOOT - 18 - 17.5 * index) * self._scale / self.height
+            self._figure.text(x, y, "■", fontsize=9, color=colour, va="center")
+            self._figure.text(x + 15 / DESIGN, y, name, fontsize=8.5, color=FAINT, va="center")
+        cyan, made = COLOURS["tracking"], []
+        kinds = [("bands", "azimuth", BAND, 0.75, 0.0), ("presence", "presence", cyan, 0.65, 0.0)]
+        kinds += [("answers", "azimuth", "black", 1.0, 3.2), ("answers", "azimuth", cyan, 1.0, 2.0)]
+        kinds += [(status, "status", colour, 1.0, 0.0) for status, colour in COLOURS.items()]
+        for name, strip, colour, alpha, edge in kinds:  # answers are boxes without a height
+            how: dict[str, Any] = {"linewidths": edge, "antialiaseds": False, "zorder": 4 if edge else 2}
+            drawn = PolyCollection([], facecolors=colour, edgecolors=colour, alpha=alpha, **how)
+            self._strips[strip].add_collection(drawn, autolim=False)
+            made.append((name, drawn))
+        return made
 
     def _draw_line(self) -> None:
         """The time line, from all moments so far."""
-        from matplotlib.collections import LineCollection
-
-        line, strips = self.line, (self._azimuth, self._presence, self._status)
-        for strip in strips:
-            wipe(strip)
-        _boxes(self._azimuth, line.bands(), BAND, 0.75)
-        lines = list(line.answers()[:, [[0, 2], [1, 2]]])
-        for colour, width in (("black", 3.2), (COLOURS["tracking"], 2.0)):
-            drawn = LineCollection(lines, colors=colour, linewidths=width, zorder=4)
-            self._azimuth.add_collection(drawn, autolim=False)
-        _boxes(self._presence, np.insert(line.presence(), 2, 0.0, axis=1), COLOURS["tracking"], 0.65)
-        stretches = line.stretches()
-        for status, colour in COLOURS.items():
-            rows = [(begin, end, 0.0, 1.0) for begin, end, what in stretches if what == status]
-            _boxes(self._status, np.array(rows).reshape(-1, 4), colour, 1.0)
-        for strip in strips:
-            strip.axvline(line.now, color=NOW, linewidth=1.4, zorder=7)
+        line, boxes = self.line, self.line.boxes()
+        if line.span != self._span:
+            self._span = line.span
+            for strip in self._strips.values():
+                strip.set_xlim(0, line.span)
+            times, names = zip(*line.ticks(), strict=True)
+            self._strips["status"].set_xticks(times, names)
+            self._strips["status"].tick_params(colors=FAINT, labelsize=8.5, length=2, pad=2)
+        for name, drawn in self._drawn:
+            drawn.set_verts(boxes[name][:, [[0, 2], [0, 3], [1, 3], [1, 2]]])
+        for strip in self._strips.values():
+            self._said.append(strip.axvline(line.now, color=NOW, linewidth=1.4, zorder=7))
 
 
-def draw_step(
-    picture: np.ndarray | None,
-    estimate: Estimate,
-    *,
-    stamp: float | None = None,
-    query: str = "",
-    problem: str | None = None,
-    grid: PerspectiveGrid | None = None,
-    before: tuple[Moment, ...] | list[Moment] = (),
-    span: float | None = None,
-    width: int = DESIGN,
-) -> Image:
-    """One step as a still picture, as a video shows it; `before`: the earlier moments, in order of time.
-
-    Other arguments and errors as for `StepPainter`.
-    """
-    from PIL import Image
-
-    painter = StepPainter(width, span)
-    for moment in before:
-        painter.line.add(moment)
-    return Image.fromarray(painter.paint(picture, estimate, stamp=stamp, query=query, problem=problem, grid=grid))
-
-
-def _mark(axes: Axes, estimate: Estimate, heat: Any) -> None:
-    """The marks of this step on its panorama."""
-    from matplotlib import patheffects
-
-    paint_marks(axes, estimate, heat)
-    outline = [patheffects.withStroke(linewidth=2.2, foreground="black", alpha=0.6)]
-    for index, (at, name) in enumerate(SIDES):
-        side = "left" if index == 0 else "right" if index == len(SIDES) - 1 else "center"
-        axes.annotate(
-            name, (at, 90), xytext=({"left": 5, "right": -5}.get(side, 0), -4), textcoords="offset points",
-            fontsize=9, color="white", ha=side, va="top", path_effects=outline, zorder=8,
-        )  # fmt: skip
-
-
-def _strip(figure: Any, place: tuple[float, float, float, float], ground: str = "none") -> Axes:
-    axes = figure.add_axes(place, facecolor=ground)
-    axes.set_autoscale_on(False)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.spines[:].set_visible(False)
-    return axes
-
-
-def _boxes(axes: Axes, boxes: np.ndarray, colour: str, alpha: float) -> None:
-    """Rectangles ``(n, 4)``, begin, end, low and high, as one path."""
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path
-
-    if not len(boxes):
-        return
-    begin, end, low, high = boxes.T
-    corners = np.stack([begin, low, begin, high, end, high, end, low, begin, low], axis=1).reshape(-1, 2)
-    codes = np.tile(np.array([Path.MOVETO, *[Path.LINETO] * 3, Path.CLOSEPOLY], dtype=np.uint8), len(boxes))
-    axes.add_artist(PathPatch(Path(corners, codes), facecolor=colour, alpha=alpha, linewidth=0, zorder=2))
-
-
-def _short(text: str, most: int) -> str:
-    text = " ".join(str(text).split())
-    return text if len(text) <= most else text[: most - 1] + "…"
-
-
-def _checked(width: int) -> int:
-    """The next lower even width: videos have colours for two by two pixels."""
-    if isinstance(width, bool) or not isinstance(width, int | np.integer) or not NARROWEST <= width <= WIDEST:
-        raise EagorError(f"a picture {width!r} pixels wide; wanted a whole number from {NARROWEST} to {WIDEST}")
-    return int(width) // 2 * 2
+def _name(axes: Axes, at: float, name: str, side: str, size: float) -> None:
+    """What an azimuth is called, at the upper edge of a panorama."""
+    beside = {"left": 5, "right": -5}.get(side, 0)
+    axes.annotate(
+        name, (at, 90), xytext=(beside, -4), textcoords="offset points", fontsize=size, color="white", ha=side,
+        va="top", path_effects=outline(2.2), zorder=8,
+    )  # fmt: skip

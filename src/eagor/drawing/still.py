@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor.belief.posterior import Readable
-from eagor.drawing.panorama import Marks, backdrop, heat_of, paint_marks
-from eagor.drawing.style import DESIGN, GRID_LINE, INK, QUIET, WORDS, blank, figure, ground, image, over, plain
-from eagor.drawing.view import Mosaic, ViewScene
+from eagor.drawing.heat import heat_of
+from eagor.drawing.marks import Marks, Mosaic, backdrop, paint_marks
+from eagor.drawing.step import StepPainter
+from eagor.drawing.style import DARK, DESIGN, GRID_LINE, INK, QUIET, WORDS, figure, image, painted, plain
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
@@ -21,21 +22,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL.Image import Image
 
-__all__ = ["draw_belief", "draw_strip", "paint_belief"]
-
-WHOLE = (180, -180, -90, 90)  # degrees: left, right, bottom, top
+__all__ = ["draw_belief", "draw_errors", "draw_map", "draw_strip", "paint_belief"]
 
 
 def draw_belief(
     picture: np.ndarray,
     belief: Estimate | Readable,
-    truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray | None] | None = None,
-    modes: Sequence[np.ndarray] | None = None,
     title: str = "",
     width: int = 1200,
     grid: PerspectiveGrid | None = None,
     mosaic: Mosaic | None = None,
+    **more: Any,
 ) -> Image:
     """`belief` as heat over `picture` ``(H, W, 3)``, with the border of its 90 % region.
 
@@ -47,128 +44,82 @@ def draw_belief(
             saw, and then `belief` is an `Estimate`.
         belief: an `Estimate`, drawn with its answer, an arrow from forward to it (unless 90 % of the belief need a cone
             of more than 90 degrees about it), and its candidates; or a single belief, which has no answer.
-        truth: the true direction ``(3,)``, if known.
-        others: other methods' directions by name; None for a method without one.
-        modes: directions of candidates; default: those of the estimate.
         title: a line above the picture.
         width: of the picture in pixels.
         grid: which directions of the body the pixels of an ordinary camera show. An arrow at the edge points to an
             answer out of view; a small panorama beside it shows the whole belief.
         mosaic: what an ordinary camera was shown before, for the small panorama; this picture is added.
+        more: `truth`, `others` and `modes`, as in `Marks`.
 
     Raises `EagorError` for a picture of another shape.
     """
-    if grid is not None:
-        return _draw_view(picture, belief, Marks(truth, others or {}, modes), title, width, grid, mosaic)
-    sheet = figure(width, round(width * 0.595))
-    axes = sheet.add_axes((0.055, 0.145, 0.92, 0.775))
-    paint_belief(axes, picture, belief, truth, others, modes)
-    axes.set_xlabel("azimuth in degrees, positive to the left", color=INK)
-    axes.set_ylabel("elevation", color=INK)
-    sheet.text(0.055, 0.945, title, fontsize=13, color=INK, weight="bold")
-    _legend(sheet, [axes])
-    return image(sheet)
-
-
-def _draw_view(
-    picture: np.ndarray,
-    belief: Estimate | Readable,
-    more: Marks,
-    title: str,
-    width: int,
-    grid: PerspectiveGrid,
-    mosaic: Mosaic | None,
-) -> Image:
-    """`draw_belief` of what an ordinary camera saw."""
+    if grid is None:
+        sheet = figure(width, round(width * 0.595))
+        axes = sheet.add_axes((0.055, 0.145, 0.92, 0.775))
+        paint_belief(axes, picture, belief, **more)
+        axes.set_xlabel("azimuth in degrees, positive to the left", color=INK)
+        axes.set_ylabel("elevation", color=INK)
+        sheet.text(0.055, 0.945, title, fontsize=13, color=INK, weight="bold")
+        _legend(sheet)
+        return image(sheet)
     from PIL import Image
 
     if not isinstance(belief, Estimate):
         raise EagorError(f"with a grid the belief is a {type(belief).__name__}; wanted an Estimate, which has a pose")
-    head, rows = round(0.05 * width), round(0.5 * width)
-    sheet = blank(width, head + rows, 100 * width / DESIGN)
-    pixels = ground(width, head + rows)
-    scene = ViewScene(sheet.figure, (width, head + rows), (0, head, width, rows), mosaic)
-    scene.paint(pixels, picture, grid, belief, more)
-    sheet.figure.text(
-        0.012, 1 - 0.5 * head / (head + rows), title, fontsize=14, color=WORDS, weight="bold", va="center"
-    )
-    return Image.fromarray(over(sheet, pixels))
+    painter = StepPainter(width, bare=True, mosaic=mosaic)
+    head = figure(painter.width, round(0.05 * width), 100 * width / DESIGN)
+    head.text(0.012, 0.5, title, fontsize=14, color=WORDS, weight="bold", va="center")
+    seen = painter.paint(picture, belief, grid=grid, more=Marks(**more))
+    return Image.fromarray(np.concatenate([painted(head, DARK), seen]))
 
 
 def draw_strip(panels: Sequence[Mapping[str, Any]], columns: int = 2, width: int = 1400) -> Image:
-    """Several beliefs in one picture: each panel has the arguments of `draw_belief` (without `width`), row by row."""
+    """Several beliefs in one picture, row by row: each panel has the arguments of `paint_belief`, and a title."""
     rows = math.ceil(len(panels) / columns)
     left, gap, head, foot, legend = 48, 52, 30, 30, 44  # pixels around the panels
     wide = (width - left - gap * (columns - 1) - 28) / columns
-    high = wide / 2
-    total = rows * (head + high + foot) + legend
+    total = rows * (head + wide / 2 + foot) + legend
     sheet = figure(width, round(total))
-    drawn = []
     for index, panel in enumerate(panels):
         row, column = divmod(index, columns)
-        x, y = left + column * (wide + gap), total - (row + 1) * (head + high) - row * foot
-        axes = sheet.add_axes((x / width, y / total, wide / width, high / total))
+        x, y = left + column * (wide + gap), total - (row + 1) * (head + wide / 2) - row * foot
+        axes = sheet.add_axes((x / width, y / total, wide / width, wide / 2 / total))
         paint_belief(axes, **{name: value for name, value in panel.items() if name != "title"})
         axes.set_title(panel.get("title", ""), loc="left", fontsize=11, color=INK, weight="bold", pad=6)
-        axes.set_xticks(range(180, -181, -90), _degrees(range(180, -181, -90)))
+        axes.set_xticks(axes.get_xticks()[::2])
         if column:
             axes.set_yticklabels([])
-        drawn.append(axes)
-    _legend(sheet, drawn)
+    _legend(sheet)
     return image(sheet)
 
 
-def paint_belief(
-    axes: Axes,
-    panorama: np.ndarray,
-    belief: Estimate | Readable,
-    truth: np.ndarray | None = None,
-    others: Mapping[str, np.ndarray | None] | None = None,
-    modes: Sequence[np.ndarray] | None = None,
-) -> None:
-    """The contents of `draw_belief`, drawn into `axes`, which have their size already."""
-    axes.set_xlim(180, -180)
-    axes.set_ylim(-90, 90)
-    axes.set_xticks(range(180, -181, -45), _degrees(range(180, -181, -45)))
-    axes.set_yticks(range(-90, 91, 30), _degrees(range(-90, 91, 30)))
+def paint_belief(axes: Axes, panorama: np.ndarray, belief: Estimate | Readable, **more: Any) -> None:
+    """The contents of `draw_belief` for a panorama, drawn into `axes`, which have their size already."""
+    axes.set(xlim=(180, -180), ylim=(-90, 90), xticks=range(180, -181, -45), yticks=range(-90, 91, 30))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(lambda angle, _: f"{angle:+.0f}°" if angle else "0°")
     plain(axes)
-    heat = heat_of(belief)
-    box = axes.get_window_extent()
-    ground = backdrop(panorama, heat, max(1, round(box.width)), max(1, round(box.height)))
-    axes.imshow(ground, extent=WHOLE, aspect="auto", interpolation="antialiased", zorder=0)
-    paint_marks(axes, belief, heat, Marks(truth, others or {}, modes))
+    heat, (width, height) = heat_of(belief), (max(1, round(size)) for size in axes.bbox.size)
+    ground = backdrop(panorama, None if heat is None else heat.rgba, width, height)
+    axes.imshow(ground, extent=(180, -180, -90, 90), aspect="auto", interpolation="antialiased", zorder=0)
+    paint_marks(axes, belief, heat, Marks(**more))
 
 
-def _legend(sheet: Figure, drawn: Sequence[Axes]) -> None:
-    """One legend for everything drawn in these axes."""
+def _legend(sheet: Figure) -> None:
+    """One legend for everything that is drawn."""
     found: dict[str, Any] = {}
-    for axes in drawn:
+    for axes in sheet.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             found.setdefault(label, handle)
-    if not found:
-        return
     labels = sorted(found, key=lambda label: (not label.startswith("estimate"), label != "truth"))
-    legend = sheet.legend(
-        [found[label] for label in labels],
-        labels,
-        loc="lower center",
-        ncols=len(labels),
-        fontsize=10,
-        facecolor="#3a4152",
-        edgecolor="none",
-        labelcolor="white",
-        handletextpad=0.5,
-        columnspacing=1.6,
-        borderpad=0.45,
-        bbox_to_anchor=(0.5, 0.004),
-    )
-    for handle in legend.legend_handles:
-        if handle is not None and hasattr(handle, "set_markersize"):
-            handle.set_markersize(9)  # type: ignore[attr-defined]
-
-
-def _degrees(angles: Sequence[int]) -> list[str]:
-    return [f"{a:+d}°" if a else "0°" for a in angles]
+    if labels:
+        legend = sheet.legend(
+            [found[label] for label in labels], labels, loc="lower center", ncols=len(labels), fontsize=10,
+            facecolor="#3a4152", edgecolor="none", labelcolor="white", handletextpad=0.5, columnspacing=1.6,
+            borderpad=0.45, bbox_to_anchor=(0.5, 0.004),
+        )  # fmt: skip
+        for handle in legend.get_lines():
+            handle.set_markersize(9)
 
 
 # --- errors over time, and a path on a map ----------------------------------------------------------------------------
@@ -207,12 +158,11 @@ def draw_errors(
                 f"{name} has {len(values)} errors, but there are {len(stamps)} stamps; wanted a stamp for each error"
             )
     known = {name: values[np.isfinite(values)] for name, values in curves.items()}
+    every = np.concatenate([*known.values(), [180.0] if not any(map(len, known.values())) else []])
+    highest = next((tick for tick in TICKS[3:] if tick >= every.max()), TICKS[-1])
+    lowest = max(tick for tick in TICKS if tick <= max(min(every.min(), highest / 10), LEAST))
     sheet = figure(width, round(width * 0.42))
     axes = sheet.add_axes((0.06, 0.13, 0.69, 0.76 if title else 0.83))
-    highest = max((float(values.max()) for values in known.values() if len(values)), default=180.0)
-    highest = next((tick for tick in TICKS[3:] if tick >= highest), TICKS[-1])
-    least = min((float(values.min()) for values in known.values() if len(values)), default=LEAST)
-    lowest = max(tick for tick in TICKS if tick <= max(min(least, highest / 10), LEAST))
     for begin, end, label in shaded:
         axes.axvspan(begin, end, color="#eceff4", zorder=0, linewidth=0)
         middle, place = (begin + end) / 2, axes.get_xaxis_transform()
@@ -220,22 +170,14 @@ def draw_errors(
     ends = []
     for index, (name, values) in enumerate(curves.items()):
         colour, first = CURVES[index % len(CURVES)], index == 0
-        axes.plot(
-            stamps[: len(values)],
-            np.maximum(values, LEAST),
-            color=colour,
-            linewidth=3 if first else 1.4,
-            zorder=5 if first else 3,
-            marker="o" if len(values) == 1 else None,  # a line needs two
-            label=name,
-        )
-        mean = float(known[name].mean()) if len(known[name]) else math.inf
-        ends.append((mean, name, colour, first))
+        how: dict[str, Any] = {"linewidth": 3, "zorder": 5} if first else {"linewidth": 1.4, "zorder": 3}
+        how["marker"] = "o" if len(values) == 1 else None  # a line needs two
+        axes.plot(stamps[: len(values)], np.maximum(values, LEAST), color=colour, label=name, **how)
+        ends.append((float(known[name].mean()) if len(known[name]) else math.inf, name, colour, first))
     if stamps[0] < stamps[-1]:
         axes.set_xlim(stamps[0], stamps[-1])
-    axes.set_yscale("log")
-    axes.set_ylim(lowest, highest)
     ticks = [tick for tick in TICKS if lowest <= tick <= highest]
+    axes.set(yscale="log", ylim=(lowest, highest))
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_yticks([], minor=True)
     axes.set_xlabel("time (s)", color=INK)
@@ -245,12 +187,10 @@ def draw_errors(
     sheet.text(0.06, 0.935, title, fontsize=13, color=INK, weight="bold")
     sheet.text(0.77, 0.925, f"mean {what} over the run", fontsize=9.5, color=QUIET)
     for row, (mean, name, colour, first) in enumerate(sorted(ends, key=lambda end: end[0])):
-        y = 0.86 - 0.07 * row
-        weight = "bold" if first else "normal"
+        y, how = 0.86 - 0.07 * row, {"fontsize": 10.5, "va": "center", "weight": "bold" if first else "normal"}
         sheet.text(0.77, y, "■", color=colour, fontsize=12, va="center")
-        sheet.text(0.79, y, name, color=INK, fontsize=10.5, va="center", weight=weight)
-        said = f"{mean:.1f}°" if mean < math.inf else "–"
-        sheet.text(0.985, y, said, color=INK, fontsize=10.5, va="center", ha="right", weight=weight)
+        sheet.text(0.79, y, name, color=INK, **how)
+        sheet.text(0.985, y, f"{mean:.1f}°" if mean < math.inf else "–", color=INK, ha="right", **how)
     return image(sheet)
 
 
@@ -276,30 +216,24 @@ def draw_map(
     """
     from matplotlib import patheffects
 
-    shade = np.full((*walls.shape, 3), 0.93)
+    shade = np.full((*walls.shape, 3), (0.87, 0.85, 0.81))
     shade[free], shade[walls] = 1.0, (0.24, 0.27, 0.33)
-    shade[~walls & ~free] = (0.87, 0.85, 0.81)
     every = np.concatenate([path, np.reshape(target[:2], (1, 2))])
     low, high = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
-    lacking = np.maximum(0, np.max(high - low) / 1.5 - (high - low)) / 2  # not too narrow for the picture
-    (left, bottom), (right, top) = low - lacking, high + lacking
-    edge, gap, head, foot = 44, 14, 26, 66  # pixels beside, on the other side, above and below the map
-    wide = width - edge - gap
-    tall = wide * (top - bottom) / (right - left)
-    height = round(head + tall + foot)
-    sheet = figure(width, height)
-    axes = sheet.add_axes((edge / width, (height - head - tall) / height, wide / width, tall / height))
+    half = np.maximum(high - low, (high - low)[::-1] * (1.5, 1 / 1.5)) / 2  # the part of the plan is 3 by 2
+    (left, bottom), (right, top) = (low + high) / 2 - half, (low + high) / 2 + half
+    wide, tall = width - 58, round((width - 58) / 1.5)
+    sheet = figure(width, tall + 92)
+    axes = sheet.add_axes((44 / width, 66 / (tall + 92), wide / width, tall / (tall + 92)))
     axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
-    axes.set_xlim(left, right)
-    axes.set_ylim(bottom, top)
+    axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.set_title(title, loc="left", fontsize=11, color=INK, weight="bold", pad=5)
     halo = [patheffects.Stroke(linewidth=5.4, foreground="white"), patheffects.Normal()]
     axes.plot(*path.T, color=CURVES[0], linewidth=3, zorder=4, path_effects=halo, solid_joinstyle="round")
-    lone: dict[str, Any] = {"linestyle": "none"}
-    axes.plot(*path[0], "o", color=INK, markersize=8, zorder=6, label="start", **lone)
-    axes.plot(*path[-1], "s", mfc=CURVES[0], mec="white", mew=1.2, markersize=9, zorder=7)
-    axes.plot([], [], "s", color=QUIET, markersize=8, label="where it ended", **lone)
-    axes.plot(*target[:2], "*", color="#c8201f", markersize=17, mec="white", mew=1.2, zorder=6, label="target", **lone)
+    lone: dict[str, Any] = {"linestyle": "none", "zorder": 6}
+    axes.plot(*path[0], "o", color=INK, markersize=8, label="start", **lone)
+    axes.plot(*path[-1], "s", mfc=CURVES[0], mec="white", mew=1.2, markersize=9, label="where it ended", **lone)
+    axes.plot(*target[:2], "*", color="#c8201f", markersize=17, mec="white", mew=1.2, label="target", **lone)
     plain(axes)
     axes.set_xlabel("x (m)", color=INK, labelpad=2)
     axes.set_ylabel("y (m)", color=INK)

@@ -7,9 +7,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +25,7 @@ STATUS = {
     "ambiguous": "it is likely here, and several directions fit",
     "stale": "there was an answer, and nothing has been looked at for a while",
 }
-
 LIKELY = "it is likely here, but its direction is uncertain"  # searching, and it is present rather than not
-
 _SIGMAS_90 = 1.645  # standard deviations on either side that hold 90 % of a normal distribution
 
 
@@ -96,16 +91,16 @@ def sureness(estimate: Estimate) -> str:
 
 
 def distance_in_words(distance: float | None, spread: float | None) -> str:
-    """The 90 % interval of a distance, such as "1.1 to 6.4 m"; "-" if not even its order of magnitude is known.
+    """The 90 % interval of a distance, such as "1.1 to 6.4 m"; "" if not even its order of magnitude is known.
 
     `distance` is its mean in metres, `spread` the standard deviation of its logarithm, as an `Estimate` gives them. The
     distance counts as log-normal, so its median is below its mean.
     """
     if distance is None or spread is None or not math.isfinite(distance * spread):
-        return "-"
+        return ""
     half = _SIGMAS_90 * spread
     if 2 * half > math.log(10):
-        return "-"
+        return ""
     median = distance * math.exp(-(spread**2) / 2)
     nearest, farthest = _rounded(median * math.exp(-half)), _rounded(median * math.exp(half))
     return f"{nearest} m" if nearest == farthest else f"{nearest} to {farthest} m"
@@ -113,10 +108,8 @@ def distance_in_words(distance: float | None, spread: float | None) -> str:
 
 def far_in_words(estimate: Estimate) -> str:
     """The distance of the answer as `distance_in_words`; "" while searching, without positions, or if unknown."""
-    if estimate.status == "searching":
-        return ""
-    found = distance_in_words(estimate.distance, estimate.distance_spread)
-    return "" if found == "-" else found
+    searching = estimate.status == "searching"
+    return "" if searching else distance_in_words(estimate.distance, estimate.distance_spread)
 
 
 def signed(angle: float | None) -> str:
@@ -133,7 +126,11 @@ def _rounded(metres: float) -> str:
 
 INK, PAPER, GRID_LINE, QUIET = "#1f2430", "#ffffff", "#d8dbe2", "#5b6472"
 DESIGN = 1280  # columns that the sizes of dark pictures are for; one of another width is scaled
-DARK, WORDS, FAINT = "#12151b", "#eef1f6", "#a5aebb"  # of dark pictures: ground, words, quiet words
+DARK, WORDS, FAINT = (18, 21, 27), "#eef1f6", "#a5aebb"  # of dark pictures: ground, words, quiet words
+# By status. They differ in brightness too, and each is named beside the time line.
+COLOURS = {"searching": "#7d8796", "tracking": "#2fd0e6", "ambiguous": "#ffb000", "stale": "#b48cff"}
+# Azimuths in degrees, and what they are called.
+SIDES = ((180, "behind"), (90, "left"), (0, "ahead"), (-90, "right"), (-180, "behind"))
 # Beside matplotlib's own font, for queries in scripts that it lacks; those that are installed are used.
 FONTS = (
     "Noto Sans CJK SC", "Noto Sans CJK JP", "WenQuanYi Zen Hei", "Noto Sans Arabic", "Noto Sans Devanagari",
@@ -141,58 +138,37 @@ FONTS = (
 )  # fmt: skip
 
 
-def figure(width: int, height: int) -> Figure:
-    """An empty figure of this size in pixels."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=PAPER)
-
-
-def image(drawn: Figure) -> Image:
-    """The figure as an image, RGB."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
-
-    _plain_words(drawn)
-    canvas = FigureCanvasAgg(drawn)
-    with _no_complaints():
-        canvas.draw()
-    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-
-
-@dataclass(frozen=True, eq=False)
-class Sheet:
-    """A transparent figure that is drawn again and again, over pixels that others made."""
-
-    figure: Figure
-    renderer: Any
-
-
-def blank(width: int, height: int, dpi: float = 100) -> Sheet:
-    """A transparent figure of this size in pixels."""
+def figure(width: int, height: int, dpi: float = 100) -> Figure:
+    """An empty, transparent figure of this size in pixels."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     made = Figure(figsize=((width + 0.01) / dpi, (height + 0.01) / dpi), dpi=dpi)
     made.patch.set_visible(False)
-    return Sheet(made, FigureCanvasAgg(made).get_renderer())
+    FigureCanvasAgg(made)
+    return made
 
 
-def ground(width: int, height: int) -> np.ndarray:
-    """The ground ``(height, width, 3)`` uint8 of a dark picture."""
-    pixels = np.empty((height, width, 3), dtype=np.uint8)
-    pixels[:] = [int(DARK[at : at + 2], 16) for at in (1, 3, 5)]
-    return pixels
+def painted(drawn: Figure, pixels: Any = 255) -> np.ndarray:
+    """The figure drawn over `pixels` ``(H, W, 3)`` uint8, or a colour, by default white: a new array ``(H, W, 3)``."""
+    from matplotlib.text import Text
 
-
-def over(sheet: Sheet, pixels: np.ndarray) -> np.ndarray:
-    """The figure drawn over `pixels` ``(H, W, 3)`` uint8; a new array of the same shape."""
-    buffer = np.asarray(sheet.renderer.buffer_rgba())
+    renderer: Any = drawn.canvas.get_renderer()  # type: ignore[attr-defined]
+    buffer = np.asarray(renderer.buffer_rgba())
     buffer[..., :3], buffer[..., 3] = pixels, 255
-    _plain_words(sheet.figure)
-    with _no_complaints():
-        sheet.figure.draw(sheet.renderer)
+    for text in drawn.findobj(Text):  # dollars in queries and names are not formulas
+        text.set_parse_math(False)  # type: ignore[attr-defined]
+    with warnings.catch_warnings():  # a character that no font has is drawn as a box
+        warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
+        drawn.draw(renderer)
     return buffer[..., :3].copy()
+
+
+def image(drawn: Figure) -> Image:
+    """The figure on white paper as an image, RGB."""
+    from PIL import Image
+
+    return Image.fromarray(painted(drawn))
 
 
 @lru_cache(maxsize=1)
@@ -211,17 +187,7 @@ def plain(axes: Axes) -> None:
         spine.set_color("#9aa1ad")
 
 
-def _plain_words(drawn: Figure) -> None:
-    """Dollars in queries and names are not formulas."""
-    from matplotlib.text import Text
-
-    for text in drawn.findobj(Text):
-        text.set_parse_math(False)  # type: ignore[attr-defined]
-
-
-@contextmanager
-def _no_complaints() -> Iterator[None]:
-    """A character that no font has is drawn as a box; a warning for each would help nobody."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
-        yield
+def short(text: str, most: int) -> str:
+    """A text in one line of at most so many characters."""
+    text = " ".join(text.split())
+    return text if len(text) <= most else text[: most - 1] + "…"

@@ -6,23 +6,20 @@ An answer holds from its time until the next one, and is drawn so: nothing is in
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from eagor.drawing.style import STATUS
 from eagor.errors import TimeError
 from eagor.tracking.estimate import Estimate
 
-__all__ = ["COLOURS", "SIDES", "Moment", "Thinned", "TimeLine", "cone_bands", "ticks"]
+__all__ = ["Moment", "Thinned", "TimeLine"]
 
-# By status. They differ in brightness too, and each is named beside the time line.
-COLOURS = {"searching": "#7d8796", "tracking": "#2fd0e6", "ambiguous": "#ffb000", "stale": "#b48cff"}
-# Azimuths in degrees, and what they are called.
-SIDES = ((180, "behind"), (90, "left"), (0, "ahead"), (-90, "right"), (-180, "behind"))
 MOST = 2400  # moments that are kept for curves: more than a picture has columns
-SPANS = (1, 2, 5)  # the steps, times powers of ten, by which a time line of unknown length grows
+STEPS = (1, 2, 5, 10)  # times powers of ten: of the ticks, and of the lengths by which a time line grows
+CALENDAR = 1e5  # seconds: stamps beyond are of a calendar, and the time line counts from the first one
 
 
 class Thinned:
@@ -57,20 +54,18 @@ class Moment:
     stamp: float
     status: str
     presence: float
-    azimuth: float | None = None
-    elevation: float | None = None
-    cone: float | None = None
+    azimuth: float | None
+    elevation: float | None
+    cone: float | None
     problem: str | None = None
 
     @classmethod
     def of(cls, estimate: Estimate, stamp: float | None = None, problem: str | None = None) -> Moment:
         """The answer of `estimate`, for a frame of time `stamp` (None: the estimate's)."""
-        known = estimate.azimuth is not None
-        return cls(
-            float(estimate.stamp if stamp is None else stamp), estimate.status, float(estimate.presence),
-            estimate.azimuth, estimate.elevation, float(estimate.credible_angle) if known else None,
-            problem,
-        )  # fmt: skip
+        e = estimate
+        cone = None if e.azimuth is None else float(e.credible_angle)
+        at = float(e.stamp if stamp is None else stamp)
+        return cls(at, e.status, float(e.presence), e.azimuth, e.elevation, cone, problem)
 
     @property
     def half_width(self) -> float:
@@ -96,99 +91,69 @@ class TimeLine:
     def __init__(self, span: float | None = None) -> None:
         if span is not None and not (math.isfinite(span) and span >= 0):
             raise TimeError(f"a time line of {span} seconds; wanted the length of the clip, or None")
-        self.given = span
+        self._given = span
         self.last: Moment | None = None
-        self.first = 0.0
+        self.first = self.now = self._held = 0.0  # the first stamp, the seconds since then and since the last one
         self._kept = Thinned(MOST)
-        self._stretches: list[tuple[float, str]] = []  # since when, which status
+        self._changes: list[tuple[float, str]] = []  # since when, which status
 
     def add(self, moment: Moment) -> None:
         """Append a moment. Raises `TimeError` unless its stamp is finite and later than the last one."""
         if not math.isfinite(moment.stamp):
             raise TimeError(f"the stamp {moment.stamp}; wanted a finite time in seconds")
-        if self.last is not None and moment.stamp <= self.last.stamp:
+        if self.last is None:
+            self.first = moment.stamp
+        elif moment.stamp <= self.last.stamp:
             raise TimeError(
                 f"the stamp {moment.stamp:g} s comes after {self.last.stamp:g} s; wanted frames in order of time"
             )
-        if self.last is None:
-            self.first = moment.stamp
+        self._held, self.now = moment.stamp - self.first - self.now, moment.stamp - self.first
         if self.last is None or moment.status != self.last.status:
-            self._stretches.append((moment.stamp, moment.status))
+            self._changes.append((self.now, moment.status))
         self._kept.add(moment)
         self.last = moment
 
     @property
-    def now(self) -> float:
-        """Seconds since the first stamp."""
-        return 0.0 if self.last is None else self.last.stamp - self.first
-
-    @property
     def span(self) -> float:
         """Seconds on the axis."""
-        if self.given is not None:
-            return max(self.given, self.now, 1e-3)
+        if self._given is not None:
+            return max(self._given, self.now, 1e-3)
         decade = 10.0 ** math.floor(math.log10(max(self.now, 1.0)))
-        return next(step * decade for step in (*SPANS, 10) if step * decade >= self.now)
+        return next(step * decade for step in STEPS if step * decade >= self.now)
 
     @property
     def end(self) -> float:
         """Until when the last answer is drawn: for as long as the one before it, within the axis."""
-        if len(self._kept.items) < 2 or self.last is None:
-            return min(self.span, self.now + self.span / 200)
-        before = [kept for kept in self._kept.items[-2:] if kept is not self.last][-1]
-        return min(self.span, self.now + (self.last.stamp - before.stamp))
+        return min(self.span, self.now + (self._held or self.span / 200))
 
-    def stretches(self) -> list[tuple[float, float, str]]:
-        """Begin and end (seconds since the first stamp) of each stretch of one status."""
-        begins = [begin - self.first for begin, _ in self._stretches]
-        return [
-            (begin, end, status)
-            for begin, end, (_, status) in zip(begins, [*begins[1:], self.end], self._stretches, strict=False)
-        ]
+    def ticks(self) -> list[tuple[float, str]]:
+        """Round times, seconds on the axis, and how they are called."""
+        from matplotlib.ticker import MaxNLocator
 
-    def presence(self) -> np.ndarray:
-        """Begin, end (seconds) and presence of each moment ``(n, 3)``."""
-        return np.array([(begin, end, m.presence) for begin, end, m in self._lasting()]).reshape(-1, 3)
+        times = MaxNLocator(8, steps=STEPS).tick_values(0, self.span)
+        begin = self.first if 0 <= self.first < CALENDAR else 0.0
+        return [(time, f"{begin + time:g} s") for time in times if time <= self.span * (1 + 1e-9)]
 
-    def answers(self) -> np.ndarray:
-        """Begin, end (seconds) and azimuth (degrees) of each answer ``(n, 3)``."""
-        found = [(b, e, math.degrees(m.azimuth)) for b, e, m in self._lasting() if m.azimuth is not None]
-        return np.array(found, dtype=float).reshape(-1, 3)
+    def boxes(self) -> dict[str, np.ndarray]:
+        """What is drawn over time: boxes ``(n, 4)``, begin and end (seconds on the axis) and two values.
 
-    def bands(self) -> np.ndarray:
-        """Begin, end (seconds), lowest and highest azimuth (degrees) of the 90 % cones ``(n, 4)``; cut at the seam."""
-        known = [(b, e, m.azimuth, m.half_width) for b, e, m in self._lasting() if m.azimuth is not None]
-        return cone_bands(known)
-
-    def _lasting(self) -> list[tuple[float, float, Moment]]:
-        """The kept moments with begin and end (seconds since the first stamp)."""
-        begins = [moment.stamp - self.first for moment in self._kept.items]
-        return list(zip(begins, [*begins[1:], self.end], self._kept.items, strict=False))
-
-
-def cone_bands(cones: Iterable[tuple[float, float, float, float]]) -> np.ndarray:
-    """Begin, end, lowest and highest azimuth (degrees) ``(n, 4)`` of cones; two where one is cut at the seam.
-
-    `cones`: begin, end, middle and half width (radians) of each.
-    """
-    found = []
-    for begin, end, *angles in cones:
-        middle, half = map(math.degrees, angles)
-        low, high = middle - half, middle + half
-        if half >= 180:
-            found.append((begin, end, -180.0, 180.0))
-        elif low < -180:
-            found += [(begin, end, -180.0, high), (begin, end, low + 360, 180.0)]
-        elif high > 180:
-            found += [(begin, end, low, 180.0), (begin, end, -180.0, high - 360)]
-        else:
-            found.append((begin, end, low, high))
-    return np.array(found, dtype=float).reshape(-1, 4)
-
-
-def ticks(span: float, most: int = 8) -> Sequence[float]:
-    """Round times from 0 to `span`, at most `most` + 1."""
-    rough = span / most
-    decade = 10.0 ** math.floor(math.log10(rough))
-    step = next(step * decade for step in (*SPANS, 10) if step * decade >= rough)
-    return [round(step * index, 9) for index in range(math.floor(span / step + 1e-9) + 1)]
+        `answers`: their azimuth in degrees, twice; `bands`: the lowest and highest azimuth of their 90 % cones, cut at
+        the seam; `presence`: from 0; and for each status from 0 to 1 where it lasted.
+        """
+        moments, changes = self._kept.items, np.array([*(begin for begin, _ in self._changes), self.end])
+        at = np.array([*(moment.stamp - self.first for moment in moments), self.end])
+        times = np.stack([at[:-1], at[1:]], axis=1)
+        angles = [(m.azimuth, m.half_width) if m.azimuth is not None else (math.nan, 0.0) for m in moments]
+        middle, half = np.degrees(angles).reshape(-1, 2).T[:, :, None]
+        presence = np.array([(0.0, moment.presence) for moment in moments]).reshape(-1, 2)
+        limits = [np.hstack([middle - half + turn, middle + half + turn]).clip(-180, 180) for turn in (0, 360, -360)]
+        bands = np.vstack([np.hstack([times, each]) for each in limits])
+        found = {
+            "answers": np.hstack([times, middle, middle])[np.isfinite(middle[:, 0])],
+            "bands": bands[bands[:, 2] < bands[:, 3]],
+            "presence": np.hstack([times, presence]),
+        }
+        for name in STATUS:
+            mine = [index for index, (_, status) in enumerate(self._changes) if status == name]
+            found[name] = np.array([(changes[k], changes[k + 1], 0.0, 1.0) for k in mine]).reshape(-1, 4)
+        return found

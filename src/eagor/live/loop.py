@@ -201,7 +201,7 @@ class Loop:
         self._fatal: EagorError | None = None
         self._refused: set[str] = set()
         self._slip, self._now = 0.0, -math.inf
-        self._problem: str | None = None  # what the camera says of itself
+        self._problems: dict[Part, str | None] = {}  # what the camera and the odometry say of themselves
         self._frozen, self._froze = FrozenCamera(self.core.orientation), ""  # and what was said of it last
 
     def _readers(
@@ -403,10 +403,10 @@ class Loop:
         if self.live and now - self._last_frame > STALLED:
             self._last_frame = now
             self._frames.interrupt()
-        problem = getattr(self._frames.source, "problem", None)
-        if problem != self._problem:
-            self._problem = problem
-            self._trouble("camera", problem or "")
+        for reader in filter(None, (self._frames, self._odometry)):
+            if (problem := getattr(reader.source, "problem", None)) != self._problems.get(reader.name):
+                self._problems[reader.name] = problem
+                self._post(Trouble(now, reader.name, problem or "", "itself"))
         slip = self.clock.slip()
         if abs(slip - self._slip) > SLIPPED:
             way = "forward" if slip > self._slip else "back"

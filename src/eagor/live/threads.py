@@ -19,7 +19,7 @@ import numpy as np
 
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
-from eagor.live.events import Event, PoseCame, PosesLost, Trouble
+from eagor.live.events import Event, Part, PoseCame, PosesLost, Trouble
 from eagor.live.inference import Failed, Inference, InferenceWorker, Looked, UnusableError
 from eagor.media import Frame, Pose
 from eagor.odometry.visual import VisualOdometer
@@ -61,7 +61,7 @@ class Reader(Generic[Item]):
 
     def __init__(
         self,
-        name: str,
+        name: Part,
         source: Any,
         open: Callable[[], Any] | None,
         *,
@@ -71,7 +71,8 @@ class Reader(Generic[Item]):
         trouble: Callable[[str], Any],
         ended: Callable[[str], Any],
     ) -> None:
-        self.name, self._open = name, open
+        self.name: Part = name
+        self._open = open
         self._source: Any = source
         self._items, self._again = items, again
         self._give, self._trouble, self._ended = give, trouble, ended

@@ -19,7 +19,7 @@ from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick
 from eagor.media.intrinsics import Camera
 from eagor.media.ros_frames import BODY, PoseReader
 from eagor.media.ros_messages import TRANSFORMS, stamp_of
-from eagor.media.topic_pictures import Lenses, TopicPictures, placed_in_bag, told_in_bag, topics_of
+from eagor.media.topic_pictures import Lenses, TopicPictures, lens_in_bag, placed_in_bag, topics_of
 
 __all__ = ["BagCamera", "BagPoses", "bag_odometry"]
 
@@ -57,7 +57,7 @@ class BagCamera:
         self.begins = min(_stamp(received, when) for when, received in firsts)
         self._pictures = TopicPictures(
             [received for _, received in firsts], self.topics, Lenses(rig, camera, info, rows),
-            lambda image, told: told_in_bag(self.bag, image, told),
+            lambda image, told: lens_in_bag(self.bag, image, told),
             lambda frames: placed_in_bag(self.bag, frames),
         )  # fmt: skip
         self.frame, camera, builder = self._pictures.frame, self._pictures.camera, self._pictures.builder

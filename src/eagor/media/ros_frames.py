@@ -99,8 +99,7 @@ class TransformTree:
             try:
                 rotation, place = rotation_of(each.transform.rotation), triple(each.transform.translation)
                 if fixed:
-                    self._fixed[child] = parent, (rotation, place)
-                    self._moving.pop(child, None)
+                    self.fix(parent, child, (rotation, place))
                 else:
                     known, stamp = self._moving.get(child), seconds(each.header.stamp)
                     if known is None or known[0] != parent or stamp < self._newest[child] - BACK:
@@ -112,6 +111,11 @@ class TransformTree:
                 continue
             news.add(child)
         return news
+
+    def fix(self, parent: str, child: str, transform: Transform) -> None:
+        """Take it that the child does not move in its parent."""
+        self._fixed[child] = parent, transform
+        self._moving.pop(child, None)
 
     def between(self, parent: str, child: str) -> list[str] | None:
         """The frames whose links lead from `child` to `parent`, in no order; None if these are not connected."""

@@ -24,8 +24,14 @@ from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken
 from eagor.media.stitching import PanoramaBuilder, sizes_of
 
 __all__ = [
-    "LensTold", "Lenses", "TopicPictures", "beside", "is_rectified", "lacks_lens", "lens_told",
-    "placed", "placed_in_bag", "told_in_bag", "topics_of",
+    "Lenses",
+    "TopicPictures",
+    "beside",
+    "lens_in_bag",
+    "lens_of_info",
+    "placed",
+    "placed_in_bag",
+    "topics_of",
 ]  # fmt: skip
 
 OPTION = "--camera-info"
@@ -56,27 +62,12 @@ class Lenses:
     rows: int | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class LensTold:
-    """The `camera` that a CameraInfo tells, and the `frame` that its header names."""
-
-    camera: Camera
-    frame: str
+Info = tuple[Camera, str]  # the camera that a CameraInfo tells, and the frame that its header names
 
 
 def beside(image_topic: str) -> str:
     """The topic of the CameraInfo of a topic of pictures, compressed ones as well."""
-    return f"{_plain(image_topic).rpartition('/')[0]}/camera_info"
-
-
-def is_rectified(image_topic: str) -> bool:
-    """Whether the name of a topic says that its pictures have no distortion any more."""
-    return _plain(image_topic).rpartition("/")[2].startswith(RECTIFIED)
-
-
-def lacks_lens(picture: np.ndarray, rig: Rig | None, camera: Camera | None) -> bool:
-    """Whether a picture ``(H, W, 3)`` is no panorama, and neither a `rig` nor a `camera` tells its lens."""
-    return rig is None and not (camera is not None and camera.known) and not is_whole(picture)
+    return f"{image_topic.removesuffix('/compressed').rpartition('/')[0]}/camera_info"
 
 
 class TopicPictures:
@@ -97,7 +88,7 @@ class TopicPictures:
         firsts: Sequence[Any],
         topics: Sequence[str],
         lenses: Lenses,
-        told: Callable[[str, str | None], LensTold | None],
+        told: Callable[[str, str | None], Info | None],
         placed: Callable[[Sequence[str]], Sequence[np.ndarray]],
     ) -> None:
         pictures = [panorama_of(each) for each in firsts]
@@ -115,9 +106,9 @@ class TopicPictures:
         self.camera: Camera | None = lenses.camera
         self.frame: str | None = names[0]
         if len(topics) == 1:
-            asked = infos[0] is not None or lacks_lens(pictures[0], rig, self.camera)
-            if asked and (found := told(topics[0], infos[0])) is not None:
-                self.camera, self.frame = found.camera, names[0] or found.frame
+            known = rig is not None or (self.camera is not None and self.camera.known) or is_whole(pictures[0])
+            if (infos[0] is not None or not known) and (found := told(topics[0], infos[0])) is not None:
+                self.camera, self.frame = found[0], names[0] or found[1]
         elif rig is not None:
             self.camera, self.frame = None, None
         else:
@@ -130,7 +121,7 @@ class TopicPictures:
                             f"nothing tells the lens of {topic}: there is no CameraInfo on {beside(topic)}; name it "
                             f"with {OPTION}, or give all lenses and their places with --rig FILE.yaml"
                         )
-                    camera, names[at] = found.camera, names[at] or found.frame
+                    camera, names[at] = found[0], names[at] or found[1]
                 cameras.append(camera)
             self.camera, self.frame = None, names[0]
             rig = _rig_of(topics, names, cameras, self._sizes, placed)
@@ -180,7 +171,7 @@ def _lens_of(camera: Camera, size: tuple[int, int], name: str) -> Lens:
 # --- what CameraInfo and the fixed transforms tell ---
 
 
-def told_in_bag(bag: Bag, image_topic: str, asked: str | None = None) -> LensTold | None:
+def lens_in_bag(bag: Bag, image_topic: str, asked: str | None = None) -> Info | None:
     """What the first CameraInfo of a bag tells, on the topic `asked` for.
 
     Without one, on that beside the `image_topic`; None if there is none. Raises `FormatError`.
@@ -193,17 +184,16 @@ def told_in_bag(bag: Bag, image_topic: str, asked: str | None = None) -> LensTol
     first = next(iter(bag.messages([topic])), None)
     if first is None:
         raise FormatError(f"{bag.path} has no message on {topic}; give the lens with --hfov or --camera FILE")
-    return lens_told(first[3], topic, image_topic)
+    return lens_of_info(first[3], topic, image_topic)
 
 
-def _plain(image_topic: str) -> str:
-    return image_topic.removesuffix("/compressed")
+def lens_of_info(received: Any, topic: str, image_topic: str) -> Info:
+    """What a CameraInfo on a `topic` tells of the pictures on another, whose name says whether they are rectified.
 
-
-def lens_told(received: Any, topic: str, image_topic: str) -> LensTold:
-    """What a CameraInfo on a `topic` tells of the pictures on another. Raises `FormatError`."""
-    rig = rig_of_info(received, is_rectified(image_topic), topic)
-    return LensTold(Camera(rig, name=topic), received.header.frame_id)
+    Raises `FormatError`.
+    """
+    rectified = image_topic.removesuffix("/compressed").rpartition("/")[2].startswith(RECTIFIED)
+    return Camera(rig_of_info(received, rectified, topic), name=topic), received.header.frame_id
 
 
 def placed_in_bag(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from eagor.drawing.panorama import heat_of
+from eagor.drawing.heat import heat_of
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
@@ -25,7 +25,7 @@ __all__ = [
 
 MASS = 0.9  # of the region that is drawn
 BINS = 64  # of azimuth
-HEAT_ROWS = (180, 360)
+HEAT_ROWS, FINE_ROWS, SMALL = 180, 360, 0.008  # the latter for a region of so few steradians
 LONGEST = 240  # points of a line
 DEGREE, EVIDENCE_ROWS = 15, 64  # of what one look says
 QUALITY = 80  # of JPEG and WebP
@@ -72,8 +72,9 @@ def belief_of(estimate: Estimate) -> tuple[dict[str, Any] | None, bytes]:
     The header has the border of the region that holds `MASS` as lines of azimuth and elevation, degrees, and
     `undrawn`: why there is none, empty if there is.
     """
-    heat = heat_of(estimate.turned(estimate.stamp, np.eye(3), estimate.spread), HEAT_ROWS)
-    if heat is None or heat.share is None:
+    rows = FINE_ROWS if estimate.region(MASS)[1] < SMALL else HEAT_ROWS
+    heat = heat_of(estimate.turned(estimate.stamp, np.eye(3), estimate.spread), rows)
+    if heat is None:
         return None, b""
     glow = heat.contrast**2 * heat.share  # a belief that is nearly uniform hardly glows
     lines = [line[:: max(1, len(line) // LONGEST)] for line in heat.border]

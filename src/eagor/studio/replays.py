@@ -23,7 +23,7 @@ from eagor.lab.agents.methods import DESCRIPTIONS, TrackerEstimator
 from eagor.lab.envs.places import load_place
 from eagor.lab.eval.episodes import runner_of
 from eagor.lab.eval.results import OURS, Run
-from eagor.lab.tasks.sim.play import StepInfo
+from eagor.lab.tasks.sim.play import Step
 from eagor.lab.tasks.task import finished, sample_of
 from eagor.live.core import LiveCore
 from eagor.live.recording import Replay
@@ -91,7 +91,7 @@ def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> EpisodeRep
     shown = OURS if OURS in trackers else trackers[0]
     listed = [shown, *(name for name in methods if name != shown)]
     runner, spec = runner_of(run, case)
-    episode, seen = runner.plan(spec), list[StepInfo]()
+    episode, seen = runner.plan(spec), list[Step]()
     place = load_place(spec.world, spec.seed, runner.camera.radius)
     targets = {thing.name for index, thing in enumerate(place.scene.instances) if index in episode.targets}
     title = f"{run.task.name} {episode.spec.id}: {episode.query}"
@@ -102,7 +102,7 @@ def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> EpisodeRep
     }  # fmt: skip
     found = EpisodeReplay(scene_of(title, str(episode.query), method=shown, **about))
 
-    def watch(each: StepInfo) -> None:
+    def watch(each: Step) -> None:
         advance(len(seen))
         seen.append(each)
         assert isinstance(each.method, TrackerEstimator)
@@ -112,9 +112,9 @@ def redraw(run: Run, case: str, advance: Advance = lambda _: None) -> EpisodeRep
     runner.run_episode(spec, [shown], watch)
     for number in sorted({*np.linspace(0, len(seen) - 1, min(len(seen), STEPS)).round().astype(int).tolist()}):
         advance(number)
-        picture = seen[number].picture(ROWS)
-        assert picture is not None
-        found.pictures[number] = picture_of(picture, None, ROWS, "WEBP")
+        view = seen[number].view
+        assert view is not None
+        found.pictures[number] = picture_of(view(ROWS).rgb, None, ROWS, "WEBP")
     for number, step in enumerate(found.steps):
         step["methods"] = {name: part for name, entry in methods.items() if (part := _answered(entry, number))}
     return found

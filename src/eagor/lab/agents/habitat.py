@@ -18,22 +18,19 @@ from typing import Any
 
 import numpy as np
 
-from eagor.conventions import wxyz_from_rotation
 from eagor.errors import AnswerError, EagorError
 from eagor.grids import ErpGrid
 from eagor.lab.agents.methods import BASE, answer_at, make_estimator
-from eagor.lab.agents.search_space import Chance, SteeringInput
+from eagor.lab.agents.search_space import SteeringInput
 from eagor.lab.agents.steering import search_config, steering_for
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.worlds.habitat import read_category
 from eagor.perception import Perception, look
-from eagor.sphere import azimuth_elevation, world_R_body
+from eagor.sphere import world_R_body
 
 CAMERA = Camera(height=0.88)  # as in habitat-lab's ObjectNav on HM3D
 NEAR = 0.75  # metres to the thing within which it stops: nobody is told where the view points are
 FLOOR = 0.1  # metres: so near to the height of the feet is floor
-STANDS = 1e-3  # metres: a shorter step only turns
-PATIENCE = 12  # plans in a row that ask for nothing: then it turns once
 
 
 def categories_of(env: Any) -> list[str]:
@@ -72,7 +69,7 @@ class HabitatAgent:
         ours = search_config(self._rules, BASE)
         self._method = make_estimator(self._estimator, self._rng, calibration=calibration, ours=ours, detector=detector)
         self._steering = steering_for(self._rules, self._camera)
-        self._plan: tuple[float, bool] | None = None  # heading, and whether it then walks
+        self._plan: float | None = None  # the heading to turn to before the next step
         self._count = 0
 
     def act(self, observations: Mapping[str, Any]) -> dict[str, str]:
@@ -89,34 +86,20 @@ class HabitatAgent:
             evidence = look(self._perception, picture, query, stamp=stamp, world_R_body=turn)
         except AnswerError:  # one among hundreds costs its step
             evidence = None
-        pose = np.array([*position, *wxyz_from_rotation(turn)])
-        direction = answer_at(self._method, stamp, pose, evidence)
-        for _ in range(PATIENCE):
-            if self._plan is None:
-                depth = self._depth_range * np.asarray(observations["depth"], dtype=float).reshape(picture.shape[:2])
-                distance = self._method.sure_distance()
-                now = SteeringInput(
-                    azimuth=float(azimuth_elevation(direction)[0]),
-                    progress=self._method.progress(),
-                    presence=self._method.presence(),
-                    distance=None if distance is None else distance * math.hypot(direction[0], direction[1]),
-                    position=position,
-                    world_R_body=turn,
-                    floor=self._floor(depth) if self._steering.needs_floor_mask else None,
-                    chance=None if evidence is None else Chance.of(evidence, self._camera.seconds),
-                )
-                azimuth, metres = self._steering.walk(now)
-                if self._steering.arrived:
-                    return {"action": "stop"}
-                self._plan = yaw + azimuth, metres > STANDS
-            heading, walks = self._plan
-            off = math.remainder(heading - yaw, 2 * math.pi)
-            if abs(off) > math.radians(self._camera.turn) / 2:
-                return {"action": "turn_left" if off > 0 else "turn_right"}
-            self._plan = None
-            if walks:
-                return {"action": "move_forward"}
-        return {"action": "turn_left"}
+        direction = answer_at(self._method, stamp, turn, position, evidence)
+        if self._plan is None:
+            depth = self._depth_range * np.asarray(observations["depth"], dtype=float).reshape(picture.shape[:2])
+            floor = self._floor(depth) if self._steering.needs_floor_mask else None
+            looked = floor, evidence, self._camera.seconds
+            azimuth = self._steering.walk(SteeringInput.of(self._method, direction, position, turn, *looked))
+            if self._steering.arrived:
+                return {"action": "stop"}
+            self._plan = yaw + azimuth
+        off = math.remainder(self._plan - yaw, 2 * math.pi)
+        if abs(off) > math.radians(self._camera.turn) / 2:
+            return {"action": "turn_left" if off > 0 else "turn_right"}
+        self._plan = None
+        return {"action": "move_forward"}
 
     def _floor(self, depth: np.ndarray) -> np.ndarray:
         """Which pixels ``(H, 2 H)`` show the floor; a depth of 0 is nothing."""

@@ -16,7 +16,6 @@ import numpy as np
 from eagor import baselines
 from eagor.baselines import GRID, DirectionFilter
 from eagor.belief.ranged import log_ranges
-from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -75,17 +74,36 @@ class Estimator(Protocol):
         """Metres to the target; None without ranges."""
         return None
 
-    def sure_distance(self) -> float | None:
-        """`distance`, but None unless its logarithm is known to within `MAX_DISTANCE_SPREAD`."""
-        return None
+    def belief(self) -> tuple[float, float, float | None]:
+        """What steers a body: progress, presence, distance.
 
-    def progress(self) -> float:
-        """Metres nearer to the target, if it is here, per metre walked along `direction`; 1 without a belief."""
-        return 1.0
+        Metres nearer to the target, if it is here, per metre walked along `direction`; the probability that it is here;
+        metres to it, None unless their logarithm is known to within `MAX_DISTANCE_SPREAD`.
+        """
+        return 1.0, 1.0, None
 
-    def presence(self) -> float:
-        """Probability that the target is here; 1 for estimators that take that for granted."""
-        return 1.0
+
+class Oracle(Estimator):
+    """Knows the target's true `state` (``info["truth"]``), or with `sign` -1 always says the opposite.
+
+    It is the upper bound for geometry and policy. While the target is away, its last direction counts.
+    """
+
+    def __init__(self, sign: float = 1.0) -> None:
+        self.sign, self.state, self._direction = sign, dict[str, Any](), np.array(FORWARD)
+
+    def move(self, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None) -> None:
+        if self.state["present"]:
+            self._direction = self.sign * self.state["direction"]
+
+    def see(self, evidence: Evidence) -> None:
+        pass
+
+    def direction(self) -> np.ndarray:
+        return self._direction
+
+    def belief(self) -> tuple[float, float, float | None]:
+        return 1.0, 1.0, float(self.state["distance"])
 
 
 @dataclass
@@ -128,20 +146,16 @@ class FilterEstimator(Estimator):
         return np.asarray(self.filter.direction())
 
     def mass_above(self, direction: np.ndarray) -> float | None:
-        if self._density is None:
+        if (density := getattr(self.filter, "log_density", None)) is None:
             return None
-        values, truth = self._density(GRID.directions), float(self._density(np.asarray(direction)[None])[0])
+        values, truth = density(GRID.directions), float(density(np.asarray(direction)[None])[0])
         return float(np.sum((np.exp(values) * GRID.weights)[values > truth]))
 
-    def progress(self) -> float:
-        if self._density is None:
-            return 1.0
-        mass = np.exp(self._density(GRID.directions)) * GRID.weights
-        return float(np.sum(mass * (GRID.directions @ self.direction())))
-
-    @property
-    def _density(self) -> Any:
-        return getattr(self.filter, "log_density", None)
+    def belief(self) -> tuple[float, float, float | None]:
+        if (density := getattr(self.filter, "log_density", None)) is None:
+            return super().belief()
+        mass = np.exp(density(GRID.directions)) * GRID.weights
+        return float(np.sum(mass * (GRID.directions @ self.direction()))), 1.0, None
 
 
 class TrackerEstimator(Estimator):
@@ -172,15 +186,10 @@ class TrackerEstimator(Estimator):
     def distance(self) -> float | None:
         return self.estimate.distance
 
-    def sure_distance(self) -> float | None:
-        spread = self.estimate.distance_spread
-        return None if spread is None or spread > MAX_DISTANCE_SPREAD else self.estimate.distance
-
-    def progress(self) -> float:
-        return self.estimate.progress
-
-    def presence(self) -> float:
-        return self.estimate.presence
+    def belief(self) -> tuple[float, float, float | None]:
+        found, spread = self.estimate, self.estimate.distance_spread
+        sure = spread is not None and spread <= MAX_DISTANCE_SPREAD
+        return found.progress, found.presence, found.distance if sure else None
 
 
 def default_methods(perception: str) -> tuple[str, ...]:
@@ -188,9 +197,11 @@ def default_methods(perception: str) -> tuple[str, ...]:
     return EVERY if is_model(perception) else NAMES
 
 
-def answer_at(method: Estimator, stamp: float, pose: np.ndarray, evidence: Evidence | None) -> np.ndarray:
-    """The estimator's direction ``(3,)`` at a `pose` ``(7,)`` of the odometry, given the evidence that has arrived."""
-    method.move(stamp, rotation_from_wxyz(pose[3:]), pose[:3])
+def answer_at(
+    method: Estimator, stamp: float, world_R_body: np.ndarray, position: np.ndarray | None, evidence: Evidence | None
+) -> np.ndarray:
+    """The estimator's direction ``(3,)`` at a pose of the odometry, given the evidence that has arrived."""
+    method.move(stamp, world_R_body, position)
     if evidence is not None:
         method.see(evidence)
     return method.direction()
@@ -209,26 +220,16 @@ _FILTERS: dict[str, Callable[[], DirectionFilter]] = {
     "vmf": baselines.VonMisesFisherFilter,
     "grid_filter": baselines.HistogramFilter,
 }
-_KNOWN = {  # the settings of filters that have some
-    "vmf": (*_READING, "noise"),
-    "grid_filter": (*_READING, "diffusion", "mixing"),
-    "particle_filter": (*_READING, "roughening", "reborn", "kernel"),
-}
 # The settings of our tracker are the fields of its configuration and of its parts (of two parts with a field of one
 # name the first, the other as detector.spread), but for shells=0: directions only; heights=0: the floor is not known.
+_OWN = ("degree", "shells", "heights", "drift")
 _PARTS = {
     "answers": AnswerSettings,
     "target_motion": MotionModel,
     "calibration": Calibration,
     "detector": DetectorModel,
 }
-_TRACKER = (
-    "degree",
-    "shells",
-    "heights",
-    "drift",
-    *(f"{part}.{each.name}" for part, kind in _PARTS.items() for each in fields(kind)),
-)
+_TRACKER = (*_OWN, *(f"{part}.{each.name}" for part, kind in _PARTS.items() for each in fields(kind)))
 _DEGREES = ("noise", "diffusion", "roughening", "kernel", "wander", "turn", "spread", "offset", "drift")  # in radians
 FITTED: dict[str, dict[str, str]] = {
     "scout": {  # the von Mises-Fisher filter did best with its defaults, in 48 trials each
@@ -268,8 +269,10 @@ def make_estimator(
     try:
         settings = _settings(fitted(perception, base)) | _settings(text)
         if base in _FILTERS or base == "particle_filter":
-            made = _FILTERS[base]() if base in _FILTERS else baselines.ParticleFilter.uniform(PARTICLES, rng)
-            return FilterEstimator(_with_settings(made, settings, _KNOWN.get(base, ()), {}))
+            made: Any = _FILTERS[base]() if base in _FILTERS else baselines.ParticleFilter.uniform(PARTICLES, rng)
+            own = [each.name for each in fields(made) if isinstance(getattr(made, each.name), float)]
+            reading = _READING if hasattr(made, "calibration") else ()
+            return FilterEstimator(_with_settings(made, settings, (*reading, *own), {}))
         config = TrackerConfig.paper() if base == "eagor_paper" else ours or TrackerConfig()
         parts = {"calibration": calibration or Calibration(), "detector": detector or DetectorModel()}
         return TrackerEstimator(_with_settings(config, settings, _TRACKER, parts))
@@ -313,14 +316,15 @@ def _value(name: str, text: str, now: Any) -> Any:
         return text
     if text == "?":  # to be learnt
         return None
-    if isinstance(now, int) and not text.isdecimal():
-        raise EagorError(f"{name} = {text}; wanted a whole number, 0 or more")
+    if isinstance(now, int):
+        if not text.isdecimal():
+            raise EagorError(f"{name} = {text}; wanted a whole number, 0 or more")
+        return int(text)
     try:
-        numbers = [int(text)] if isinstance(now, int) else [float(each) for each in text.split("+")]
+        numbers = [float(each) for each in text.split("+")]
     except ValueError:
         raise EagorError(f"{name} = {text}; wanted a number") from None
-    if name in _DEGREES:
-        numbers = [math.radians(number) for number in numbers]
+    numbers = [math.radians(number) if name in _DEGREES else number for number in numbers]
     if not isinstance(now, tuple):
         return numbers[0]
     return tuple(numbers) if any(numbers) else ()  # no such kind

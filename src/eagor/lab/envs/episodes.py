@@ -22,7 +22,6 @@ from eagor.lab.envs.places import APARTMENT, SEEDS, Place
 from eagor.lab.worlds import FILES
 
 PER_PLACE = 5
-UNRECORDED = ("spec", "route", "view_points", "goals")  # long parts of an episode, which its spec brings back
 
 
 @dataclass(frozen=True)
@@ -42,10 +41,10 @@ class EpisodeSpec:
 
     def rng(self, purpose: str) -> np.random.Generator:
         """An independent generator for each purpose, wherever the file of the scene is."""
-        file, world = scene_file(self.world), self.world
-        if file and (path := Path(file)).is_file():
-            state = path.stat()
-            world = world.replace(file, _digest(path, state.st_mtime_ns, state.st_size), 1)
+        world, file = self.world, self.world.removeprefix("habitat:").partition("?")[0]
+        if (file != world or Path(file).suffix.lower() in FILES) and Path(file).is_file():
+            state = Path(file).stat()
+            world = world.replace(file, _digest(file, state.st_mtime_ns, state.st_size), 1)
         name = f"{self.task}/{world}/{self.id}/{purpose}"
         return np.random.default_rng([zlib.crc32(name.encode()), self.seed, self.index])
 
@@ -54,9 +53,11 @@ class EpisodeSpec:
 class Episode:
     """Where it happens, what to look for, and where the body starts.
 
-    `targets`: ids of the things that the query names; `start`: x, y in metres; `yaw`: radians; `stratum`: kind of the
-    episode, for tables; `shortest`: geodesic metres from the start to the nearest target's footprint, inf if no path
-    leads there (things on walls can be targets, too).
+    - `targets`: ids of the things that the query names; `start`: x, y in metres; `yaw`: radians; `stratum`: kind of the
+      episode, for tables; `shortest`: geodesic metres from the start to the nearest target's footprint, inf if no path
+      leads there (things on walls can be targets, too).
+    - Of a body that is carried: `route`, rows of x, y, yaw, the first is the start; `legs`: which leg each belongs to.
+    - Of a ball: x, y, z of its centre at each step (`balls`, None while it is away), its `radius` and its `colour`.
     """
 
     spec: EpisodeSpec
@@ -68,11 +69,16 @@ class Episode:
     yaw: float
     shortest: float
     stratum: dict[str, Any] = field(default_factory=dict)
+    route: tuple[tuple[float, float, float], ...] = ()
+    legs: tuple[str, ...] | None = None
+    balls: tuple[tuple[float, float, float] | None, ...] | None = None
+    radius: float | None = None
+    colour: str | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """For records and reports."""
+        """For records and reports, without what its spec brings back and what it has not."""
         known = {"id": self.spec.id, "seed": self.spec.seed, "world": self.spec.world, "index": self.spec.index}
-        rest = {key: value for key, value in asdict(self).items() if key not in UNRECORDED}
+        rest = {k: value for k, value in asdict(self).items() if k not in ("spec", "route") and value is not None}
         return known | rest | {"shortest": self.shortest if math.isfinite(self.shortest) else None}
 
 
@@ -92,27 +98,13 @@ def episode_specs(task: str, count: int, seed: int, world: str = APARTMENT) -> I
 
 def choose_target(place: Place, rng: np.random.Generator) -> Iterator[tuple[int, str]]:
     """The nameable things of a place in random order, with their names; every category is equally likely."""
-    by_category: dict[str, list[int]] = {}
-    names = place.nameable()
-    for index in names:
-        by_category.setdefault(place.scene.instances[index].category, []).append(index)
-    for category in rng.permutation(sorted(by_category)):
-        for index in rng.permutation(by_category[str(category)]):
+    names, things = place.nameable(), place.scene.instances
+    for category in rng.permutation(sorted({things[index].category for index in names})):
+        for index in rng.permutation([index for index in names if things[index].category == category]):
             yield int(index), str(names[int(index)])
 
 
-def scene_file(world: str) -> str:
-    """The file of a world that is a scene in a file; empty for others."""
-    name = world.removeprefix("habitat:").partition("?")[0]
-    return name if name != world or Path(name).suffix.lower() in FILES else ""
-
-
 @lru_cache(maxsize=64)
-def _digest(file: Path, *changes: int) -> str:
+def _digest(file: str, *changes: int) -> str:
     """Of the content of a file, with what changes with it."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def spec_from_json(values: dict[str, Any]) -> EpisodeSpec:
-    """The spec of a unit of work."""
-    return EpisodeSpec(**values)
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()

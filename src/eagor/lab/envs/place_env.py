@@ -8,10 +8,9 @@ Observations (Dict):
   ``world_R_body`` as a quaternion w, x, y, z; from the odometry, which may drift (`NoiseModel`).
 - ``rotation`` ``(3, 3)`` float64: new_R_old since the last step, from the same odometry.
 
-``info`` holds Habitat's measures under their names (`distance_to_goal`, `success`, `spl`, `soft_spl`, `collisions`,
-`num_steps`), the ``query``, the ``episode_id`` (``episode`` is left to wrappers' statistics), and two privileged
-entries that agents must not use: ``instances`` (``ids``, the instance in each direction, and at reset ``labels``) and
-``truth`` (true pose, direction, distance, visibility).
+``info`` holds `num_steps`, the ``query``, the ``episode_id`` (``episode`` is left to wrappers' statistics), and two
+privileged entries that agents must not use: ``instances`` (``ids``, the instance in each direction, and at reset
+``labels``) and ``truth`` (true pose, direction, distance, visibility).
 
 An action is a Box: where the agent walks, heading (radians, left) and metres; where it answers, x, y, z (body frame).
 """
@@ -19,8 +18,8 @@ An action is a Box: where the agent walks, heading (radians, left) and metres; w
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,9 @@ from eagor.errors import MissingExtraError, WorldError
 from eagor.lab.envs.episodes import PER_PLACE, Episode, EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT, LOOK_ROWS, Place, load_place, pixels_of
 from eagor.lab.envs.rules import VISIBLE, Camera, NoiseModel
+from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.render import Ball, Frame, with_ball
+from eagor.queries import Query
 from eagor.sphere import world_R_body
 
 try:
@@ -41,7 +42,6 @@ except ImportError as error:
     raise MissingExtraError(f"a simulated task needs gymnasium: {how_to_install('sim')}") from error
 
 
-Picture = Callable[[int], np.ndarray | None]  # a panorama ``(rows, 2 rows, 3)`` uint8, by its rows
 BOBS_PER_SECOND = 2.0
 FAR = 100.0  # metres: ranges in observations are clipped to this
 EXTENT = 1e4  # metres, bound of positions in observations; rendering in single precision gets inexact beyond it
@@ -62,39 +62,49 @@ class Pose:
         return (offset / distance if distance > 0 else np.array([1.0, 0.0, 0.0])), distance
 
 
-@dataclass
+@dataclass(eq=False)
 class MobileBase:
-    """Moves on the floor along its heading, with bobbing and swaying; `rng` draws the odometry's drift.
+    """A round body with a camera on the `ground`, at `xy` ``(2,)``, `yaw` in radians, with bobbing and swaying.
 
-    `floor`: the height of the ground under it, metres, which the odometry measures.
+    `rng` draws the odometry's drift, which measures its height above the floor, too. `walked`: metres so far.
     """
 
-    camera: Camera
-    noise: NoiseModel
-    rng: np.random.Generator
+    ground: Ground
     xy: np.ndarray
     yaw: float
-    floor: float = 0.0
+    camera: Camera = field(default_factory=Camera)
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     steps: int = 0
     walked: float = 0.0
 
     def __post_init__(self) -> None:
-        self._odometry_xy, self._odometry_yaw = self.xy.copy(), self.yaw
+        self.xy = self._odometry_xy = np.array(self.xy, dtype=np.float64)
+        self.floor, self._odometry_yaw = float(self.ground.height(self.xy)), self.yaw
         self._scale = 1.0 + self.noise.scale_drift * float(self.rng.standard_normal())
         self._phase = float(self.rng.uniform(0, 2 * math.pi))
 
-    def move(self, xy: np.ndarray, yaw: float, floor: float = 0.0) -> None:
-        """One step, to the given place and heading; `floor`: the height of the ground there."""
-        step, turn = xy - self.xy, math.remainder(yaw - self.yaw, 2 * math.pi)
+    def walk(self, turn: float, metres: float, slide: bool = True) -> bool:
+        """One step: turn, radians to the left, and go ahead (back, if negative); whether something was in the way."""
+        yaw = math.remainder(self.yaw + turn, 2 * math.pi)
+        xy, collided = self.xy, False
+        if metres:
+            ahead = metres * np.array([math.cos(yaw), math.sin(yaw)])
+            xy, collided = self.ground.move(self.xy, ahead, slide=slide)
+        self.carry(xy, yaw)
+        return collided
+
+    def carry(self, xy: np.ndarray, yaw: float) -> None:
+        """One step, to the given place and heading."""
+        step, floor = xy - self.xy, float(self.ground.height(xy))
         length = float(np.hypot(*step))
         slip = math.radians(self.noise.yaw_drift) * math.sqrt(length) * float(self.rng.standard_normal())
         # The odometry measures the step in the body frame, with errors in scale and heading.
         off = self._odometry_yaw - self.yaw
         c, s = math.cos(off), math.sin(off)
-        self._odometry_xy = self._odometry_xy + self._scale * np.array(
-            [c * step[0] - s * step[1], s * step[0] + c * step[1]]
-        )
-        self._odometry_yaw += turn + slip
+        moved = np.array([c * step[0] - s * step[1], s * step[0] + c * step[1]])
+        self._odometry_xy = self._odometry_xy + self._scale * moved
+        self._odometry_yaw += math.remainder(yaw - self.yaw, 2 * math.pi) + slip
         self.walked += math.hypot(length, floor - self.floor)
         self.xy, self.yaw, self.floor = np.asarray(xy, dtype=np.float64), yaw, floor
         self.steps += 1
@@ -110,12 +120,12 @@ class MobileBase:
         return self._pose(self._odometry_xy, self._odometry_yaw)
 
     def _pose(self, xy: np.ndarray, yaw: float) -> Pose:
-        stamp = self.steps * self.camera.seconds
-        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * stamp * 0.93  # 0.93: not in step with panoramas
+        # 0.93: not in step with panoramas.
+        phase = self._phase + 2 * math.pi * BOBS_PER_SECOND * (self.steps * self.camera.seconds) * 0.93
         height = self.floor + self.camera.height + self.noise.bob * math.sin(phase)
         sway = math.radians(self.noise.sway)
         turned = world_R_body(yaw, sway * math.sin(phase / 2 + 1.0), sway * math.sin(phase / 2))
-        return Pose(np.array([xy[0], xy[1], height]), turned)
+        return Pose(np.array([*xy, height]), turned)
 
 
 class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
@@ -125,7 +135,7 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
     from; `panorama`, rows of the image (None: none); `with_range`; `camera`; `disturbances`; `render_mode` "rgb_array".
     ``reset(options={"episode": episode})`` plays a given episode.
 
-    A task says its name, its default `rules`, its `action_space`, and implements `plan`, `step` and `_measures`.
+    A task says its name, its default `rules`, its `action_space`, and implements `plan` and `_act`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012 (Gymnasium's own form)
@@ -167,28 +177,22 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
         """The episode of this spec: the same one each time. Raises `WorldError` if the world has none."""
         raise NotImplementedError
 
-    def _measures(self) -> dict[str, Any]:
+    def _act(self, action: np.ndarray) -> tuple[float, bool, bool]:
+        """One step by a finite action: its reward, and whether the episode is terminated or truncated."""
         raise NotImplementedError
-
-    def _start(self) -> None:
-        """Task-specific start of an episode."""
 
     def _ball(self) -> Ball | None:
         """The ball in the place at this step, if any."""
-        return None
+        balls = self.episode.balls or (None,)
+        centre = balls[min(self.body.steps, len(balls) - 1)]
+        return None if centre is None else Ball(np.array(centre), self.episode.radius, self.episode.colour)
 
-    def _target(self) -> np.ndarray | None:
+    def target(self) -> np.ndarray | None:
         """The point ``(3,)`` in the world frame that the true direction leads to; None while the target is away."""
-        return self._nearest([self.place.scene.instances[i].centre for i in self.episode.targets])
-
-    def _nearest(self, points: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
-        """The one of points ``(n, 3)`` that is nearest to the camera."""
-        return min(points, key=lambda point: float(np.linalg.norm(point - self.body.pose.position)))
-
-    @property
-    def labels(self) -> tuple[Any, ...]:
-        """The things of the place, in the order of their ids; a ball comes last."""
-        return self.place.scene.instances
+        if self.episode.balls is not None:
+            return ball.centre if (ball := self._ball()) else None
+        centres = (self.place.scene.instances[index].centre for index in self.episode.targets)
+        return min(centres, key=lambda point: float(np.linalg.norm(point - self.body.pose.position)))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
         super().reset(seed=seed)
@@ -204,32 +208,30 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
                 f"episode {spec.id} was made for scene {chosen.scene_hash}, but this version of the world makes "
                 f"{self.place.scene.hash} of {chosen.scene}; plan the episode again"
             )
-        start = np.array(chosen.start)
-        floor = self.place.ground.height(start)
-        self.body = MobileBase(self.camera, self.disturbances, spec.rng("odometry"), start, chosen.yaw, floor)
-        if np.abs(self.body.pose.position).max() > EXTENT:
-            raise WorldError(
-                f"episode {spec.id} starts at {self.body.pose.position} m; wanted a scene within "
-                f"{EXTENT / 1000:g} km of the origin of its coordinates: move it there"
-            )
-        self._start()
-        self._before: Pose | None = None
-        self._collisions, self._collided = 0, False
-        self._frame()
-        info = self._info()
-        info["instances"]["labels"] = self.labels
-        return self._observation(), info
+        rng = spec.rng("odometry")
+        self.body = MobileBase(
+            self.place.ground, np.array(chosen.start), chosen.yaw, self.camera, self.disturbances, rng
+        )
+        if np.abs(start := self.body.pose.position).max() > EXTENT:
+            wanted = f"a scene within {EXTENT / 1000:g} km of the origin of its coordinates: move it there"
+            raise WorldError(f"episode {spec.id} starts at {start} m; wanted {wanted}")
+        self._collisions, self._collided, self._stopped, self._before = 0, False, False, self.body.odometry
+        observation, info = self._shown()
+        ball = [] if chosen.balls is None else [Query("ball", chosen.colour)]
+        info["instances"]["labels"] = (*self.place.scene.instances, *ball)  # in the order of their ids
+        return observation, info
 
-    def _frame(self) -> None:
-        """Render from the current camera pose."""
-        look = self._camera_view()
-        self.ids = np.asarray(look(LOOK_ROWS, rgb=False, ids=True).ids)
-        self._picture: Any = None
-        if self.rows is not None or self.with_range:
-            self._picture = look(self.rows or LOOK_ROWS, rgb=self.rows is not None, range=True)
+    def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
+        values = np.asarray(action, dtype=np.float64).reshape(self.action_space.shape)
+        if not np.isfinite(values).all():
+            raise WorldError(f"action {action!r}; wanted {len(values)} finite numbers, as {self.task} takes them")
+        self._before = self.body.odometry
+        reward, terminated, truncated = self._act(values)
+        observation, info = self._shown()
+        return observation, reward, terminated, truncated, info
 
-    def _camera_view(self) -> Callable[..., Frame]:
-        """Renders what the camera shows at this step, with the ball, if any; also after later steps."""
+    def view(self) -> Callable[..., Frame]:
+        """Renders a panorama of so many rows, as the camera shows it at this step, also after later steps."""
         place, pose, ball = self.place, self.body.pose, self._ball()
 
         def look(rows: int, rgb: bool = True, range: bool = False, ids: bool = False) -> Frame:
@@ -241,36 +243,28 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
 
         return look
 
-    def picture(self) -> Picture:
-        """The panorama at this step, for whoever watches: rendered when it is asked for, also after later steps."""
-        look = self._camera_view()
-        return lambda rows: look(rows).rgb
-
-    def _observation(self) -> dict[str, np.ndarray]:
-        odometry = self.body.odometry
-        before = self._before or odometry
-        found = {
+    def _shown(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """The observation of this step, and its info."""
+        look, odometry = self.view(), self.body.odometry
+        found: dict[str, Any] = {
             "pose": np.concatenate([odometry.position, conventions.wxyz_from_rotation(odometry.world_R_body)]),
-            "rotation": np.clip(odometry.world_R_body.T @ before.world_R_body, -1.0, 1.0),
+            "rotation": np.clip(odometry.world_R_body.T @ self._before.world_R_body, -1.0, 1.0),
         }
-        if self._picture is not None and self.rows is not None:
-            found["panorama"] = self._picture.rgb
-        if self._picture is not None and self.with_range:
-            metres = np.where(np.isfinite(self._picture.range), self._picture.range, 0.0)
-            found["range"] = np.minimum(metres, FAR).astype(np.float32)
-        return found
+        if self.rows is not None or self.with_range:
+            frame: Any = look(self.rows or LOOK_ROWS, rgb=self.rows is not None, range=True)
+            metres = np.minimum(np.where(np.isfinite(frame.range), frame.range, 0.0), FAR).astype(np.float32)
+            found |= {"panorama": frame.rgb} if self.rows is not None else {}
+            found |= {"range": metres} if self.with_range else {}
+        return found, self._info(np.asarray(look(LOOK_ROWS, rgb=False, ids=True).ids))
 
-    def _info(self) -> dict[str, Any]:
-        pose, target = self.body.pose, self._target()
+    def _info(self, ids: np.ndarray) -> dict[str, Any]:
+        pose, target, legs = self.body.pose, self.target(), self.episode.legs
         direction, distance = pose.towards(target) if target is not None else (np.zeros(3), 0.0)
-        visible = pixels_of(self.ids, self.episode.targets) >= getattr(self.rules, "visible_pixels", VISIBLE)
+        visible = pixels_of(ids, self.episode.targets) >= getattr(self.rules, "visible_pixels", VISIBLE)
         return {
             "query": self.episode.query,
             "episode_id": self.episode.spec.id,
-            "scene": self.place.scene.source,
-            "scene_hash": self.place.scene.hash,
             "num_steps": self.body.steps,
-            "collisions": {"count": self._collisions, "is_collision": self._collided},
             "truth": {
                 "position": pose.position,
                 "world_R_body": pose.world_R_body,
@@ -278,52 +272,33 @@ class PlaceEnv(gymnasium.Env[dict[str, np.ndarray], Any]):
                 "distance": distance,
                 "present": target is not None,
                 "visible": visible,
-            },
-            "instances": {"ids": self.ids},
-            **self._measures(),
+            }
+            | ({} if legs is None else {"leg": legs[min(self.body.steps, len(legs) - 1)]}),
+            "instances": {"ids": ids},
         }
-
-    def _move_to(self, xy: np.ndarray, yaw: float, collided: bool = False) -> None:
-        """Move the body to a new place and look again."""
-        self._before = self.body.odometry
-        self.body.move(xy, yaw, self.place.ground.height(xy))
-        self._collided = collided
-        self._collisions += collided
-        self._frame()
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """The panorama at this step, at least 128 rows, uint8."""
-        return self.picture()(max(self.rows or 0, 128)) if self.render_mode == "rgb_array" else None
+        return self.view()(max(self.rows or 0, 128)).rgb if self.render_mode == "rgb_array" else None
 
 
 class AnsweringEnv(PlaceEnv):
     """The camera is carried along, and the action is the answer: a direction ``(3,)`` in the body frame.
 
-    The path is the episode's `route`, rows of x, y, yaw (metres, radians); the first is the start. The answer given to
-    `step` is about the observation before it. The reward is minus its error, in radians.
+    The path is the episode's `route`. The answer given to `step` is about the observation before it. The reward is
+    minus its error, in radians.
     """
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.action_space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (3,), np.float32)
 
-    def _start(self) -> None:
-        self._error = math.nan
-
-    def _measures(self) -> dict[str, Any]:
-        return {"error_deg": math.degrees(self._error)}
-
-    def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
-        target, direction = self._target(), np.asarray(action, dtype=np.float64).reshape(3)
-        length = float(np.linalg.norm(direction))
-        if not math.isfinite(length):
-            raise WorldError(f"action {action!r}; wanted a finite direction (x, y, z) in the body frame")
-        self._error = math.nan
+    def _act(self, action: np.ndarray) -> tuple[float, bool, bool]:
+        target, route, reward = self.target(), self.episode.route, 0.0
         if target is not None:
-            cosine = float(direction @ self.body.pose.towards(target)[0]) / length if length > 0 else -1.0
-            self._error = math.acos(min(1.0, max(-1.0, cosine)))
-        reward = 0.0 if target is None else -self._error
-        route = self.episode.route
-        x, y, yaw = route[min(self.body.steps + 1, len(route) - 1)]
-        self._move_to(np.array([x, y]), yaw)
-        return self._observation(), reward, self.body.steps >= len(route) - 1, False, self._info()
+            length = float(np.linalg.norm(action))
+            cosine = float(action @ self.body.pose.towards(target)[0]) / length if length > 0 else -1.0
+            reward = -math.acos(min(1.0, max(-1.0, cosine)))
+        *xy, yaw = route[min(self.body.steps + 1, len(route) - 1)]
+        self.body.carry(np.array(xy), yaw)
+        return reward, self.body.steps >= len(route) - 1, False

@@ -38,7 +38,7 @@ class Place:
 
     def eye(self, xy: np.ndarray, height: float) -> np.ndarray:
         """The point ``(3,)`` at this height (metres) above the ground at a point ``(2,)``: of a camera, say."""
-        return np.array([xy[0], xy[1], height + self.ground.height(xy)])
+        return np.array([*xy, height + self.ground.height(xy)])
 
     def ids(self, position: np.ndarray, world_R_body: np.ndarray, rows: int = LOOK_ROWS) -> np.ndarray:
         """The instance in each direction: an equirectangular image ``(rows, 2 rows)``, -1 for none."""
@@ -64,18 +64,14 @@ class Place:
 
     def nameable(self) -> dict[int, Query]:
         """The things with a unique query, "[colour] category", by their index in the scene."""
-        things = self.scene.instances
+        things, names = self.scene.instances, {}
         count = Counter(thing.category for thing in things)
-        twins = Counter((thing.category, thing.colour) for thing in things)
-        names = {}
         for index, thing in enumerate(things):
-            if thing.category in UNTARGETED:
-                continue
-            if count[thing.category] == 1:
-                names[index] = Query(thing.category)  # the only sofa is called "sofa",
-            elif thing.colour and twins[thing.category, thing.colour] == 1:
-                names[index] = Query(thing.category, thing.colour)  # one of several chairs is named with its colour
-        return names
+            only = count[thing.category] == 1  # the only sofa is called "sofa", one of several chairs has its colour
+            if thing.category not in UNTARGETED and (only or thing.colour):
+                names[index] = Query(thing.category, None if only else thing.colour)
+        twins = Counter(names.values())
+        return {index: name for index, name in names.items() if twins[name] == 1}
 
     def missing(self, rng: np.random.Generator, known: bool = False) -> Query:
         """A query without an answer: an absent category (not if `known`), or a category here in another colour."""

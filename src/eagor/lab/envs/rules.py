@@ -8,8 +8,7 @@ Rules that make the task impossible raise a `WorldError` that names the rule.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal, TypeVar, get_type_hints
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
@@ -34,23 +33,22 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=1, le=int(MOST))]
 
 
-class _Rules:
+class _Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Rejects values outside the types of the rules."""
 
     def __post_init__(self) -> None:
-        for name, kind in get_type_hints(type(self), include_extras=True).items():
+        for field in msgspec.structs.fields(self):
             try:
-                msgspec.convert(getattr(self, name), kind)
+                msgspec.convert(getattr(self, field.name), field.type)
             except msgspec.ValidationError as error:
-                self._require(name, False, str(error))
+                self._require(field.name, False, str(error))
 
     def _require(self, name: str, holds: bool, wanted: str) -> None:
         if not holds:
             raise WorldError(f"{type(self).__name__}: {name} = {getattr(self, name)!r}; {wanted}")
 
 
-@dataclass(frozen=True)
-class Camera(_Rules):
+class Camera(_Rules, frozen=True):
     """How the camera is carried, and how fast. It sees all around.
 
     - `height`: of the camera above the floor. `radius`: of the body that carries it.
@@ -65,8 +63,7 @@ class Camera(_Rules):
     seconds: Positive = 0.5
 
 
-@dataclass(frozen=True)
-class NoiseModel(_Rules):
+class NoiseModel(_Rules, frozen=True):
     """The noise of a real body; all off by default.
 
     - `bob`: amplitude, metres, of the camera's rise and fall, twice per second, and `sway`: amplitude, degrees, of its
@@ -88,8 +85,7 @@ class NoiseModel(_Rules):
         return cls(bob=0.03, sway=2.0, yaw_drift=2.0, scale_drift=0.03, latency=latency)
 
 
-@dataclass(frozen=True)
-class NavigationRules(_Rules):
+class NavigationRules(_Rules, frozen=True):
     """Map-Free Navigation: start facing away, walk in fixed steps until the target is reached.
 
     - `max_steps`: the episode then ends as a failure (Habitat's limit). `sliding`: along walls (Habitat's default).
@@ -134,8 +130,7 @@ class NavigationRules(_Rules):
         )
 
 
-@dataclass(frozen=True)
-class WaypointRules(_Rules):
+class WaypointRules(_Rules, frozen=True):
     """Waypoint Following: four legs along a given route, each beginning with a sharper turn; name the direction.
 
     `leg_steps`: least number of steps per leg.
@@ -144,8 +139,7 @@ class WaypointRules(_Rules):
     leg_steps: Count = 15
 
 
-@dataclass(frozen=True)
-class TrackingRules(_Rules):
+class TrackingRules(_Rules, frozen=True):
     """Target Direction Estimation: a ball in the apartment; the camera moves, the ball moves, or neither.
 
     - `steps`: of an episode. `speed`: metres per second of a moving ball.
@@ -166,17 +160,3 @@ class TrackingRules(_Rules):
     def away(self) -> tuple[int, int]:
         """In the third scenario, the first step at which the ball is away, and the first at which it is back."""
         return round(self.gone[0] * self.steps), round(self.gone[1] * self.steps)
-
-
-Rules = TypeVar("Rules")
-
-
-def from_dict(kind: type[Rules], values: dict[str, Any]) -> Rules:
-    """The rules from JSON. Raises `WorldError` for an unknown rule or an invalid value."""
-    known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
-    if unknown := set(values) - known:
-        raise WorldError(f"{kind.__name__} has no {sorted(unknown)}; it has {sorted(known)}")
-    try:
-        return msgspec.convert(values, kind)
-    except msgspec.ValidationError as error:
-        raise WorldError(f"{kind.__name__}: {error}") from None

@@ -34,7 +34,6 @@ from eagor.lab.envs.places import load_place
 from eagor.lab.eval.detector_fit import fitted_model, short
 from eagor.lab.eval.labelled_looks import LabelledLook, development_specs
 from eagor.lab.tasks.sim.play import Rollout, Runner
-from eagor.lab.tasks.sim.tracking import TrackingEpisode
 from eagor.lab.worlds.render import PAINTS
 from eagor.perception import load
 from eagor.perception.calibrated import READING, Calibrated
@@ -82,7 +81,7 @@ def record(runner: Runner, spec: EpisodeSpec) -> Rollout:
     Raises `WorldError` for a spec that cannot be planned, `QueryError` if the perception does not know the words.
     """
     episode, rng = runner.plan(spec), spec.rng("absent")
-    if isinstance(episode, TrackingEpisode):
+    if episode.colour is not None:
         return runner.record(episode, f"{rng.choice(sorted({*PAINTS} - {episode.colour}))} ball")
     place = load_place(spec.world, spec.seed, runner.camera.radius)
     return runner.record(episode, str(place.missing(rng, is_privileged(runner.perception))))

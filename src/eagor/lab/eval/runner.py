@@ -1,8 +1,8 @@
-"""Carrying out a run: many units of work on one or several workers, one writer, each result kept when it is there.
+"""Carrying out a run: many samples on one or several workers, one writer, each result kept when it is there.
 
-What is recorded decides what is left to do. A unit that raises, or takes its process down, has had an attempt. Not the
-pools of concurrent.futures: they break as a whole when one worker dies, and do not tell whose unit that was. Nor
-pebble's: units of one group belong to one worker, which has its apartment already.
+What is recorded decides what is left to do. A sample that raises, or takes its process down, has had an attempt. Not
+the pools of concurrent.futures: they break as a whole when one worker dies, and do not tell whose sample that was. Nor
+pebble's: samples of one group belong to one worker, which has its apartment already.
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ class _Here:
             ) from error
 
     def do(self, payload: Any) -> Result:
-        """What came of it. Raises `WorkerDiedError`; `StorageError`: no other unit would fare better."""
+        """What came of it. Raises `WorkerDiedError`; `StorageError`: no other sample would fare better."""
         try:
             return "ok", log.as_plain(dict(self._do(payload)), "the record")
         except StorageError:
@@ -301,7 +301,7 @@ def _lane(queue: Queue, hire: Callable[[], Any], team: list[Any]) -> Generator[t
 
 
 def _together(queue: Queue, hire: Callable[[], Any], workers: int) -> Generator[tuple[Record, bool], None, None]:
-    """What comes of all units on so many workers, each with a thread that talks with it. Raises what ended the run."""
+    """What comes of all samples on so many workers, each with a thread of its own. Raises what ended the run."""
     answers: SimpleQueue[Any] = SimpleQueue()
     team: list[Any] = []
 

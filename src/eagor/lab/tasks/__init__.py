@@ -23,9 +23,8 @@ def register() -> None:
     need("a simulated task", "sim", "gymnasium")
     import gymnasium
 
-    for name, entry_point in ENVIRONMENTS.items():
-        if name not in gymnasium.registry:
-            gymnasium.register(name, entry_point=entry_point)
+    for name in ENVIRONMENTS.keys() - gymnasium.registry.keys():
+        gymnasium.register(name, ENVIRONMENTS[name])
 
 
 if find_spec("gymnasium"):  # the published benchmarks in this package do not need it

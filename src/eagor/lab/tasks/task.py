@@ -100,7 +100,6 @@ class Task(Protocol):
 
     A task may also have
 
-    - ``defaults(values)``: the values of a run with those that follow from them;
     - ``resolve(config)``: the config completed and checked (a perception that cannot be made fails the run, no sample);
     - ``Record``: a `msgspec.Struct` that says what its metrics read; each record is checked before it is counted;
     - ``agents`` {name: what it does}, where one of them plays a run instead of several methods, and ``info(data)``,
@@ -136,7 +135,7 @@ def load(name: str) -> Any:
     """The `Task` with this name. Raises `EagorError` if it is unknown, cannot be imported, or is no task."""
     choices = known()
     if name not in choices:
-        raise EagorError(f"there is no task {name!r}; known are {', '.join(choices)}")
+        raise EagorError(f"there is no task {name!r}; known are {', '.join(map(str, choices))}")
     made: Any = plugins.bring(choices[name], "task")
     if callable(made) and not signature(made).parameters:  # a class would pass for a task itself
         made = made()
@@ -166,7 +165,6 @@ def read_config(task: Task, values: Mapping[str, Any], changes: Mapping[str, str
 
     Or of one within a field (``max_steps`` of the rules). Raises `EagorError` for unknown names and wrong values.
     """
-    values = task.defaults(values) if hasattr(task, "defaults") else values  # type: ignore[attr-defined]
     found = {"task": task.name, **{key: value for key, value in values.items() if value is not None}}
     options = options_of(task)
     names = {path.rpartition(".")[2]: path for path in options}
@@ -192,7 +190,7 @@ def config_of(task: Task, values: Mapping[str, Any]) -> Any:
     for name in path.split("."):
         value = value.get(name, value) if isinstance(value, Mapping) else value
     _, what, choices = options_of(task).get(path, (None, "", ()))
-    wanted = (f"; wanted {', '.join(choices)}" if choices else "") + (f" ({what})" if what else "")
+    wanted = (f"; wanted {', '.join(map(str, choices))}" if choices else "") + (f" ({what})" if what else "")
     raise EagorError(f"{path} = {shown(value)}: {why}{wanted}" if path else f"{task.name}: {why}")
 
 
@@ -201,8 +199,8 @@ def settings_of(config: Any) -> dict[str, Any]:
     return msgspec.json.decode(msgspec.json.encode(config))
 
 
-def options_of(task: Task) -> dict[str, tuple[Any, str, tuple[str, ...]]]:
-    """The default of each field of the config, what it is in words, and the choices where it is one of a few words.
+def options_of(task: Task) -> dict[str, tuple[Any, str, tuple[Any, ...]]]:
+    """The default of each field of the config, what it is in words, and what it can be, where that is a short list.
 
     By name, those within a field as "rules.max_steps".
     """

@@ -31,16 +31,8 @@ from eagor.robots.go2.camera import PICTURE, picture_message
 from eagor.robots.go2.state import Odometry
 
 __all__ = [
-    "CAMERA_FRAME",
-    "CAMERA_TOPIC",
-    "MOUNT",
-    "TRUTH",
-    "SimSettings",
-    "SimWorld",
-    "camera_pose",
-    "film",
-    "panorama",
-]
+    "CAMERA_FRAME", "CAMERA_TOPIC", "MOUNT", "TRUTH", "SimSettings", "SimWorld", "camera_pose", "film", "panorama",
+]  # fmt: skip
 
 RADIUS = 0.22  # metres: half the width of a Go2 with its legs, and some; it is longer, but turns through doors
 TALL = 0.9  # metres from the floor to the top of the camera

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import math
 import signal
 import threading
 import time
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor._processes import Worker, WorkerEnded, WorkerSilent
+from eagor.conventions import xyzw_from_rotation
 from eagor.errors import DeviceError
 from eagor.robots.dds import Link, Writer, free_domain, raw
 from eagor.robots.go2 import state as idl
@@ -53,19 +53,12 @@ def _odometry(motion: Motion, stamp: float, frame: str) -> Any:
     """A nav_msgs/Odometry of the body, at `stamp` seconds; its twist is in the body frame."""
     pose, none = motion.pose, [0.0] * 36
     assert pose.position is not None
-    turned = idl.Quaternion(*_xyzw(*motion.rpy))
+    turned = idl.Quaternion(*xyzw_from_rotation(pose.world_R_body).tolist())
     place = idl.RosPoses(idl.RosPose(idl.Point(*pose.position.tolist()), turned), none)
     velocity = idl.Vector3(*(pose.world_R_body.T @ motion.velocity).tolist())
     twist = idl.Twists(idl.Twist(velocity, idl.Vector3(*motion.rates.tolist())), none)
     time = idl.Time(*divmod(int(1e9 * stamp), 10**9))
     return idl.Odometry(idl.Header(time, frame), "base_link", place, twist)
-
-
-def _xyzw(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """The quaternion of a body turned by `yaw`, then `pitch`, then `roll`: half angles, multiplied out."""
-    a, b, c = math.cos(roll / 2), math.cos(pitch / 2), math.cos(yaw / 2)
-    x, y, z = math.sin(roll / 2), math.sin(pitch / 2), math.sin(yaw / 2)
-    return x * b * c - a * y * z, a * y * c + x * b * z, a * b * z - x * y * c, a * b * c + x * y * z
 
 
 class SimulatedGo2:
@@ -162,7 +155,7 @@ class SimulatedGo2:
         host = self.begun + plant.seconds
         stamp = host + settings.clock_offset + settings.clock_drift * plant.seconds
         believed = plant.odometry
-        x, y, z, w = _xyzw(*believed.rpy)
+        x, y, z, w = xyzw_from_rotation(believed.pose.world_R_body)
         felt, position = GRAVITY * believed.pose.world_R_body[2], believed.pose.position
         state = self._state(
             sport_state(

@@ -1,6 +1,6 @@
 """What a Go2 is told: requests and responses of its services ``sport`` and ``obstacles_avoid``; who else tells it.
 
-Only the commands in `ALLOWED` are ever sent: walking, standing, lying down, asking. Jumps, flips and handstands (1030
+Only the commands in `ALLOWED` are ever sent: walking, standing, asking. Jumps, flips and handstands (1030
 to 1032, 2041 to 2047) have no way out of this module. A robot obeys whoever spoke last, so the commands of others are
 listened to. `check_robot` tells whether a Go2 can be heard and spoken to, without moving it.
 """
@@ -47,7 +47,7 @@ SPORT = {
 }  # fmt: skip
 AVOID = {"SwitchSet": 1001, "SwitchGet": 1002, "Move": 1003, "UseRemoteCommandFromApi": 1004}
 COMMANDS = {"sport": SPORT, "obstacles_avoid": AVOID}
-ALLOWED = {"sport": {API_VERSION, 1002, 1003, 1004, 1005, 1008}, "obstacles_avoid": {API_VERSION, 1001, 1003, 1004}}
+ALLOWED = {"sport": {API_VERSION, 1002, 1003, 1004, 1008}, "obstacles_avoid": {API_VERSION, 1001, 1003, 1004}}
 # Those that only ask: versions, heights, the speed level, the state.
 ASKING = {"sport": {API_VERSION, 1024, 1025, 1026, 1034}, "obstacles_avoid": {API_VERSION, AVOID["SwitchGet"]}}
 
@@ -140,9 +140,6 @@ class SportClient(Service):
     def stand_up(self) -> int:
         """Stand up, with locked joints."""
         return self.request(SPORT["StandUp"])[0]
-
-    def stand_down(self) -> int:
-        return self.request(SPORT["StandDown"])[0]
 
 
 class AvoidClient(Service):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +17,8 @@ from eagor.media.ros_messages import IMU, ODOMETRY, POSE, POSE_WITH_COVARIANCE, 
 
 if TYPE_CHECKING:
     from eagor.robots.ros.topics import RosCamera, RosPoses
-    from eagor.tracking import TrackerConfig
 
-__all__ = ["PARAMETERS", "SOURCES", "RosCamera", "RosPoses", "Setup", "need_rclpy", "ros_poses"]
+__all__ = ["PARAMETERS", "SOURCES", "RosCamera", "RosPoses", "need_rclpy", "ros_poses"]
 
 # How the camera's motion is known: the topic and its type, or what `Loop` takes as poses.
 SOURCES: Mapping[str, Any] = {
@@ -50,15 +48,6 @@ PARAMETERS: Mapping[str, tuple[Any, str]] = {
     "static": (False, "things never move"),
     "autostart": (True, "configure and activate by itself"),
 }
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What follows from the parameters and the queries: the `perception`, and how to read the pictures for it."""
-
-    perception: str
-    config: TrackerConfig
-    camera: Mapping[str, Any]  # for `RosCamera`
 
 
 def need_rclpy() -> None:

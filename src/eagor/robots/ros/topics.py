@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
+from queue import SimpleQueue
 from typing import Any
 from uuid import uuid4
 
@@ -25,7 +25,7 @@ from rclpy.context import Context
 from rclpy.exceptions import NameValidationException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
 from eagor.errors import DeviceError, EagorError
@@ -34,18 +34,17 @@ from eagor.media import Frame, Pose
 from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC
 from eagor.media.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
 from eagor.media.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds, store
-from eagor.media.topic_pictures import Lenses, LensTold, TopicPictures, beside, lens_told, placed, topics_of
+from eagor.media.topic_pictures import Info, Lenses, TopicPictures, beside, lens_of_info, placed, topics_of
 
-__all__ = ["Ears", "RosCamera", "RosPoses"]
+__all__ = ["RosCamera", "RosPoses", "TopicListener"]
 
 FIRST = 10.0  # seconds in which a publisher, and the first message, have to come
 SETTLING = 2.0  # seconds in which a CameraInfo, or a transform that was told before, has to come
 BREATH = 0.1  # seconds after which somebody looks whether there is more to hear, or an end
-LEASE = 30.0  # seconds that one who has died without a word may still be counted among the publishers
-KEPT = 20_000  # poses that wait to be taken, and stamps that are known to the nanosecond
+KEPT = 20_000  # stamps that are known to the nanosecond
 
 
-class Ears(LoopClock):
+class TopicListener(LoopClock):
     """What an rclpy `node` hears in a thread of its own; with the transforms of /tf where tf2_msgs is installed.
 
     Without a node it makes one, where the environment says (ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE). `ended`:
@@ -59,9 +58,8 @@ class Ears(LoopClock):
             context = Context()
             rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
             node = Node(f"eagor_{uuid4().hex}", context=context, start_parameter_services=False)
-        self.node: Node = node
-        self.ended, self._closed = ended, False
-        self._heard = dict[Any, Callable[[Any], Any]]()  # what to call with the messages of each subscription
+        self.node, self.ended, self._closed = node, ended, False
+        self._subscriptions: tuple[Any, ...] = ()
         self._group = MutuallyExclusiveCallbackGroup()
         self._group.add_entity(self)
         self._group.beginning_execution(self)  # for ever, so that executors leave the subscriptions of the group alone
@@ -71,16 +69,16 @@ class Ears(LoopClock):
         for topic, fixed in ((TF_STATIC, True), (TF, False)) if self.has_transforms else ():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if fixed else DurabilityPolicy.VOLATILE
             qos = QoSProfile(depth=100, durability=durability)
-            self.subscribe(TRANSFORMS, topic, lambda told, fixed=fixed: self.taker(told, fixed), qos)
-        self._thread = threading.Thread(target=self._hear, name="eagor ears", daemon=True)
+            self.subscribe(TRANSFORMS, topic, lambda message, fixed=fixed: self.taker(message, fixed), qos)
+        self._thread = threading.Thread(target=self._hear, name="eagor listener", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Hear nothing more; leave the graph, if the node is its own."""
         self._closed = True
-        for each in [*self._heard]:
-            self.unsubscribe(each)
         self._thread.join()
+        for each in self._subscriptions:
+            self.unsubscribe(each)
         if self._own:
             self.node.destroy_node()
             self.node.context.try_shutdown()
@@ -95,80 +93,72 @@ class Ears(LoopClock):
     def subscribe(self, kind: str, topic: str, heard: Callable[[Any], Any], qos: QoSProfile) -> Any:
         """Call `heard` with each message of a `kind` such as "sensor_msgs/msg/Image", while `lock` is held."""
         package, _, name = kind.partition("/msg/")
-        how = {"callback_group": self._group, "raw": find_spec("rosbags") is not None}
-        found = self.node.create_subscription(getattr(import_module(f"{package}.msg"), name), topic, heard, qos, **how)
+        how = {"callback_group": self._group, "raw": find_spec("rosbags") is not None}  # it is quicker than rclpy
+        take = (lambda data: heard(store().deserialize_cdr(data, kind))) if how["raw"] else heard
+        found = self.node.create_subscription(getattr(import_module(f"{package}.msg"), name), topic, take, qos, **how)
         with self.lock:
-            self._heard[found] = (lambda data: heard(store().deserialize_cdr(data, kind))) if found.raw else heard
+            self._subscriptions += (found,)
         return found
 
     def unsubscribe(self, subscription: Any) -> None:
         """Hear no more of it."""
         with self.lock:
-            self._heard.pop(subscription, None)
+            self._subscriptions = tuple(each for each in self._subscriptions if each is not subscription)
         self.node.destroy_subscription(subscription)
 
     def _hear(self) -> None:
-        """Take messages as they come, in the way of `rclpy.wait_for_message`.
-
-        rclpy's executors look at all that a node has, twice for each message, and its messages are slow to make: that
-        takes four times as long.
-        """
+        """Take messages as they come, in the way of `rclpy.wait_for_message`; executors take four times as long."""
         context = self.node.context
         while not self._closed:
-            heard = self._heard.copy()
+            heard = self._subscriptions
             try:
                 with ExitStack() as held:  # what is held is not destroyed
                     for handle in [context.handle, *(each.handle for each in heard)]:
                         held.enter_context(handle)
                     waiting = rclpy_implementation.WaitSet(len(heard), 0, 0, 0, 0, 0, context.handle)
-                    while heard and heard == self._heard:
+                    while heard and heard == self._subscriptions and not self._closed:
                         waiting.clear_entities()
                         for each in heard:
                             waiting.add_subscription(each.handle)
                         waiting.wait(round(BREATH * NANO))
-                        self._take(heard)
+                        for each in heard:
+                            self._take(each)
             except RuntimeError:  # as rclpy has it if one of them, or the context, has just ended
-                if context.ok() and heard == self._heard:
+                if context.ok() and heard == self._subscriptions:
                     raise
             time.sleep(BREATH)
 
-    def _take(self, heard: dict[Any, Callable[[Any], Any]]) -> None:
+    def _take(self, subscription: Any) -> None:
         """Take what has come."""
-        for each, take in heard.items():
-            while (found := each.handle.take_message(each.msg_type, each.raw)) is not None:
-                try:
-                    with self.lock:
-                        take(found[0])
-                except Exception as error:  # one message is no reason to hear no more
-                    text = f"{each.topic_name}: a message is left out: {error!r}"
-                    self.node.get_logger().error(text, throttle_duration_sec=10.0)
+        while (found := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            try:
+                with self.lock:
+                    subscription.callback(found[0])
+            except Exception as error:  # one message is no reason to hear no more
+                text = f"{subscription.topic_name}: a message is left out: {error!r}"
+                self.node.get_logger().error(text, throttle_duration_sec=10.0)
 
     def offered(self, topic: str, kinds: Collection[str]) -> tuple[str, QoSProfile]:
         """The type of a `topic`, one of `kinds`, and how to read it. Raises `DeviceError` if nobody publishes it."""
-        if not self.wait(lambda: self.node.count_publishers(topic)):
+        publishers = self.wait(lambda: self.node.get_publishers_info_by_topic(topic))
+        if not publishers:
             domain = f"ROS_DOMAIN_ID {self.node.context.get_domain_id()}"
             raise DeviceError(f"nobody publishes {topic} ({domain}): start its node, or remap the topic")
-        publishers = self.node.get_publishers_info_by_topic(topic)
-        found = publishers[0].topic_type if publishers else "that is gone"
-        if found not in kinds:
+        if (found := publishers[0].topic_type) not in kinds:
             raise DeviceError(f"{topic} has a type {found}; wanted {' or '.join(kinds)}")
-        reliable, latched = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL
-        all_reliable = all(each.qos_profile.reliability == reliable for each in publishers)
-        all_latched = all(each.qos_profile.durability == latched for each in publishers)
+        profiles = [each.qos_profile for each in publishers]  # what all of them offer: in these enumerations, the last
         return found, QoSProfile(
             depth=10 if found in PICTURES else 100,
-            reliability=reliable if all_reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=latched if all_latched else DurabilityPolicy.VOLATILE,
+            reliability=max(each.reliability for each in profiles),
+            durability=max(each.durability for each in profiles),
         )
 
-    def wait(self, what: Callable[[], Any], most: float = FIRST) -> bool:
-        """Whether it happens within `most` seconds of real time."""
+    def wait(self, what: Callable[[], Any], most: float = FIRST) -> Any:
+        """What it gives as soon as that is true, or after `most` seconds of real time."""
         end = time.monotonic() + most
-        while not what():
-            if self.ended() or time.monotonic() > end:
-                return False
+        while not (found := what()) and not self.ended() and time.monotonic() < end:
             time.sleep(0.02)
-        return True
+        return found
 
     def now(self) -> float:
         """The node's time, which is that of a simulation with ``use_sim_time``."""
@@ -177,9 +167,9 @@ class Ears(LoopClock):
     def slip(self) -> float:
         return 0.0
 
-    def remember(self, stamp: float, told: Any, later: float = 0.0) -> None:
+    def remember(self, stamp: float, time: Any, later: float = 0.0) -> None:
         """The seconds `stamp` are those of a message's Time, less `later`: seconds alone are off by up to 120 ns."""
-        self.stamps[stamp] = told.sec * NANO + told.nanosec - round(later * NANO)
+        self.stamps[stamp] = time.sec * NANO + time.nanosec - round(later * NANO)
         while len(self.stamps) > KEPT:
             del self.stamps[next(iter(self.stamps))]
 
@@ -196,28 +186,34 @@ class Ears(LoopClock):
 
 
 class TopicSource:
-    """What reads topics: through `ears` that are given, or its own."""
+    """What reads topics: through a `listener` that is given, or its own. `_open` may raise."""
 
     live = True
 
-    def __init__(self, ears: Ears | None) -> None:
-        self._ears, self._own = Ears() if ears is None else ears, ears is None
-        self._news = threading.Condition(self._ears.lock)
+    def __init__(self, listener: TopicListener | None) -> None:
+        self._listener, self._own = listener or TopicListener(), listener is None
         self._closed, self._readers = False, list[Any]()
+        try:
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> None:
+        raise NotImplementedError
 
     def close(self) -> None:
-        with self._news:
-            self._closed = True
-            self._news.notify()
+        self._closed = True
         while self._readers:
-            self._ears.unsubscribe(self._readers.pop())
+            self._listener.unsubscribe(self._readers.pop())
         if self._own:
-            self._ears.close()
+            self._own = False
+            self._listener.close()
 
     def _read(self, topic: str, kinds: Collection[str], heard: Callable[[Any], Any]) -> None:
-        """Read a topic as its publishers offer it. Raises `DeviceError` as `Ears.offered`."""
-        kind, qos = self._ears.offered(topic, kinds)
-        self._readers.append(self._ears.subscribe(kind, topic, heard, qos))
+        """Read a topic as its publishers offer it. Raises `DeviceError` as `TopicListener.offered`."""
+        kind, qos = self._listener.offered(topic, kinds)
+        self._readers.append(self._listener.subscribe(kind, topic, heard, qos))
 
 
 class RosCamera(TopicSource):
@@ -225,8 +221,8 @@ class RosCamera(TopicSource):
 
     The CameraInfo beside the pictures tells the lens of those that are no panoramas, and ``/tf_static`` where several
     cameras are; or a `rig` does (`lenses`: as of `Lenses`). `latency`: seconds from capture to the headers' stamps.
-    `ears`: of a node that runs; `rate`: the most pictures a second. The newest picture is kept, and decoded when it is
-    asked for; `dropped` counts the others, and those that were damaged. `frame`: as the pictures name it. Raises
+    `listener`: of a node that runs; `rate`: the most pictures a second. The newest picture is kept, and decoded when it
+    is asked for; `dropped` counts the others, and those that were damaged. `frame`: as the pictures name it. Raises
     `DeviceError` if nobody publishes, or no picture comes; otherwise as `TopicPictures`.
     """
 
@@ -236,38 +232,37 @@ class RosCamera(TopicSource):
         self,
         topic: str | None,
         *,
-        ears: Ears | None = None,
+        listener: TopicListener | None = None,
         latency: float = 0.0,
         rate: float | None = None,
         **lenses: Any,
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._apart = 0.99 / rate if rate else 0.0  # seconds between two pictures, a little less for rounding
-        super().__init__(ears)
-        try:
-            named = topics_of(topic or None, "topics")
-            self.topics = tuple(self._ears.resolved(each or "image") for each in named)
-            self._newest: list[Any] = [None for _ in named]
-            self._fresh, self._last = False, -math.inf  # of the first topic: with it the newest of the others are taken
-            for at, name in enumerate(self.topics):
-                self._read(name, PICTURES, partial(self._received, at))
-            if not self._ears.wait(lambda: None not in self._newest):
-                silent = self.topics[self._newest.index(None)]
-                raise DeviceError(f"no picture came on {silent} within {FIRST:g} s; is the camera running?")
-            self._pictures = TopicPictures(self._newest, self.topics, Lenses(**lenses), self._told, self._placed)
-        except BaseException:
-            self.close()
-            raise
+        self._named, self._lenses = topics_of(topic or None, "topics"), Lenses(**lenses)
+        self._newest: list[Any] = [None for _ in self._named]
+        self._fresh, self._last = threading.Event(), -math.inf  # of the first topic: the newest of others go with it
+        super().__init__(listener)
+
+    def _open(self) -> None:
+        self.topics = tuple(self._listener.resolved(each or "image") for each in self._named)
+        for at, name in enumerate(self.topics):
+            self._read(name, PICTURES, partial(self._received, at))
+        if not self._listener.wait(lambda: None not in self._newest):
+            silent = self.topics[self._newest.index(None)]
+            raise DeviceError(f"no picture came on {silent} within {FIRST:g} s; is the camera running?")
+        self._pictures = TopicPictures(self._newest, self.topics, self._lenses, self._camera_info, self._turns)
         self.frame, builder = self._pictures.frame, self._pictures.builder
         self.grid, self.unseen = builder.grid, builder.unseen
 
+    def close(self) -> None:
+        super().close()
+        self._fresh.set()
+
     def __iter__(self) -> Iterator[Frame]:
-        while True:
-            with self._news:
-                self._news.wait_for(lambda: self._closed or self._fresh)
-                if self._closed:
-                    return
-                messages, self._fresh = self._newest[:], False
+        while self._fresh.wait() and not self._closed:
+            with self._listener.lock:
+                messages, _ = self._newest[:], self._fresh.clear()
             try:
                 frame = self._frame(messages)
             except EagorError as error:
@@ -279,14 +274,14 @@ class RosCamera(TopicSource):
 
     def _frame(self, messages: list[Any]) -> Frame | None:
         """The next frame; None if it was sent twice, or comes too soon or out of order. Raises as `TopicPictures`."""
-        topic, told, last = self.topics[0], messages[0].header.stamp, self._last
-        stamp = (seconds(told) or self._ears.now()) - self.latency
+        topic, time, last = self.topics[0], messages[0].header.stamp, self._last
+        stamp = (seconds(time) or self._listener.now()) - self.latency
         if last - BACK <= stamp <= last or 0 < stamp - last < self._apart:
             return None
         picture = self._pictures.made(messages, ": another camera or mode? Set it back, or start again")
         self._last, self.problem = stamp, None
-        if seconds(told):
-            self._ears.remember(stamp, told, self.latency)
+        if seconds(time):
+            self._listener.remember(stamp, time, self.latency)
         else:
             self.problem = f"{topic} tells no times (its headers have the stamp 0): those of arrival are taken"
         return Frame(stamp, picture, f"{topic} at {stamp:.3f} s", self._pictures.builder.view)
@@ -294,108 +289,101 @@ class RosCamera(TopicSource):
     def _received(self, at: int, message: Any) -> None:
         self._newest[at] = message
         if at == 0:
-            self.dropped += self._fresh
-            self._fresh = True
-            self._news.notify()
+            self.dropped += self._fresh.is_set()
+            self._fresh.set()
 
-    def _told(self, topic: str, asked: str | None) -> LensTold | None:
+    def _camera_info(self, topic: str, asked: str | None) -> Info | None:
         """What the CameraInfo says; None if nobody publishes it."""
-        name, found = self._ears.resolved(asked or beside(topic)), list[Any]()
-        if not self._ears.wait(lambda: self._ears.node.count_publishers(name), SETTLING):
+        name, found = self._listener.resolved(asked or beside(topic)), list[Any]()
+        if not self._listener.wait(lambda: self._listener.node.count_publishers(name), SETTLING):
             return None
         self._read(name, (CAMERA_INFO,), found.append)
-        came = self._ears.wait(lambda: found)
-        self._ears.unsubscribe(self._readers.pop())
-        if not came:
+        if not self._listener.wait(lambda: found):
             raise DeviceError(f"no CameraInfo came on {name} within {FIRST:g} s; drivers send one with each picture")
-        return lens_told(found[0], name, topic)
+        self._listener.unsubscribe(self._readers.pop())
+        return lens_of_info(found[0], name, topic)
 
-    def _placed(self, frames: Sequence[str]) -> list[np.ndarray]:
-        """Where cameras are in the axes of the first."""
-        self._ears.wait(lambda: all(self._ears.placed(frames[0], each) for each in frames), SETTLING)
-        with self._ears.lock:
-            return placed(self._ears.tree, frames)
+    def _turns(self, frames: Sequence[str]) -> list[np.ndarray]:
+        """The rotations of cameras in the axes of the first."""
+        self._listener.wait(lambda: all(self._listener.placed(frames[0], each) for each in frames), SETTLING)
+        with self._listener.lock:
+            return placed(self._listener.tree, frames)
 
 
 class RosPoses(TopicSource):
     """A `PoseSource`: the camera's poses from Odometry, poses, an Imu's orientation, or ``/tf`` (`PoseReader`).
 
     `camera`: its frame; transforms tell where it is on the body. Where they do not, the axes of the messages are taken
-    for the camera's, and `problem` says so. `body`, `world`: as for `PoseReader`. Otherwise as `RosCamera`. Raises
-    `DeviceError` if nobody publishes the topic, if two do, or if no pose comes.
+    for the camera's, and `problem` says so, as it does of several publishers. `body`, `world`: as for `PoseReader`.
+    Otherwise as `RosCamera`. Raises `DeviceError` if nobody publishes the topic, or if no pose comes.
     """
 
     def __init__(
         self,
         topic: str | None,
         *,
-        ears: Ears | None = None,
+        listener: TopicListener | None = None,
         kinds: Collection[str] = MOTION,
         camera: str | None = None,
         body: str = BODY,
         world: str | None = None,
     ) -> None:
-        super().__init__(ears)
-        self._poses, self._error = deque[Pose](maxlen=KEPT), None
-        self._counted = self._alone = time.monotonic()
-        try:
-            self.topic = self._ears.resolved(topic or "odom")
-            self.kind, _ = self._ears.offered(self.topic, kinds)
-            if self.kind == TRANSFORMS and not self._ears.has_transforms:
-                raise DeviceError(f"{self.topic} needs tf2_msgs, which no wheel has: source a ROS installation")
-            how = {"strict": self.kind == TRANSFORMS, "rewinds": True}
-            self.reader = PoseReader(self.topic, self.kind, camera=camera, body=body, world=world, **how)
-            self.reader.tree = self._ears.tree
-            if camera and self._ears.has_transforms:  # poses before those of the camera would be the body's
-                self._ears.wait(lambda: self._ears.placed(self.reader.body, camera), SETTLING)
-            self._ears.taker = self._moved
-            if self.kind != TRANSFORMS:
-                self._read(self.topic, (self.kind,), self._received)
-            if not self._ears.wait(lambda: self._poses or self._error) and not self._ears.ended():
-                told = self.problem or "are its stamps set, and does it run?"
-                raise DeviceError(f"no pose came on {self.topic} within {FIRST:g} s: {told}")
-        except BaseException:
-            self.close()
-            raise
+        self._poses = SimpleQueue[Pose | EagorError | None]()
+        self._named, self._kinds, self._frames = topic, kinds, {"camera": camera, "body": body, "world": world}
+        super().__init__(listener)
+
+    def _open(self) -> None:
+        listener, camera = self._listener, self._frames["camera"]
+        self.topic = listener.resolved(self._named or "odom")
+        self.kind, _ = listener.offered(self.topic, self._kinds)
+        of_tree = self.kind == TRANSFORMS
+        if of_tree and not listener.has_transforms:
+            raise DeviceError(f"{self.topic} needs tf2_msgs, which no wheel has: source a ROS installation")
+        self.reader = PoseReader(self.topic, self.kind, **self._frames, strict=of_tree, rewinds=True)
+        self.reader.tree = listener.tree
+        if camera and listener.has_transforms:  # poses before those of the camera would be the body's
+            listener.wait(lambda: listener.placed(self.reader.body, camera), SETTLING)
+        listener.taker = self._moved
+        if not of_tree:
+            self._read(self.topic, (self.kind,), self._received)
+        if not listener.wait(lambda: not self._poses.empty()) and not listener.ended():
+            why = self.problem or "are its stamps set, and does it run?"
+            raise DeviceError(f"no pose came on {self.topic} within {FIRST:g} s: {why}")
 
     @property
     def problem(self) -> str | None:
         """What is wrong now, in words, or None."""
-        return self.reader.problem
+        writers = 1 if self.kind == TRANSFORMS else self._listener.node.count_publishers(self.topic)
+        if writers > 1:  # one that died without a word is counted for some seconds more
+            return f"{writers} publishers write {self.topic}: stop all but one, or remap it"
+        with self._listener.lock:
+            return self.reader.problem
 
     def __iter__(self) -> Iterator[Pose]:
-        while True:
-            with self._news:
-                self._news.wait_for(lambda: self._poses or self._closed or self._error)
-                if self._closed:
-                    return
-                if self._error is not None:
-                    raise self._error
-                pose = self._poses.popleft()
-            yield pose
+        while (item := self._poses.get()) is not None:
+            if isinstance(item, EagorError):
+                raise item
+            yield item
 
     def close(self) -> None:
-        self._ears.taker = self._ears.tree.add
+        self._listener.taker = self._listener.tree.add
         super().close()
+        self._poses.put(None)
 
     def _moved(self, message: Any, fixed: bool) -> None:
         for each in message.transforms:  # the pose will have the stamp of one of them, or of one before
-            self._ears.remember(seconds(each.header.stamp), each.header.stamp)
-        self._poses.extend(self.reader.transforms(message, fixed))
-        self._news.notify()
+            self._listener.remember(seconds(each.header.stamp), each.header.stamp)
+        self._give(self.reader.transforms(message, fixed))
 
     def _received(self, message: Any) -> None:
-        now = time.monotonic()
-        if now > self._counted + 1.0:
-            self._counted, writers = now, self._ears.node.count_publishers(self.topic)
-            self._alone = now if writers < 2 else self._alone
-            if now > self._alone + LEASE:
-                self._error = DeviceError(f"{writers} publishers write {self.topic}: stop all but one, or remap it")
         try:
-            self._ears.remember(seconds(message.header.stamp), message.header.stamp)
-            self._poses.extend(self.reader.take(message))
+            self._listener.remember(seconds(message.header.stamp), message.header.stamp)
+            self._give(self.reader.take(message))
         except DeviceError as error:
-            self._error = error
+            self._poses.put(error)
         except EagorError as error:
-            self._ears.node.get_logger().warning(f"{self.topic}: a pose is left out: {error}", once=True)
-        self._news.notify()
+            self._listener.node.get_logger().warning(f"{self.topic}: a pose is left out: {error}", once=True)
+
+    def _give(self, poses: Sequence[Pose]) -> None:
+        for each in poses:
+            self._poses.put(each)

@@ -40,6 +40,12 @@ from eagor.media.panorama import checked_picture, read_image
 from eagor.perception.vlm import IMAGE
 from eagor.sphere import azimuth_elevation, world_R_body
 
+__all__ = [
+    "Action", "Box", "Episode", "Reply", "View", "box_points", "middle_of", "normalised", "open_panorama",
+    "parse_action", "render_view", "submit_succeeds", "succeeded", "system_text", "turn_text", "window_of",
+    "without_cross",
+]  # fmt: skip
+
 Kind = Literal["hos", "hps"]
 Scoring = Literal["official", "strict"]
 SCORINGS: tuple[Scoring, ...] = get_args(Scoring)

@@ -37,7 +37,7 @@ FAULT = (
     'is no list of targets, each with a task such as "Find the red chair", yaw and pitch as two angles of at most 3600 '
     "degrees, initial yaw as a list of such, level as 0, 1, 2, ..."
 )
-Level = Annotated[int, Meta(ge=0)]
+Level = Annotated[int, Meta(ge=0)] | None
 
 
 class Entry(hstar.Box, kw_only=True):
@@ -45,7 +45,7 @@ class Entry(hstar.Box, kw_only=True):
 
     task: str
     starts: list[Annotated[float, Meta(ge=-3600, le=3600)]] | None = field(name="initial yaw", default=None)
-    level: list[Level | None] | Level | None = None
+    level: list[Level] | Level = None
 
 
 def read_data(data: Path) -> tuple[list[hstar.Episode], list[str]]:

@@ -41,6 +41,12 @@ from eagor._values import lazy
 from eagor.errors import FormatError
 from eagor.lab.tasks.published import answer_in, read_json
 
+__all__ = [
+    "SIZE", "SKILLS", "SUFFIXES", "Question", "Scene", "Turn", "cells", "direction_label", "extracted", "layout_of",
+    "load", "map_text", "mistake", "named", "products", "questions_of", "ranked", "read_map", "score", "score_map",
+    "steps", "swapped", "tags", "turned",
+]  # fmt: skip
+
 SIZE = 10  # rows and columns of a layout
 Cell = tuple[int, int]
 Layout = Mapping[str, Sequence[Sequence[int]]]

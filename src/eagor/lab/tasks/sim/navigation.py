@@ -7,7 +7,6 @@ than the straight line by more than a fifth, so that walking straight leads into
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,9 +15,9 @@ from eagor import metrics
 from eagor.errors import WorldError
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import PlaceEnv, gymnasium
-from eagor.lab.envs.places import Place, load_place, pixels_of
-from eagor.lab.envs.rules import FACING_AWAY, RATIO, VISIBLE, WINDING, Camera, NavigationRules
-from eagor.lab.tasks.sim.play import EpisodeResult
+from eagor.lab.envs.places import load_place, pixels_of
+from eagor.lab.envs.rules import FACING_AWAY, RATIO, VISIBLE, WINDING, NavigationRules
+from eagor.lab.tasks.sim.play import Rollout
 from eagor.lab.tasks.sim.task import COVERAGE, SimTask, success_where
 from eagor.lab.tasks.task import Metric, degrees
 from eagor.sphere import azimuth_elevation, world_R_body
@@ -26,49 +25,7 @@ from eagor.sphere import azimuth_elevation, world_R_body
 # (visible at the start, winding path), cyclic: two thirds visible, half winding.
 STRATA = ((True, False), (False, True), (True, True), (True, False), (False, True), (True, False))
 AT_SEAM = math.radians(5)  # of an equirectangular picture, behind the body
-MOVED = 1e-4  # metres (and 1e-5 of the coordinates): less is no move in habitat-lab's distance to the goal
 TRIES = 40  # starts tried per target and stratum
-
-
-def plan(spec: EpisodeSpec, camera: Camera, rules: NavigationRules) -> Episode:
-    """The episode of this spec. Raises `WorldError` if the world has no target under these rules."""
-    place, rng = load_place(spec.world, spec.seed, camera.radius), spec.rng("plan")
-    first, way = STRATA[spec.number % len(STRATA)]
-    # The wanted stratum first, then whatever the apartment offers: few have every kind of start.
-    for visible, winding in ((first, way), (first, not way), (not first, way), (not first, not way)):
-        for target, query in choose_target(place, rng):
-            thing = place.scene.instances[target]
-            for xy, shortest, ratio in _starts(place, target, winding, rules, rng):
-                ids = place.ids(place.eye(xy, camera.height), world_R_body(0.0))
-                if (pixels_of(ids, (target,)) >= VISIBLE) != visible:
-                    continue
-                # The bearing to the target, turned so that it lies behind, within the tolerance.
-                away = math.pi + math.radians(FACING_AWAY) * float(rng.uniform(-1, 1))
-                to = thing.centre[:2] - xy
-                kind = {"visible": visible, "way": "winding" if winding else "direct", "ratio": round(ratio, 3)}
-                return Episode(
-                    spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=query, targets=(target,),
-                    start=(float(xy[0]), float(xy[1])), shortest=shortest,
-                    yaw=math.remainder(float(np.arctan2(to[1], to[0])) + away, 2 * math.pi),
-                    stratum=kind | {"category": thing.category},
-                )  # fmt: skip
-    raise WorldError(
-        f"{place.scene.source} has no target that is {rules.nearest} to {rules.farthest} m away; "
-        "widen the rules, or leave this world out"
-    )
-
-
-def _starts(
-    place: Place, target: int, winding: bool, rules: NavigationRules, rng: np.random.Generator
-) -> Iterator[tuple[np.ndarray, float, float]]:
-    """Some starts for this target: a point, its geodesic distance, and the ratio of that to the straight line."""
-    points, thing = place.ground.points, place.scene.instances[target]
-    geodesic = place.ground.at_points(place.way_to((target,)))
-    ratio = geodesic / np.maximum(distance_to_box(points, thing.low[:2], thing.high[:2]), 1e-6)
-    fits = (geodesic >= rules.nearest) & (geodesic <= rules.farthest) & (ratio <= RATIO)
-    fits &= (ratio > WINDING) == winding
-    for choice in rng.permutation(np.flatnonzero(fits))[:TRIES]:
-        yield points[choice], float(geodesic[choice]), float(ratio[choice])
 
 
 def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -76,17 +33,7 @@ def distance_to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np
     return np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=-1)
 
 
-def score(rules: NavigationRules, shortest: float, distance: float, path: float, stopped: bool) -> dict[str, float]:
-    """Habitat's measures of one episode: success, spl, soft_spl (0 to 1)."""
-    won = metrics.success(distance, stopped, rules.success_distance)
-    return {
-        "success": float(won),
-        "spl": metrics.spl(won, shortest, path),
-        "soft_spl": metrics.soft_spl(distance, shortest, path),
-    }
-
-
-def measure(result: EpisodeResult) -> dict[str, Any]:
+def measure(result: Rollout) -> dict[str, Any]:
     """The errors of the estimate in one episode, and Habitat's measures of the path."""
     info = result.info
     return {
@@ -97,7 +44,7 @@ def measure(result: EpisodeResult) -> dict[str, Any]:
         **{key: info[key] for key in ("success", "spl", "soft_spl")},
         "distance_to_goal": info["distance_to_goal"] if math.isfinite(info["distance_to_goal"]) else None,
         "steps": info["num_steps"],
-        "path_m": result.walked,
+        "path_m": info["path_length"],
         "shortest_m": result.episode.shortest,
         "collisions": info["collisions"]["count"],
         "undone": backtracking_rate(np.array(result.trace["pose"])[:, :2], result.camera.step),
@@ -121,6 +68,7 @@ class MapFreeNavigationEnv(PlaceEnv):
 
     An action (heading, distance), radians to the left and metres up to one step, turns the body to the heading and
     walks; a distance of 0 calls stop. The reward is the geodesic progress of the step in metres, plus 1 on success.
+    ``info`` also holds Habitat's `distance_to_goal`, `success`, `spl`, `soft_spl`, `collisions`, and `path_length`.
     """
 
     task = "navigation"
@@ -132,36 +80,61 @@ class MapFreeNavigationEnv(PlaceEnv):
         self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
 
     def plan(self, spec: EpisodeSpec) -> Episode:
-        return plan(spec, self.camera, self.rules)
+        place, rng = load_place(spec.world, spec.seed, self.camera.radius), spec.rng("plan")
+        first, way = STRATA[spec.number % len(STRATA)]
+        # The wanted stratum first, then whatever the apartment offers: few have every kind of start.
+        for visible, winding in ((first, way), (first, not way), (not first, way), (not first, not way)):
+            for target, query in choose_target(place, rng):
+                thing, points = place.scene.instances[target], place.ground.points
+                geodesic = place.ground.at_points(place.way_to((target,)))
+                ratio = geodesic / np.maximum(distance_to_box(points, thing.low[:2], thing.high[:2]), 1e-6)
+                fits = (geodesic >= self.rules.nearest) & (geodesic <= self.rules.farthest) & (ratio <= RATIO)
+                for start in rng.permutation(np.flatnonzero(fits & ((ratio > WINDING) == winding)))[:TRIES]:
+                    xy = points[start]
+                    ids = place.ids(place.eye(xy, self.camera.height), world_R_body(0.0))
+                    if (pixels_of(ids, (target,)) >= VISIBLE) != visible:
+                        continue
+                    # The bearing to the target, turned so that it lies behind, within the tolerance.
+                    away = math.pi + math.radians(FACING_AWAY) * float(rng.uniform(-1, 1))
+                    x, y = thing.centre[:2] - xy
+                    kind = {"visible": visible, "way": "winding" if winding else "direct"}
+                    return Episode(
+                        spec=spec, scene=place.scene.source, scene_hash=place.scene.hash, query=query,
+                        targets=(target,), start=(float(xy[0]), float(xy[1])), shortest=float(geodesic[start]),
+                        yaw=math.remainder(float(np.arctan2(y, x)) + away, 2 * math.pi),
+                        stratum=kind | {"ratio": round(float(ratio[start]), 3), "category": thing.category},
+                    )  # fmt: skip
+        raise WorldError(
+            f"{place.scene.source} has no target that is {self.rules.nearest} to {self.rules.farthest} m away; "
+            "widen the rules, or leave this world out"
+        )
 
-    def _start(self) -> None:
-        self._stopped, self._left = False, self._distance_to_goal()
-
-    def _distance_to_goal(self) -> float:
+    @property
+    def left(self) -> float:
+        """Geodesic metres to the goal."""
         return float(self.place.way_to(self.episode.targets).distance(self.body.xy))
 
-    def _measures(self) -> dict[str, Any]:
-        scores = score(self.rules, self.episode.shortest, self._left, self.body.walked, self._stopped)
-        return {"distance_to_goal": self._left, **scores}
+    def _act(self, action: np.ndarray) -> tuple[float, bool, bool]:
+        before, length = self.left, min(max(float(action[1]), 0.0), self.camera.step)
+        self._collided = self.body.walk(float(action[0]), length, self.rules.sliding)
+        self._collisions += self._collided
+        gained = before - self.left
+        won = self.left < self.rules.success_distance
+        self._stopped = length == 0 if self.rules.stop == "call" else won
+        reward = (gained if math.isfinite(gained) else 0.0) + float(won and self._stopped)
+        return reward, self._stopped, self.body.steps >= self.rules.max_steps and not self._stopped
 
-    def step(self, action: Any) -> tuple[dict, float, bool, bool, dict]:
-        turn, length = (float(value) for value in np.asarray(action, dtype=np.float64).reshape(2))
-        if not (math.isfinite(turn) and math.isfinite(length)):
-            raise WorldError(f"action {action!r}; wanted a finite heading (radians) and distance (metres)")
-        length = min(max(length, 0.0), self.camera.step)
-        yaw = math.remainder(self.body.yaw + turn, 2 * math.pi)
-        xy, collided, before = self.body.xy, False, self._left
-        if length > 0:
-            ahead = length * np.array([math.cos(yaw), math.sin(yaw)])
-            xy, collided = self.place.ground.move(xy, ahead, slide=self.rules.sliding)
-        self._move_to(xy, yaw, collided)
-        self._left = self._distance_to_goal()
-        reached = self._left < self.rules.success_distance
-        self._stopped = length == 0 if self.rules.stop == "call" else reached
-        truncated = self.body.steps >= self.rules.max_steps and not self._stopped
-        info = self._info()
-        gained = before - self._left if math.isfinite(before) and math.isfinite(self._left) else 0.0
-        return self._observation(), gained + info["success"], self._stopped, truncated, info
+    def _info(self, ids: np.ndarray) -> dict[str, Any]:
+        left, shortest, walked = self.left, self.episode.shortest, self.body.walked
+        won = metrics.success(left, self._stopped, self.rules.success_distance)
+        return super()._info(ids) | {
+            "collisions": {"count": self._collisions, "is_collision": self._collided},
+            "distance_to_goal": left,
+            "path_length": walked,
+            "success": float(won),
+            "spl": metrics.spl(won, shortest, walked),
+            "soft_spl": metrics.soft_spl(left, shortest, walked),
+        }
 
 
 NAVIGATION = SimTask(

@@ -7,9 +7,9 @@ goes its own way, and an episode is one sample per method; else all methods get 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import msgspec
@@ -20,16 +20,15 @@ from eagor._values import lazy
 from eagor._version import __version__
 from eagor.errors import EagorError
 from eagor.lab.agents.methods import ORACLE, default_methods, fitted, make_estimator
-from eagor.lab.envs.episodes import EpisodeSpec, episode_specs, spec_from_json
+from eagor.lab.envs.episodes import EpisodeSpec, episode_specs
 from eagor.lab.envs.places import APARTMENT, DEVELOPMENT
 from eagor.lab.envs.rules import Camera, NoiseModel
-from eagor.lab.tasks.task import Metric, Payload, Record, Sample, settings_of
+from eagor.lab.tasks.task import Metric, Payload, Record, Sample
 
 if TYPE_CHECKING:
     from eagor.lab.envs.place_env import PlaceEnv
-    from eagor.lab.tasks.sim.play import EpisodeResult
+    from eagor.lab.tasks.sim.play import Rollout
 
-PER_RUN = 20  # episodes of a run that names no number and no file
 RANKED = ("success", "spl", "mae")  # figures that every walked task measures
 OURS = "eagor"  # the method whose answer decides whether an episode is a failure, where it has played
 
@@ -45,7 +44,7 @@ class SimConfig(msgspec.Struct, kw_only=True):
 
     task: str
     perception: Annotated[str, Meta(description="detector on the rendered pictures")] = "scout"
-    episodes: Annotated[int | None, Meta(description="number of episodes, five in each apartment")] = None
+    episodes: Annotated[int, Meta(description="number of episodes, five in each apartment")] = 20
     seed: Annotated[int, Meta(ge=0, description="first apartment")] = 2000
     development: Annotated[bool, Meta(description="whether parameters were chosen on these apartments")] = False
     methods: list[str] = []
@@ -135,7 +134,7 @@ class SimTask:
     what: str
     environment: Callable[..., PlaceEnv]
     rules: type
-    measure: Callable[[EpisodeResult], Mapping[str, Any]]
+    measure: Callable[[Rollout], Mapping[str, Any]]
     metrics: tuple[Metric, ...]
     headline: str
     ranked_by: tuple[str, ...] = ()
@@ -152,96 +151,68 @@ class SimTask:
         return made
 
     def samples(self, config: Any) -> list[Sample]:
-        found = []
-        for spec in specs_of(config):
-            alone = [[name] for name in config.methods] if self.walked else [list(config.methods)]
-            for names in alone:
-                id = f"{spec.id}/{names[0]}" if self.walked else spec.id
-                found.append(Sample(id, str(spec.seed), {"slot": asdict(spec), "methods": names}))
-        return found
+        played = [(f"/{name}", [name]) for name in config.methods] if self.walked else [("", list(config.methods))]
+        return [
+            Sample(spec.id + end, str(spec.seed), {"slot": asdict(spec), "methods": names})
+            for spec in episode_specs(config.task, config.episodes, config.seed, config.world)
+            for end, names in played
+        ]
 
     def runner(self, config: Any) -> Callable[[Payload], Record]:
         from eagor.lab.tasks.sim.play import Runner
 
-        runner = Runner(settings_of(config))
-        return lambda payload: runner.run_episode(spec_from_json(payload["slot"]), payload["methods"])
+        runner = Runner(config, kind=self)
+        return lambda payload: runner.run_episode(EpisodeSpec(**payload["slot"]), payload["methods"])
 
     def failure(self, record: Record) -> str | None:
         """Of a walked task: that the target was not reached by ours, or by the method that played alone."""
         if not self.walked:
             return None
         result = record["methods"].get(OURS) or next(iter(record["methods"].values()))
-        if result["metrics"]["success"]:
-            return None
-        return "never in sight" if not any(result["trace"]["visible"]) else "not reached"
+        missed = "not reached" if any(result["trace"]["visible"]) else "never in sight"
+        return None if result["metrics"]["success"] else missed
 
     def resolve(self, config: Any) -> Any:
         """The config with all that follows from it. Raises `EagorError` for what does not exist or cannot be played."""
+        from eagor.lab import worlds
         from eagor.lab.agents.models import shared
         from eagor.lab.worlds.apartment import VERSION
         from eagor.perception import rows_of
 
         names = list(config.methods) or list(default_methods(config.perception))
-        for name in names:
-            if name != ORACLE or not self.walked:
-                make_estimator(name, np.random.default_rng(0))  # complains about unknown ones
+        for name in (each for each in names if each != ORACLE or not self.walked):
+            make_estimator(name, np.random.default_rng(0))  # complains about unknown ones
         if len(set(names)) != len(names):
             raise EagorError(f"methods {names}; wanted each once")
-        played = specs_of(config)
-        if config.world != APARTMENT:
-            _try_world(config.world)
+        seeds = [spec.seed for spec in episode_specs(config.task, config.episodes, config.seed, config.world)]
+        made = worlds.load(config.world)
+        scene = None if config.world in worlds.known() else made(0)  # a bad file is no failure of every episode
+        if isinstance(scene, worlds.SimulatedScene):
+            scene.close()  # the processes that play open their own
         return msgspec.structs.replace(
             config,
-            episodes=len(played),
             methods=names,
-            development=config.world == APARTMENT and any(spec.seed in DEVELOPMENT for spec in played),
+            development=config.world == APARTMENT and any(seed in DEVELOPMENT for seed in seeds),
             fitted={name: text for name in names if (text := fitted(config.perception, name.partition(":")[0]))},
             rows=config.rows or rows_of(shared(config.perception)),
             versions={"eagor": __version__, "apartment": VERSION},
         )
 
 
-def specs_of(config: SimConfig) -> list[EpisodeSpec]:
-    """The specs of a run's episodes. Raises `WorldError`."""
-    count = PER_RUN if config.episodes is None else config.episodes
-    return list(episode_specs(config.task, count, config.seed, config.world))
-
-
 def variants(task: SimTask) -> tuple[str, ...]:
     """The ablations of our tracker and of the published one, as methods; of a walked task who is told the truth."""
-    if task.walked:
-        return (ORACLE,)
-    ours = ("decode=mean", "shells=0", "wander=0", "jump=0")
-    return (
-        *(f"eagor_paper:degree={degree}" for degree in (3, 15, 31)),
-        "eagor_paper:decode=mode",
-        *(f"eagor:{change}" for change in ours),
+    paper, ours = (
+        ("degree=3", "degree=15", "degree=31", "decode=mode"),
+        ("decode=mean", "shells=0", "wander=0", "jump=0"),
     )
+    return (ORACLE,) if task.walked else (*(f"eagor_paper:{each}" for each in paper), *(f"eagor:{e}" for e in ours))
 
 
 def split_methods(words: Sequence[str]) -> list[str]:
     """The methods in `words`, which may also be joined by commas: ``eagor,vmf eagor:degree=7,decode=mean``."""
-    found: list[str] = []
-    for word in ",".join(words).split(","):
-        if "=" in word and ":" not in word and found:
-            found[-1] += f",{word}"  # a further setting of the same method
-        elif word:
-            found.append(word)
-    return found
+    return [each for word in words for each in re.split(r",(?![^,:]+=)", word) if each]
 
 
 def success_where(condition: str) -> Callable[[Record], float | None]:
     """Reads the success of the episodes whose metric `condition` is above 0."""
     return lambda result: result["metrics"]["success"] if result["metrics"].get(condition) else None
-
-
-@lru_cache(maxsize=1)
-def _try_world(world: str) -> None:
-    """Read a GLB file or a simulator's scene once: a bad one is no failure of every episode. Raises `WorldError`."""
-    from eagor.lab import worlds
-
-    made = worlds.load(world)
-    if world not in worlds.known():  # worlds of other packages need not have a scene of seed 0
-        scene = made(0)
-        if isinstance(scene, worlds.SimulatedScene):
-            scene.close()  # the processes that play open their own

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,17 @@ from eagor.errors import DeviceError, QueryError
 from eagor.grids import ErpGrid
 from eagor.lab.agents.steering import Policy
 from eagor.lab.envs.episodes import PER_PLACE, EpisodeSpec
+from eagor.lab.envs.place_env import MobileBase
 from eagor.lab.envs.places import APARTMENT, SEEDS, load_place
 from eagor.lab.envs.rules import Camera, NavigationRules
-from eagor.lab.tasks.sim import navigation
+from eagor.lab.tasks.sim.navigation import MapFreeNavigationEnv
 from eagor.lab.worlds.ground import Ground
-from eagor.lab.worlds.navmesh import DistanceField
+from eagor.lab.worlds.navmesh import sees, walls_below
 from eagor.live.events import Answer, Event, EvidenceCame
 from eagor.live.threads import LoopClock
 from eagor.media import Frame, Pose
 from eagor.queries import matching, parse_query
-from eagor.sphere import azimuth_elevation, world_R_body
+from eagor.sphere import azimuth_elevation
 
 __all__ = ["DRIVERS", "TOUR_SEED", "Walk", "Walker", "open_walk", "walled"]
 
@@ -64,18 +66,12 @@ def open_walk(
 
 
 class WalkClock(LoopClock):
-    """A clock that stands still while it is `paused`."""
+    """A clock that can be stopped."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._lost, self._since = 0.0, math.nan
-
-    @property
-    def paused(self) -> bool:
-        return not math.isnan(self._since)
+    paused, _stopped = False, 0.0
 
     def now(self) -> float:
-        return (self._since if self.paused else super().now()) - self._lost
+        return self._stopped if self.paused else super().now()
 
     def slip(self) -> float:
         return 0.0
@@ -84,40 +80,31 @@ class WalkClock(LoopClock):
         """Stand still, or go on."""
         if on != self.paused:
             now = super().now()
-            self._lost += 0.0 if on else now - self._since
-            self._since = now if on else math.nan
+            self._steady += 0.0 if on else now - self._stopped
+            self._stopped, self.paused = now, on
 
 
 class Walker:
-    """A round body with a camera on the `ground`, at `xy` ``(2,)``, metres; `yaw` in radians.
+    """Moves a `body` by the policy or along a `way` of points ``(2,)`` ("tour") as time passes, or as a person steers.
 
-    It moves `by` the policy or along a `way` of points ``(2,)`` ("tour") as time passes, or by the person, who says
-    how. A point of the way at which the body is already is a stop.
+    A point of the way at which the body is already is a stop.
     """
 
-    def __init__(
-        self, ground: Ground, xy: np.ndarray, yaw: float, by: str = "policy", way: Sequence[np.ndarray] = ()
-    ) -> None:
-        self.ground, self.xy, self.yaw, self.by, self.way = ground, np.array(xy), yaw, by, list(way)
-        self._policy = Policy(Camera().step)
-        self._heading: float | None = None  # of the straight part that is under way
-        self._left = self._waits = 0.0  # metres of it; seconds of a stop
+    def __init__(self, body: MobileBase, by: str = "policy", way: Sequence[np.ndarray] = ()) -> None:
+        self.body, self.way = body, list(way)
+        self.drive(by)
+        self._left = self._waits = 0.0  # metres of the straight part that is under way; seconds of a stop
 
-    @property
-    def position(self) -> np.ndarray:
-        """The camera ``(3,)``, world frame."""
-        return np.array([*self.xy, Camera().height + self.ground.height(self.xy)])
+    def drive(self, by: str) -> None:
+        """Hand over to "policy", "person" or "tour"."""
+        self.by, self._policy = by, Policy(self.body.camera.step)
+        self._heading: float | None = None  # of the straight part that is under way
 
     def steer(self, forward: float, turn: float, seconds: float) -> None:
         """What the person has steered, m/s and rad/s to the left, and how long; the body stands without it."""
         if self.by == "person":
-            self._turn(float(np.clip(turn, -QUICKEST, QUICKEST)) * seconds)
-            self._advance(float(np.clip(forward, -FASTEST, FASTEST)) * seconds)
-
-    def drive(self, by: str) -> None:
-        """Hand over to "policy", "person" or "tour"."""
-        if by != self.by:
-            self.by, self._heading, self._policy = by, None, Policy(Camera().step)
+            turn, forward = np.clip([turn, forward], [-QUICKEST, -FASTEST], [QUICKEST, FASTEST]) * seconds
+            self.body.walk(float(turn), float(forward))
 
     def move(self, seconds: float, direction: np.ndarray | None, arrived: bool) -> None:
         """Let time pass; `direction` ``(3,)``: the answer, body frame, or None: it looks around, or waits for it."""
@@ -125,145 +112,121 @@ class Walker:
         if self.by == "person" or (self.by == "policy" and arrived):
             return
         if direction is None:
-            self._turn(TURN / 2 * seconds * (self.by == "policy"))
+            self.body.walk(TURN / 2 * seconds * (self.by == "policy"), 0.0)
             return
-        if self._heading is None and not self._begin(seconds, direction):
-            return
-        assert self._heading is not None
-        off = math.remainder(self._heading - self.yaw, math.tau)
-        turned = min(abs(off), TURN * seconds)
-        self._turn(math.copysign(turned, off))
-        metres = min(self._left, SPEED * (seconds - turned / TURN))
-        self._advance(metres)
-        self._left -= metres
-        if self._left <= 1e-9:
-            self._heading = None
+        self._waits = max(0.0, self._waits - seconds)
+        if self._heading is None and not self._waits:
+            self._begin(direction)
+        if self._heading is not None:
+            off = math.remainder(self._heading - self.body.yaw, math.tau)
+            turned = min(abs(off), TURN * seconds)
+            metres = min(self._left, SPEED * (seconds - turned / TURN))
+            self.body.walk(math.copysign(turned, off), metres)
+            self._left -= metres
+            self._heading = self._heading if self._left > 1e-9 else None
 
-    def _begin(self, seconds: float, direction: np.ndarray) -> bool:
-        """Choose the next straight part; whether there is one."""
+    def _begin(self, direction: np.ndarray) -> None:
+        """Choose the next straight part, or a stop."""
         if self.by == "policy":
             azimuth = float(azimuth_elevation(direction)[0])
-            self._heading = self.yaw + self._policy.heading(azimuth, self.xy, self.yaw)
-            self._left = Camera().step
-            return True
-        self._waits = max(0.0, self._waits - seconds)
-        if self._waits or not self.way:
-            return False
-        ahead = self.way.pop(0) - self.xy
-        if float(np.hypot(*ahead)) < HERE:
-            self._waits = STOP
-            return False
-        self._heading, self._left = math.atan2(ahead[1], ahead[0]), float(np.hypot(*ahead))
-        return True
-
-    def _advance(self, metres: float) -> None:
-        """Go ahead (back, if negative), sliding along walls."""
-        if metres:
-            self.xy, _ = self.ground.move(self.xy, metres * np.array([math.cos(self.yaw), math.sin(self.yaw)]))
-
-    def _turn(self, angle: float) -> None:
-        self.yaw = math.remainder(self.yaw + angle, math.tau)
+            self._heading = self.body.yaw + self._policy.heading(azimuth, self.body.xy, self.body.yaw)
+            self._left = self._policy.step
+        elif self.way:
+            ahead = self.way.pop(0) - self.body.xy
+            self._left = float(np.hypot(*ahead))
+            if self._left < HERE:
+                self._waits = STOP
+            else:
+                self._heading = math.atan2(ahead[1], ahead[0])
 
 
 class _Poses:
     """The poses of a walk, as a source of odometry; the body moves while they are read."""
 
     def __init__(self, walk: Walk) -> None:
-        self._walk = walk
+        self._walk, self.close = walk, walk.close
 
     def __iter__(self) -> Iterator[Pose]:
         while not self._walk.closed.wait(POSES):
             if (pose := self._walk.step()) is not None:
                 yield pose
 
-    def close(self) -> None:
-        """The walk ends with its pictures."""
-        self._walk.close()
-
 
 class Walk:
     """A `CameraSource`, a `PoseSource` (`poses`) and a sink of the loop, whose first answer the policy follows.
 
-    `query`: what there is to look for; `names`: what can be asked for without doubt. It has a `clock` of its own, which
-    stands still while it is paused.
+    It walks in the environment of Map-Free Navigation, in an episode of it or on the tour. `query`: what there is to
+    look for; `names`: what can be asked for without doubt. It has a `clock` of its own, which can be paused.
     """
 
     live, latency, dropped, problem = True, 0.0, 0, None
 
     def __init__(self, seed: int, drive: str = "", rows: int | None = None) -> None:
-        self.seed, self._rows = seed, rows
-        self.place = load_place(APARTMENT, seed, Camera().radius)
-        self.names = tuple(sorted(str(name) for name in self.place.nameable().values()))
-        self.clock, self.closed, self.poses = WalkClock(), threading.Event(), _Poses(self)
+        self.seed, self._rows, self._env = seed, rows, MapFreeNavigationEnv(panorama=None)
+        spec, way = EpisodeSpec("navigation", APARTMENT, seed, seed % PER_PLACE, seed % PER_PLACE), list[np.ndarray]()
+        episode, self.place = self._env.plan(spec), load_place(APARTMENT, seed, Camera().radius)
+        # Apartments of another version have another tour.
+        if seed == TOUR_SEED and drive in ("", "tour") and (targets := self._named(TOUR_QUERY)):
+            way = [np.array(point.split(","), dtype=float) for point in TOUR.split()]
+            x, y = self.place.scene.instances[targets[0]].centre[:2] - way[0]
+            start = {"start": tuple(way[0].tolist()), "yaw": math.atan2(y, x)}
+            episode = replace(episode, query=TOUR_QUERY, targets=targets, **start)
+        self._env.reset(options={"episode": episode})
+        self.query, self.names = str(episode.query), tuple(sorted(map(str, self.place.nameable().values())))
+        self.walker = Walker(self._env.body, drive or ("tour" if way else "policy"), [*way[1:], *reversed(way)])
+        self.clock, self.closed = WalkClock(), threading.Event()
+        self.pause, self.close = self.clock.pause, self.closed.set
+        self.poses = _Poses(self)
         self.grid = ErpGrid(rows or MOVING_ROWS, 2 * (rows or MOVING_ROWS))
-        toured = seed == TOUR_SEED and bool(self._named(TOUR_QUERY))  # apartments of another version have another one
-        drive = drive or ("tour" if toured else "policy")
-        self.query, self.walker = self._tour() if drive == "tour" and toured else self._episode(drive)
         self._lock = threading.Lock()  # the person steers from another thread than time passes in
-        # The first picture takes seconds, for its light.
-        self.place.renderer.panorama(self.walker.position, np.eye(3), 32, range=False, ids=False)
-        self._moved = now = self.clock.now()
-        self._pose = Pose(now, world_R_body(self.walker.yaw), self.walker.position)
+        self._env.view()(32)  # the first takes seconds, for its light
+        now = self.clock.now()
+        self._now = self._pose(now), now  # and since when the body has been there
+        self._at: tuple[float, ...] = ()  # that is, x, y, yaw
         self._direction: np.ndarray | None = None
         self._looks, self._arrived = 0, False
-        self._asked: str | None = None  # what `_targets`, `_way` and `_hidden` are about
-        self._targets: list[int] = []
-        self._way: DistanceField | None = None
-        self._hidden: float | None = None  # since when a wall hides the thing
+        self._hidden: tuple[str, float] | None = None  # what a wall hides, and since when
 
-    def _tour(self) -> tuple[str, Walker]:
-        way = [np.array(point.split(","), dtype=float) for point in TOUR.split()]
-        ahead = self.place.scene.instances[self._named(TOUR_QUERY)[0]].centre[:2] - way[0]
-        yaw = math.atan2(ahead[1], ahead[0])
-        return TOUR_QUERY, Walker(self.place.ground, way[0], yaw, "tour", [*way[1:], *reversed(way)])
+    def _pose(self, now: float) -> Pose:
+        here = self.walker.body.pose
+        return Pose(now, here.world_R_body, here.position)
 
-    def _episode(self, drive: str) -> tuple[str, Walker]:
-        number = self.seed % PER_PLACE
-        spec = EpisodeSpec("navigation", APARTMENT, self.seed, number, number)
-        found = navigation.plan(spec, Camera(), NavigationRules())
-        return str(found.query), Walker(self.place.ground, np.array(found.start), found.yaw, drive)
-
-    def _named(self, query: str) -> list[int]:
+    def _named(self, query: str) -> tuple[int, ...]:
         """The things that a query names; none if it names nothing that is known here."""
         things = self.place.scene.instances
         try:
-            return matching(parse_query(query, {thing.category for thing in things}), things)
+            return tuple(matching(parse_query(query, {thing.category for thing in things}), things))
         except QueryError:
-            return []
+            return ()
 
     def __iter__(self) -> Iterator[Frame]:
         """A picture whenever the body has moved, a finer one once it stands, and that again for further looks."""
-        shown: Pose | None = None
-        picture, rows, last, due = np.zeros(0), 0, -math.inf, -math.inf
+        picture, rows, seen, last, due = np.zeros(0), 0, -math.inf, -math.inf, -math.inf
         while not self.closed.wait(POSES / 4):
-            pose, now = self._pose, self.clock.now()
-            moved = shown is None or not _same(pose, shown)
-            rests = self.clock.paused or now - self._moved > RESTED
+            (pose, moved), now = self._now, self.clock.now()
+            rests = self.clock.paused or now - moved > RESTED
             wanted = self._rows or (FINE_ROWS if rests else MOVING_ROWS)
-            if moved or wanted > rows:
+            if moved != seen or wanted > rows:
                 assert pose.position is not None
                 found = self.place.renderer.panorama(pose.position, pose.world_R_body, wanted, range=False, ids=False)
                 picture, rows = np.asarray(found.rgb), wanted
             elif now < due:
                 continue
-            shown, due, last = pose, now + STILL, max(pose.stamp, last + TICK)
+            seen, due, last = moved, now + STILL, max(pose.stamp, last + TICK)
             yield Frame(last, picture, f"apartment {self.seed}")
             self.closed.wait(PICTURES - POSES / 4)
-
-    def close(self) -> None:
-        self.closed.set()
 
     def step(self) -> Pose | None:
         """Let the body move until now; its pose, or None while the walk is paused."""
         with self._lock:
-            now = self.clock.now()
-            if now <= self._pose.stamp:
+            now, then = self.clock.now(), self._now[0].stamp
+            if now <= then:
                 return None
             known = None if self.walker.by == "tour" and self._looks < SURE else self._direction
-            self.walker.move(now - self._pose.stamp, known, self._arrived)
-            pose = Pose(now, world_R_body(self.walker.yaw), self.walker.position)
-            self._moved = self._moved if _same(pose, self._pose) else now
-            self._pose = pose
+            self.walker.move(now - then, known, self._arrived)
+            at = (*self.walker.body.xy.tolist(), self.walker.body.yaw)
+            pose, since = self._pose(now), self._now[1] if at == self._at else now
+            self._now, self._at = (pose, since), at
             return pose
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
@@ -275,13 +238,10 @@ class Walk:
     def drive(self, by: str, forward: float = 0.0, turn: float = 0.0, seconds: float = 0.0) -> None:
         """Who moves the body; and how the person has moved it (`Walker.steer`)."""
         with self._lock:
-            self.walker.drive(by)
+            if by != self.walker.by:
+                self.walker.drive(by)
             if not self.clock.paused:
                 self.walker.steer(forward, turn, seconds)
-
-    def pause(self, on: bool) -> None:
-        """Let time stand still, or go on."""
-        self.clock.pause(on)
 
     def truth(self, query: str, body_R_world: np.ndarray) -> tuple[np.ndarray | None, dict[str, Any] | None]:
         """The true direction ``(3,)`` of the nearest thing that a query names, body frame, and the way to it.
@@ -289,26 +249,21 @@ class Walk:
         None if it names nothing here. The way has the thing's place ``(2,)``, the metres left, and says whether a wall
         hides it.
         """
-        if query != self._asked:
-            self._asked, self._targets, self._arrived, self._hidden = query, self._named(query), False, None
-            ways = [self.place.ground.footprint(self.place.scene.instances[index]) for index in self._targets]
-            self._way = ways[0].union(*ways[1:]) if ways else None
-        if self._way is None:
+        targets = self._named(query)
+        if not targets:
             return None, None
-        here, now = self.walker.position, self.clock.now()
-        centres = np.array([self.place.scene.instances[index].centre for index in self._targets])
-        nearest = centres[int(np.linalg.norm(centres - here, axis=1).argmin())]
-        left = float(self._way.distance(here[:2]))
+        self._env.episode = replace(self._env.episode, targets=targets)
+        here, nearest, left, now = self.walker.body.pose.position, self._env.target(), self._env.left, self.clock.now()
+        assert nearest is not None
         self._arrived = left < NavigationRules().success_distance
-        hidden = walled(self.place.ground, here[:2], nearest[:2])
-        self._hidden = (now if self._hidden is None else self._hidden) if hidden else None
         words = f"{left:.1f} m of walking left." if math.isfinite(left) else "No way leads there on foot."
-        if self._hidden is not None:
-            words = f"A wall has hidden the {query} for {now - self._hidden:.0f} s. {words}"
-        elif self.walker.by == "tour":
-            words = f"The {query} is in sight."
-        elif self._arrived:
-            words = "Reached."
+        if walled(self.place.ground, here[:2], nearest[:2]):
+            self._hidden = self._hidden if self._hidden and self._hidden[0] == query else (query, now)
+            words = f"A wall has hidden the {query} for {now - self._hidden[1]:.0f} s. {words}"
+        else:
+            self._hidden = None
+            if self.walker.by == "tour" or self._arrived:
+                words = f"The {query} is in sight." if self.walker.by == "tour" else "Reached."
         away = nearest - here
         goal = {"position": nearest[:2], "metres": left, "words": words}
         return body_R_world @ (away / max(float(np.linalg.norm(away)), 1e-9)), goal
@@ -318,21 +273,13 @@ class Walk:
         return {self.place.scene.instances[index].name for index in self._named(query)}
 
 
-def _same(one: Pose, other: Pose) -> bool:
-    """Whether the body stands where it stood."""
-    assert one.position is not None
-    assert other.position is not None
-    return bool((one.position == other.position).all() and (one.world_R_body == other.world_R_body).all())
-
-
 def walled(ground: Ground, xy: np.ndarray, point: np.ndarray) -> bool:
     """Whether a wall (or a door's or a window's frame) of the plan stands between two points ``(2,)``.
 
     The last half metre does not count: things stand against walls.
     """
-    gap = float(np.linalg.norm(point - xy))
-    count = math.ceil(gap / ground.cell * 4) + 1
-    line = xy + np.linspace(0.0, max(0.0, 1 - 0.5 / max(gap, 0.5)), count)[:, None] * (point - xy)
-    col, row = np.floor((line - ground.origin) / ground.cell).astype(np.intp).T
-    inside = (row >= 0) & (row < ground.structure.shape[0]) & (col >= 0) & (col < ground.structure.shape[1])
-    return bool(np.any(np.asarray(ground.structure)[row[inside], col[inside]]))
+    gap = max(float(np.linalg.norm(point - xy)), 0.5)
+    line = (np.array([xy, xy + (1 - 0.5 / gap) * (point - xy)]) - ground.origin) / ground.cell
+    structure = np.asarray(ground.structure)
+    line = np.clip(line, 0.0, np.array(structure.shape[::-1]) - 1e-6)
+    return not sees(walls_below(~structure), line[0], line[1:])[0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import ndimage
@@ -23,6 +23,7 @@ CELL = 0.05
 BODY = 0.25  # half of the width of passages
 REACH = 0.55  # largest distance from the middle of a body to every piece
 GAP = 0.02  # between the back of a piece and the wall: more than a skirting board
+NOWHERE = np.zeros((0, 5))
 
 
 def from_rectangle(rectangle: tuple[float, float, float, float]) -> np.ndarray:
@@ -114,7 +115,7 @@ class Piece:
     """A placed model.
 
     `room`: its index in the plan; `box`: its footprint ``(5,)``; `z`: the height of the model's origin, metres; `air`:
-    from where to where it takes up space, None if others may overlap it; `zones`: footprints that stay free for it. If
+    from where to where it takes up space, None if others may overlap it; `zones` ``(k, 5)`` stay free for it. If
     it stands in the way, `near`: the cells where the middle of a body cannot be; `ring`: those from which it can be
     reached, as flat indices.
     """
@@ -124,7 +125,7 @@ class Piece:
     box: np.ndarray
     z: float = 0.0
     air: tuple[float, float] | None = None
-    zones: Iterable[np.ndarray] = ()
+    zones: np.ndarray = field(default_factory=lambda: NOWHERE)
     near: np.ndarray | None = None
     ring: np.ndarray | None = None
 
@@ -260,14 +261,14 @@ class Furnisher:
             colour = habit if self.rng.random() < 0.45 else str(self.rng.choice(colours))
         return build(category, colour, seed)
 
-    def set_down(self, group: Iterable[tuple[Model, np.ndarray]], room: int, zones: Iterable[np.ndarray] = ()) -> bool:
+    def set_down(self, group: Iterable[tuple[Model, np.ndarray]], room: int, zones: np.ndarray = NOWHERE) -> bool:
         """Place models together if all rooms and pieces stay reachable, and keep `zones` free; otherwise do nothing."""
         start, around = len(self.pieces), np.isin(self._owner, self.space[room])  # nobody reaches it through a wall
         for model, box in group:
             away = distances(box, self._centres)
             ring = np.flatnonzero((away < REACH) & (away >= BODY) & around)
             self.pieces.append(Piece(room, model, box[:5], 0.0, (0.0, model.size[2]), zones, away < BODY, ring))
-            zones = ()
+            zones = NOWHERE
         if not self._walkable():
             del self.pieces[start:]
         return len(self.pieces) > start
@@ -278,7 +279,7 @@ class Furnisher:
         if front > 0:
             good &= self.open_before(self.space[room], before(sites, front))
         tries = sites[best(sites, good, 10), :5]
-        return any(self.set_down([(model, box)], room, before(box, front) if reserve else ()) for box in tries)
+        return any(self.set_down([(model, box)], room, before(box, front) if reserve else NOWHERE) for box in tries)
 
     def _walkable(self) -> bool:
         """Whether one walk leads through all doorways, into all rooms and near all pieces."""
