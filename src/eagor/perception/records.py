@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, TextIO
 
@@ -365,25 +365,14 @@ def _looked(entry: _Line) -> dict[str, Any]:
     return {"grid": grid, "values": values, "scores": scores, "labels": labels}
 
 
-def write_record(
-    file: TextIO,
-    stamp: float,
-    *,
-    query: str | None = None,
-    image: Mapping[str, Any] | None = None,
-    boxes: Sequence[Mapping[str, Any]] | None = None,
-    points: Sequence[Mapping[str, Any]] | None = None,
-    response: np.ndarray | None = None,
-    look: str | int | None = None,
-    scores: str | None = None,
-) -> None:
+def write_record(file: TextIO, stamp: float, *, response: np.ndarray | None = None, **entry: Any) -> None:
     """Append one line to an open text file and flush it; the line is checked before anything is written.
 
-    Give exactly one of `boxes`, `points` (entries as in the format) and `response` ``(rows, cols)``. `look`: the same
-    for all views of one moment. `scores`: "logit" if they are logits. Raises `FormatError`.
+    Give exactly one of `boxes`, `points` (entries as in the format) and `response` ``(rows, cols)``; besides them what
+    a line may have: `query`, `image`, `look` (the same for all views of one moment), `scores` ("logit" if they are
+    logits), ... Raises `FormatError`.
     """
-    entry: dict[str, Any] = {"stamp": stamp, "query": query, "look": look, "image": image}
-    entry |= {"boxes": boxes, "points": points, "scores": scores}
+    entry = {"stamp": stamp, **entry}
     if response is not None:
         values = np.asarray(response, dtype=float)
         need(values.ndim == 2, "response", values.shape, "an array (rows, cols)")
