@@ -53,7 +53,7 @@ from eagor.lab.eval.labelled_looks import LabelledLook
 from eagor.media.panorama import read_panorama, turn
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception.coco import CLASSES, DETECTOR
-from eagor.perception.things import Thing, spread_evidence
+from eagor.perception.things import Thing, pieces_of, spread_evidence, things
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 from eagor.tracking import Estimate, TrackerConfig
 
@@ -131,8 +131,9 @@ def look(folder: Path, files: Sequence[Path], wanted: Sequence[tuple[str, str]])
             for frame, picture in enumerate(pictures(photograph, condition) if frames else ()):
                 if frame not in frames:
                     continue
-                seen = zip(CLASSES, views.things(picture, CLASSES, say[frame]), strict=True)
-                found = {query: [stored(thing) for thing in things] for query, things in seen if things}
+                seen = views.seen(picture, say[frame])
+                of_class = ((name, things(pieces_of(seen, {name}))) for name in CLASSES)
+                found = {name: [stored(thing) for thing in found] for name, found in of_class if found}
                 entry: dict[str, Any] = {"photograph": name, "condition": condition, "frame": frame, "seen": found}
                 out.write(json.dumps(entry) + "\n")
                 out.flush()

@@ -8,12 +8,12 @@ import supervision
 import torch
 
 from eagor.errors import ResponseError
-from eagor.perception.views import Boxes, boxes_of
+from eagor.perception.results import boxes_of
+from eagor.perception.things import Boxes
 
 BOXES = np.array([[10.0, 20.0, 30.0, 60.0], [50.0, 10.0, 80.0, 90.0]])
 SCORES = np.array([0.9, 0.25])
 NAMES = {0: "person", 56: "chair"}
-SHAPE = (100, 200, 3)
 
 
 def ultralytics(**more):
@@ -45,12 +45,6 @@ def mediapipe():
         place = SimpleNamespace(origin_x=x0, origin_y=y0, width=x1 - x0, height=y1 - y0)
         found.append(SimpleNamespace(bounding_box=place, categories=categories))
     return SimpleNamespace(detections=found)
-
-
-def blob():
-    rows = np.column_stack([[0, 0], [56, 0], SCORES, BOXES / [200, 100, 200, 100]])
-    filling = np.array([[0, 0, 0, 0, 0, 0, 0], [-1, 5, 0.9, 0, 0, 1, 1]])
-    return np.concatenate([rows, filling])[None, None].astype(np.float32)
 
 
 def records(**label):
@@ -86,7 +80,6 @@ FOUND = {
     "hugging face": TENSORS | {"labels": torch.tensor([0, 0]), "text_labels": ["chair", "person"]},
     "pipeline": pipeline(),
     "mediapipe": mediapipe(),
-    "opencv": blob(),
     "coco": records(category_id=[56, 0]),
     "coco with names": records(category=["chair", "person"]),
 }
@@ -94,7 +87,7 @@ FOUND = {
 
 @pytest.mark.parametrize("kind", FOUND)
 def test_each_kind_is_read(kind):
-    boxes, scores, labels = boxes_of(FOUND[kind], NAMES, SHAPE)
+    boxes, scores, labels = boxes_of(FOUND[kind], NAMES)
     np.testing.assert_allclose(boxes, BOXES, atol=1e-4)
     np.testing.assert_allclose(scores, SCORES, atol=2e-3)
     assert labels == ["chair", "person"]
@@ -105,13 +98,13 @@ def test_each_kind_is_read(kind):
     "found",
     [
         [], ([], []), (np.zeros((0, 4)), np.zeros(0)), (np.zeros(0), np.zeros(0), []), supervision.Detections(
-            xyxy=np.zeros((0, 4)), confidence=np.zeros(0)), SimpleNamespace(detections=[]), np.zeros((1, 1, 0, 7)),
+            xyxy=np.zeros((0, 4)), confidence=np.zeros(0)), SimpleNamespace(detections=[]),
         {"boxes": torch.zeros((0, 4)), "scores": torch.zeros(0), "labels": torch.zeros(0)},
         SimpleNamespace(detections=None),
     ],
 )  # fmt: skip
 def test_nothing_found_is_no_error(found):
-    boxes, scores, _ = boxes_of(found, NAMES, SHAPE)
+    boxes, scores, _ = boxes_of(found, NAMES)
     assert (boxes.shape, scores.shape) == ((0, 4), (0,))
 
 
@@ -137,16 +130,6 @@ def test_boxes_without_area_are_left_out():
     flat = np.array([[10, 20, 10, 60], [10, 20, 30, 20], [10, 20, 30, 60.0]])
     boxes, scores, labels = boxes_of((flat, [0.1, 0.2, 0.3], ["a", "b", "c"]))
     assert (boxes.tolist(), scores.tolist(), labels) == ([[10, 20, 30, 60]], [0.3], ["c"])
-
-
-def test_the_older_solutions_of_mediapipe_want_the_shape():
-    box = SimpleNamespace(xmin=0.1, ymin=0.2, width=0.1, height=0.4)
-    face = SimpleNamespace(location_data=SimpleNamespace(relative_bounding_box=box), score=[0.8])
-    found = boxes_of(SimpleNamespace(detections=[face]), shape=SHAPE)
-    np.testing.assert_allclose(found.boxes, [[20, 20, 40, 60]])
-    assert found.labels == ["face"]
-    with pytest.raises(ResponseError, match=r"fractions of the picture; wanted shape=picture\.shape"):
-        boxes_of(SimpleNamespace(detections=[face]))
 
 
 @pytest.mark.parametrize(
@@ -183,11 +166,9 @@ def test_the_older_solutions_of_mediapipe_want_the_shape():
 )
 def test_what_is_wrong_is_said(found, wanted):
     with pytest.raises(ResponseError, match=wanted):
-        boxes_of(found, NAMES, SHAPE)
+        boxes_of(found, NAMES)
 
 
-def test_numbers_without_names_and_fractions_without_a_shape():
+def test_numbers_without_names():
     with pytest.raises(ResponseError, match="labels came as numbers, such as 56; wanted texts, or names="):
         boxes_of((BOXES, SCORES, [56, 0]))
-    with pytest.raises(ResponseError, match=r"an SSD blob are fractions of the picture; wanted shape=picture\.shape"):
-        boxes_of(blob(), NAMES)

@@ -782,7 +782,7 @@ def test_truth_is_not_told_by_an_image():
 
 
 def test_load_makes_truth():
-    assert load("truth").noise == load("truth:").noise == Noise.moderate()
+    assert load("truth").noise == load("truth:").noise == Noise.parse("moderate")
     assert load("truth:ideal", rows=24).grid == PatchGrid(24, 48)
     assert load("truth:miss=0.5,persistence=0.8").noise.persistence == 0.8
     with pytest.raises(EagorError, match=r"keys: miss, false_alarm"):

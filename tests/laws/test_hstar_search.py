@@ -104,9 +104,7 @@ def test_one_clear_look_outweighs_what_was_not_looked_at(pitch, size):
     """However small the thing is in the picture: a sharp report must not say less than a broad one."""
     half = size / 2 / math.cos(math.radians(pitch))
     item = {"yaw": [(200 - half) % 360, (200 + half) % 360], "pitch": [pitch - size / 2, pitch + size / 2]}
-    detector = SimulatedDetector(
-        (item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise.ideal(), 0
-    )
+    detector = SimulatedDetector((item["yaw"][0], item["yaw"][1]), (item["pitch"][0], item["pitch"][1]), Noise(), 0)
     view = View(210.0, float(pitch))
     answer = after(detector, view).answer()
     assert submit_succeeds(item, answer.yaw, answer.pitch, "strict")
@@ -162,7 +160,7 @@ def test_a_false_alarm_that_lasts_stays_where_it_is_in_the_world():
 
 
 def test_paths_are_answered_by_yaw_alone():
-    detector = SimulatedDetector((100.0, 106.0), None, Noise.ideal(), 0)
+    detector = SimulatedDetector((100.0, 106.0), None, Noise(), 0)
     answer = after(detector, *[View(90.0, 0.0)] * 3, kind="hps").answer()
     assert answer.pitch == 0
     assert abs(answer.yaw - 103) <= 5

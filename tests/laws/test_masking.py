@@ -14,8 +14,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.colour import ColourPerception
-from eagor.perception.partial import Masked, read_mask
-from eagor.perception.views import Detector
+from eagor.perception.partial import read_mask
 from eagor.sphere import direction, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
 
@@ -143,31 +142,12 @@ def test_the_mask_goes_with_the_body(tilt):
     assert tracked(*[lambda t: Evidence.from_points([thing], stamp=t).covered(nadir())] * 3).direction @ thing > 0.999
 
 
-def black_disc():
-    """A grey room with a black disc at the nadir."""
-    picture = np.full((128, 256, 3), 150, dtype=np.uint8)
-    picture[nadir(128).seen == 0] = 5
-    return picture
-
-
-def test_any_perception_can_be_masked():
-    panorama = black_disc()
-    plain = ColourPerception()
-    masked = Masked(plain, nadir())
-    assert len(plain(panorama, "the black backpack").detections) == 1
-    assert len(masked(panorama, "the black backpack", stamp=2.0).detections) == 0
-    assert masked.rows == plain.rows
-    assert not masked.takes_pose
-
-    def detect(picture, query):
-        dark = np.argwhere((picture < 30).all(axis=-1))
-        return ([[*dark.min(axis=0)[::-1], *dark.max(axis=0)[::-1] + 1]], [0.9]) if len(dark) else ([], [])
-
-    cut = Detector(detect, size=64)
-    assert len(cut(panorama, "backpack").detections) >= 1
-    tilted = Masked(cut, nadir())(panorama, "backpack", world_R_body=world_R_body(0.3, 0.4, 0.1))
-    assert len(tilted.detections) == 0
-    assert Masked(cut, nadir()).takes_pose
+def test_what_a_perception_sees_under_the_mask_does_not_count():
+    panorama = np.full((128, 256, 3), 150, dtype=np.uint8)
+    panorama[nadir(128).seen == 0] = 5
+    evidence = ColourPerception()(panorama, "the black backpack")
+    assert len(evidence.detections) == 1
+    assert len(evidence.covered(nadir()).detections) == 0
 
 
 def test_a_mask_from_a_file(tmp_path):

@@ -17,7 +17,7 @@ from eagor.perception.truth import WIDEST, Noise, TruthPerception
 from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation, world_R_body
 
 PERSISTENCES = [0.0, 0.3, 0.8]
-IDEAL, MODERATE = Noise.ideal(), Noise.moderate()
+IDEAL, MODERATE = Noise.parse("ideal"), Noise.parse("moderate")
 
 
 @dataclass(frozen=True)
@@ -425,7 +425,7 @@ BEYOND = ["miss=1.1", "floor=-0.1", "spread=91", "spread=nan", "smallest=inf", "
           for rows in (0, -3, 2.5, math.nan, "18", True)),
         *((lambda ids=ids: episode(SCENE)(ids, "chair"), ImageError, r"instance ids.*bench run")
           for ids in (np.zeros((8, 16, 3), np.uint8), np.zeros((8, 16)), [[1, 2]], np.zeros((0, 0), int), None)),
-        (lambda: episode(SCENE)(np.zeros((8, 8), int), "chair"), ImageError, r"wanted \(H, 2 H\)"),
+        (lambda: episode(SCENE)(np.zeros((8, 8), int), "chair"), ImageError, r"instance ids \(H, 2 H\)"),
         *((lambda thing=thing: episode(SCENE)(np.full((8, 16), thing), "chair"), ImageError, r"wanted -1 .*to 13")
           for thing in (14, -2)),
         (lambda: episode(SCENE)(IDS, "chiar"), QueryError, "Did you mean 'chair'"),

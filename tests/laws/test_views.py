@@ -200,7 +200,7 @@ def test_one_pass_answers_for_every_class_as_a_look_for_each_does():
     open_words = Detector(red, size=128)
     asked.clear()
     open_words.function = labelled
-    open_words.things(panorama, ("door", "ball"))
+    open_words.answers(panorama, ("door", "ball"))
     assert set(asked) == {"door", "ball"}, "a detector without classes is asked for each query"
 
 

@@ -19,7 +19,7 @@ from eagor.lab.eval.labelled_looks import read_truth
 from eagor.lab.eval.predictions import predicted
 from eagor.odometry.files import read_poses
 from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibrated, read_labelled
-from eagor.perception.onnx.labels import read_labels
+from eagor.perception.onnx.layouts import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
 from eagor.perception.transformers.heads import read_heads
 from eagor.sphere import world_R_body

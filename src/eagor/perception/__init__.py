@@ -12,45 +12,24 @@ import os
 import re
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from runpy import run_path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from eagor import plugins
+from eagor._checks import shown
 from eagor.errors import EagorError, QueryError, ResponseError
 from eagor.evidence import Evidence
 
-if TYPE_CHECKING:
-    from eagor.perception.views import Detector
-
 __all__ = [
-    "Detector",
-    "Perception",
-    "as_perception",
-    "check_perception",
-    "is_model",
-    "known",
-    "knows_classes",
-    "load",
-    "look",
-    "parse_options",
-    "rows_of",
-    "short_name",
+    "Perception", "as_perception", "check_perception", "is_model", "known", "knows_classes", "load", "look",
+    "parse_options", "rows_of", "short_name",
 ]  # fmt: skip
 
-
-def __getattr__(name: str) -> Any:
-    if name == "Detector":  # it needs more than the others: loaded when it is asked for
-        from eagor.perception.views import Detector
-
-        return Detector
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-SHOWN = 60  # letters of an object that came instead of evidence
 GROUP = "eagor.perceptions"
 # Listed here so that they are known even where the package runs from a folder, without installed metadata.
 BUILT_IN = {
@@ -104,21 +83,14 @@ def look(
 
     Raises `NoEvidenceError` if something else comes, besides the perception's own errors.
     """
-    if getattr(perception, "takes_pose", False):
-        taking: Any = perception
-        found = taking(panorama, query, stamp=stamp, world_R_body=world_R_body)
-    else:
-        found = perception(panorama, query, stamp=stamp)
-    if not isinstance(found, Evidence):
+    pose = {"world_R_body": world_R_body} if getattr(perception, "takes_pose", False) else {}
+    answer = perception(panorama, query, stamp=stamp, **pose)
+    if not isinstance(answer, Evidence):
         raise NoEvidenceError(
-            f"the perception returned {_brief(found)}; wanted eagor.Evidence, such as Evidence.from_boxes(...)"
+            f"the perception returned {type(answer).__name__} {' '.join(shown(answer).split())}; wanted "
+            "eagor.Evidence, such as Evidence.from_boxes(...)"
         )
-    return found
-
-
-def _brief(found: object) -> str:
-    text = " ".join(repr(found).split())
-    return f"{type(found).__name__} {text if len(text) <= SHOWN else text[:SHOWN] + '...'}"
+    return answer
 
 
 def known() -> dict[str, EntryPoint]:
@@ -133,43 +105,38 @@ def load(spec: str, **options: Any) -> Perception:
     only, it is options, as in ``colour:rows=512``. `options` are passed on by name. A folder with ``config.json``, or
     any other text with a slash, is a model for `eagor.perception.transformers`; options can follow it, as in
     ``folder?extractor=boxes&pixels=401408``. ``my_detector.py:detect`` is a function in a file of yours: a perception,
-    or one that `Detector` takes. Raises `QueryError` for an unknown name, `EagorError` if the perception cannot be
-    imported or does not take the arguments.
+    or one that `eagor.Detector` takes. Raises `QueryError` for an unknown name, `EagorError` if the perception cannot
+    be imported or does not take the arguments.
     """
     name, colon, text = str(spec).partition(":")
     if _in_a_file(spec):
-        file, _, function = str(spec).rpartition(":")
-        return _of_file(file, function, options)
+        return _of_file(spec, options)
     choices = known()
     if name not in choices:
         model, _, written = str(spec).partition("?")
         if _names_a_model(model):
-            from eagor.perception.transformers import perception_here
-
-            return local_model(perception_here, model, parse_options(written) | options)
+            return _local_model(model, parse_options(written) | options)
         raise QueryError(
             f"there is no perception {name!r}; known are {', '.join(sorted(choices))}, folders with a model, and hub "
             "names such as Qwen/Qwen2.5-VL-7B-Instruct. A model on a server is endpoint:MODEL@ADDRESS"
         )
     make: Callable[..., Perception] = plugins.bring(choices[name], "perception")
     arguments, takes = (text,) if colon else (), inspect.signature(make)
-    if colon and all(each.kind is each.KEYWORD_ONLY for each in takes.parameters.values()):
-        try:
-            arguments, options = (), parse_options(text) | options
-        except EagorError as error:
-            raise EagorError(f"perception {spec!r}: {error}. It takes {name}{takes}") from error
     try:
+        if colon and all(each.kind is each.KEYWORD_ONLY for each in takes.parameters.values()):
+            arguments, options = (), parse_options(text) | options
         takes.bind(*arguments, **options)
-    except TypeError as error:
+    except (EagorError, TypeError) as error:
         raise EagorError(
-            f"perception {spec!r} cannot be made with the options {sorted(options)}: {error}. "
-            f"It takes {name}{takes}; the text after ':' is the first argument, or name=value"
+            f"perception {spec!r} cannot be made with the options {sorted(options)}: {error}. It takes {name}{takes}; "
+            "the text after ':' is the first argument, or name=value"
         ) from error
     return make(*arguments, **options)
 
 
-def _of_file(file: str, name: str, options: dict[str, Any]) -> Perception:
-    """The perception or function with this name in a file of Python. Raises `EagorError`."""
+def _of_file(spec: str, options: dict[str, Any]) -> Perception:
+    """The perception, or what makes one, that ``FILE.py:NAME`` names. Raises `EagorError`."""
+    file, _, name = str(spec).rpartition(":")
     path = Path(os.path.expanduser(file))
     if not path.is_file():
         raise EagorError(f"there is no file {file}; wanted a file of Python and a function in it: {path.name}:detect")
@@ -179,18 +146,30 @@ def _of_file(file: str, name: str, options: dict[str, Any]) -> Perception:
         names = run_path(str(path))
     except Exception as error:
         raise EagorError(f"{file} cannot be run: {type(error).__name__}: {error}") from error
-    found = names.get(name)
-    if not callable(found):
-        there = [each for each, value in names.items() if callable(value) and not each.startswith("_")]
-        raise EagorError(f"{file} has no function {name!r}; it has {', '.join(there) or 'none'}")
-    made = found(**options) if isinstance(found, type) else found
-    perception = as_perception(made)
+    if not callable(detect := names.get(name)):
+        functions = [each for each, value in names.items() if callable(value) and not each.startswith("_")]
+        raise EagorError(f"{file} has no function {name!r}; it has {', '.join(functions) or 'none'}")
+    perception = as_perception(detect(**options) if isinstance(detect, type) else detect)
     assert not isinstance(perception, str)
     return perception
 
 
+def _local_model(name: str, options: dict[str, Any]) -> Perception:
+    """The perception of the model with this hub name or in this folder. Raises `EagorError` without one."""
+    from eagor.perception.transformers import perception_here
+
+    folder = Path(os.path.expanduser(name))  # leaves the name as it is if there is no such user
+    if os.path.isdir(folder):
+        if not os.path.isfile(folder / "config.json"):
+            raise EagorError(f"the folder {name!r} has no config.json; wanted one that holds a model")
+        return perception_here(str(folder), **options)
+    if name.startswith((".", "~", "/")):
+        raise EagorError(f"there is no folder {name!r}; wanted one that holds a model, or a hub name")
+    return perception_here(name, **options)
+
+
 def as_perception(perception: str | Perception | Callable[..., Any]) -> str | Perception:
-    """The same, with any other function that finds things in pictures (`Detector`) made a perception.
+    """The same, with any other function that finds things in pictures (`eagor.Detector`) made a perception.
 
     A perception takes the `stamp` of a picture. Raises `EagorError` for what is no function.
     """
@@ -201,11 +180,9 @@ def as_perception(perception: str | Perception | Callable[..., Any]) -> str | Pe
             f"a {type(perception).__name__} came for a perception; wanted text, such as 'coco', or a function that "
             "takes a picture and returns boxes, scores and labels"
         )
-    try:
+    with suppress(TypeError, ValueError):  # built in: nothing tells what it takes
         if "stamp" in inspect.signature(perception).parameters:
             return perception
-    except (TypeError, ValueError):  # built in: nothing tells what it takes
-        pass
     from eagor.perception.views import Detector, is_ultralytics
 
     return Detector.from_ultralytics(perception) if is_ultralytics(perception) else Detector(perception)
@@ -224,9 +201,7 @@ def rows_of(perception: Any) -> int:
 def is_model(spec: str) -> bool:
     """Whether `load` would read `spec` as a model, on this machine or on a server."""
     name = str(spec).partition(":")[0]
-    if name in known() or _in_a_file(spec):
-        return name == "endpoint"
-    return _names_a_model(str(spec).partition("?")[0])
+    return name == "endpoint" if name in known() or _in_a_file(spec) else _names_a_model(str(spec).partition("?")[0])
 
 
 def place_of(text: str) -> tuple[str, str]:
@@ -242,14 +217,20 @@ def _in_a_file(spec: str) -> bool:
     return str(spec).rpartition(":")[0].endswith(".py")
 
 
+def _names_a_model(text: str) -> bool:
+    """Whether `text` is a folder with a model, or looks like a path or a hub name."""
+    return os.path.isfile(os.path.join(text, "config.json")) or ("/" in text.replace(os.sep, "/") and "://" not in text)
+
+
 def short_name(spec: str) -> str:
     """A short form of `spec` for file names, not unique: ``scout``, ``endpoint-qwen2.5vl-7b``."""
     name, _, text = str(spec).partition(":")
+    text = text.partition("?")[0]
     if name == "endpoint":
-        model, _ = place_of(text.partition("?")[0])
-        name = f"endpoint-{model.rstrip('/').rpartition('/')[2]}" if model else name
+        model = place_of(text)[0].rstrip("/").rpartition("/")[2]
+        name = f"endpoint-{model}" if model else name
     elif name == "onnx":
-        name = f"onnx-{Path(text.partition('?')[0]).stem}"
+        name = f"onnx-{Path(text).stem}"
     elif _in_a_file(spec):
         name = Path(str(spec).rpartition(":")[0]).stem
     elif name not in known():
@@ -263,42 +244,20 @@ def parse_options(text: str) -> dict[str, Any]:
     `revision` and `heads` stay text: a commit may look like a number (``1234567``, ``12e4567``).
     Raises `EagorError` for a part without a name or a value, and for a name that comes twice.
     """
-    found: dict[str, Any] = {}
+    options: dict[str, Any] = {}
     for part in filter(None, text.split("&")):
         name, _, value = part.partition("=")
-        if not name or not value or name in found:
+        if not name or not value or name in options:
             raise EagorError(f"{part!r} in the options {text!r}; wanted name=value, each once, with & between them")
-        found[name] = value if name in _TEXTS else _value(value)
-    return found
+        options[name] = value if name in _TEXTS else _value(value)
+    return options
 
 
 def _value(text: str) -> Any:
-    if text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
+    for kind in ({"true": True, "false": False}.__getitem__, int, float):
+        with suppress(KeyError, ValueError):
+            return kind(text.lower())
     return text
-
-
-def _names_a_model(text: str) -> bool:
-    """Whether `text` is a folder with a model, or looks like a path or a hub name."""
-    return os.path.isfile(os.path.join(text, "config.json")) or ("/" in text.replace(os.sep, "/") and "://" not in text)
-
-
-def local_model(make: Callable[..., Any], name: str, options: dict[str, Any]) -> Any:
-    """The result of `make` for the model with this hub name or in this folder, with options by name.
-
-    Raises `EagorError` for a folder without a model.
-    """
-    folder = os.path.expanduser(name)  # leaves the name as it is if there is no such user
-    if os.path.isdir(folder) and not os.path.isfile(os.path.join(folder, "config.json")):
-        raise EagorError(f"the folder {name!r} has no config.json; wanted one that holds a model")
-    if not os.path.isdir(folder) and name.startswith((".", "~", "/")):
-        raise EagorError(f"there is no folder {name!r}; wanted one that holds a model, or a hub name")
-    return make(str(Path(folder)) if os.path.isdir(folder) else name, **options)
 
 
 def check_perception(
@@ -318,58 +277,38 @@ def check_perception(
     `tolerance` (largest difference). Use this for perceptions that treat all azimuths alike.
     """
 
-    def need(holds: bool, fault: str) -> None:
+    def need(holds: Any, came: str, wanted: str) -> None:
         if not holds:
-            raise AssertionError(f"the perception {fault}")
+            raise AssertionError(f"the perception {came}; wanted {wanted}")
 
     before = panorama.copy()
     evidence = perception(panorama, query, stamp=stamp)
-    need(isinstance(evidence, Evidence), f"returned {type(evidence).__name__}; wanted eagor.Evidence")
-    need(np.array_equal(before, panorama), "changed the panorama; wanted it unchanged: work on a copy")
-    need(
-        evidence.stamp == stamp,
-        f"was given stamp={stamp}, and its evidence carries {evidence.stamp}; wanted the same: pass stamp=stamp on to "
-        "what makes the evidence",
-    )
+    need(isinstance(evidence, Evidence), f"returned {type(evidence).__name__}", "eagor.Evidence")
+    need(np.array_equal(before, panorama), "changed the panorama", "it unchanged: work on a copy")
+    carries = f"was given stamp={stamp}, and its evidence carries {evidence.stamp}"
+    need(evidence.stamp == stamp, carries, "the same: pass stamp=stamp on to what makes the evidence")
     response, shape = np.asarray(evidence.response), tuple(evidence.grid.shape)
-    need(
-        response.shape == shape,
-        f"gives a response of shape {response.shape} on a grid of {shape}; wanted the grid that the response was "
-        "computed on",
-    )
-    need(
-        bool(((response >= 0) & (response <= 1)).all()),
-        f"gives responses from {response.min():g} to {response.max():g}; wanted [0, 1]: logits want a sigmoid",
-    )
-    need(
-        bool(np.isfinite(np.asarray(evidence.log_ratio)).all())
-        and bool(np.isfinite(np.asarray(evidence.coefficients(3))).all()),
-        "gives evidence that is not finite; wanted finite log ratios: make it with Evidence.from_response",
-    )
+    gives = f"gives a response of shape {response.shape} on a grid of {shape}"
+    need(response.shape == shape, gives, "the grid that the response was computed on")
+    ends = f"gives responses from {response.min():g} to {response.max():g}"
+    need(((response >= 0) & (response <= 1)).all(), ends, "[0, 1]: logits want a sigmoid")
+    finite = (np.isfinite(np.asarray(each)).all() for each in (evidence.log_ratio, evidence.coefficients(3)))
+    need(all(finite), "gives evidence that is not finite", "finite log ratios: make it with Evidence.from_response")
     again = perception(panorama, query, stamp=stamp)
     first, second = (f"a {type(each.grid).__name__} of {tuple(each.grid.shape)}" for each in (evidence, again))
-    need(
-        first == second,
-        f"answers on {first}, then for the same panorama on {second}; wanted the same grid: a call must not change the "
-        "perception",
-    )
+    twice = f"answers on {first}, then for the same panorama on {second}"
+    need(first == second, twice, "the same grid: a call must not change the perception")
     if roll is None:
         return
     columns, rest = divmod(roll * response.shape[1], panorama.shape[1])
-    need(
-        not rest,
-        f"answers with {response.shape[1]} columns, and roll={roll} does not shift them by a whole number; choose "
-        "another roll",
-    )
+    need(not rest, f"answers with {response.shape[1]} columns, which roll={roll} shifts by a part", "another roll")
     rolled = np.asarray(perception(np.roll(panorama, roll, axis=1), query, stamp=stamp).response)
-    need(
-        rolled.shape == response.shape,
-        f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}; wanted the same grid for "
-        "every panorama of one size",
-    )
+    other = f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}"
+    need(rolled.shape == response.shape, other, "the same grid for every panorama of one size")
     worst = float(np.abs(rolled - np.roll(response, columns, axis=1)).max())
+    differs = (
+        f"answers a panorama rolled by {roll} columns with a response that differs from the rolled one by {worst:.3g}"
+    )
     need(
-        worst <= tolerance,
-        f"answers a panorama rolled by {roll} columns with a response that differs from the rolled one by {worst:.3g}; "
-        f"wanted at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out",
+        worst <= tolerance, differs, f"at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out"
     )

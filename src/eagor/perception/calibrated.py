@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -35,18 +35,9 @@ from eagor.perception.vlm import Labelled, phrase
 from eagor.sphere import direction
 from eagor.tracking.config import MotionModel
 
-_WRITTEN = "wanted what `eagor calibrate` writes"
-_DETECTOR = tuple(model_as_json(DetectorModel()))
 READING = ("floor", "neutral", "temperature", "persistence", "spread")  # fields of `Calibration` that are fitted
 FORGETTING = ("wander", "start", "stop", "jump", "birth", "death")  # of `MotionModel`: radians, rates per second
-
-
-class _File(msgspec.Struct):
-    perception: str
-    forgetting: MotionModel
-    calibration: Calibration | None = None
-    detector: DetectorModel | None = None
-    found_by: dict[str, Any] = {}
+_PARTS = {"calibration": READING, "detector": tuple(model_as_json(DetectorModel())), "forgetting": FORGETTING}
 
 
 @dataclass(frozen=True)
@@ -59,8 +50,8 @@ class Calibrated:
     """
 
     perception: str
-    calibration: Calibration | None
-    forgetting: dict[str, float | tuple[float, ...]] = field(default_factory=dict)
+    calibration: Calibration | None = None
+    forgetting: dict[str, Any] = field(default_factory=dict)
     found_by: dict[str, Any] = field(default_factory=dict)
     detector: DetectorModel | None = None
 
@@ -91,36 +82,30 @@ class Calibrated:
 def from_json(stored: Any, source: str) -> Calibrated:
     """The calibration from the output of `as_json`; errors name `source`. Raises `EagorError` for anything else."""
     try:
-        return _calibrated(stored)
+        parts = {key: part for key, part in stored.items() if part is not None} if isinstance(stored, dict) else {}
+        for name, keys in _PARTS.items():
+            if isinstance(part := parts.get(name), dict) and (unknown := sorted(part.keys() - {*keys})):
+                raise EagorError(f"{name} sets {shown(', '.join(unknown))}; known are {', '.join(keys)}")
+        if isinstance(reading := parts.get("calibration"), dict) and (lacking := sorted({*READING} - reading.keys())):
+            raise EagorError(f"calibration lacks {', '.join(lacking)}")
+        if isinstance(rates := parts.get("forgetting"), dict) and "wander" in rates:
+            wander = rates["wander"] if isinstance(rates["wander"], list | tuple) else [rates["wander"]]
+            parts["forgetting"] = rates = rates | {"wander": [] if list(wander) == [0] else wander}
+        found = checked(parts if isinstance(stored, dict) else stored, Calibrated, "the file")
+        motion = checked(rates, MotionModel, "forgetting")
+        if found.calibration is None and found.detector is None:
+            raise EagorError("it has neither a calibration nor a detector")
     except EagorError as error:
-        raise EagorError(f"{source} is not a calibration: {error}; {_WRITTEN}") from error
-
-
-def _calibrated(stored: Any) -> Calibrated:
-    parts = {name: values for name, values in stored.items() if values is not None} if isinstance(stored, dict) else {}
-    for name, known in (("calibration", READING), ("detector", _DETECTOR), ("forgetting", FORGETTING)):
-        if isinstance(part := parts.get(name), dict) and (unknown := sorted(part.keys() - {*known})):
-            raise EagorError(f"{name} sets {shown(', '.join(unknown))}; known are {', '.join(known)}")
-    if isinstance(reading := parts.get("calibration"), dict) and (lacking := sorted({*READING} - reading.keys())):
-        raise EagorError(f"calibration lacks {', '.join(lacking)}")
-    if isinstance(rates := parts.get("forgetting"), dict) and "wander" in rates:
-        wander = rates["wander"] if isinstance(rates["wander"], list | tuple) else [rates["wander"]]
-        parts["forgetting"] = rates = rates | {"wander": [] if list(wander) == [0] else wander}
-    found = checked(parts if isinstance(stored, dict) else stored, _File, "the file")
-    if found.calibration is None and found.detector is None:
-        raise EagorError("it has neither a calibration nor a detector")
-    forgetting = {name: getattr(found.forgetting, name) for name in rates or ()}
-    return Calibrated(found.perception, found.calibration, forgetting, found.found_by, found.detector)
+        raise EagorError(f"{source} is not a calibration: {error}; wanted what `eagor calibrate` writes") from error
+    return replace(found, forgetting={name: getattr(motion, name) for name in found.forgetting})
 
 
 def read_calibrated(file: Path) -> Calibrated:
     """The calibration in a file. Raises `EagorError` if it cannot be read or holds something else."""
     try:
         stored = parsed(read_file(file))
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise EagorError(f"the calibration {file} cannot be read ({error}); `eagor calibrate` makes one") from error
-    except ValueError as error:
-        raise EagorError(f"{file} is not JSON ({error}); {_WRITTEN}") from error
     return from_json(stored, str(file))
 
 
@@ -151,10 +136,9 @@ def labelled_lines(file: Path) -> list[tuple[_Line, str]]:
 
     Raises `FormatError`.
     """
-    found = list(parsed_lines(file, _parsed))
-    if not found:
-        raise FormatError(f"{file} holds no labels; wanted one JSON object per line")
-    return found
+    if found := list(parsed_lines(file, _parsed)):
+        return found
+    raise FormatError(f"{file} holds no labels; wanted one JSON object per line")
 
 
 def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[Labelled]:
@@ -163,31 +147,25 @@ def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[La
     `read` loads the panorama ``(H, 2 H, 3)`` uint8 of a path (`eagor.media.panorama.read_panorama`). Raises
     `FormatError` for the file, and what `read` raises.
     """
-    last: tuple[Path, np.ndarray] | None = None
+    name, panorama = "", np.zeros((0, 0, 3), np.uint8)
     for line, where in labelled_lines(file):
-        path = Path(file).parent / line.image
-        if last is None or last[0] != path:
-            last = path, read(path)
-        panorama = last[1]
-        if line.box is not None:
-            grid = ErpGrid(*panorama.shape[:2])
-            try:
-                centre, _ = moments(np.array(line.box), grid)
-            except ResponseError as error:
-                raise FormatError(f"{where}: {error}") from error
-            yield Labelled(panorama, line.query, centre, _radius(line.box, grid))
-        else:
+        if name != line.image:
+            name, panorama = line.image, read(Path(file).parent / line.image)
+        if line.box is None:
             azimuth, elevation, radius = np.radians([line.azimuth_deg, line.elevation_deg, line.radius_deg]).tolist()
             yield Labelled(panorama, line.query, np.asarray(direction(azimuth, elevation)), radius)
+            continue
+        (height, width), (x0, y0, x1, y1) = panorama.shape[:2], line.box
+        try:
+            centre, _ = moments(np.array(line.box), ErpGrid(height, width))
+        except ResponseError as error:
+            raise FormatError(f"{where}: {error}") from error
+        share = (x1 - x0 if x1 > x0 else x1 - x0 + width) / width
+        top, bottom = (math.pi * (0.5 - min(max(y / height, 0.0), 1.0)) for y in (y0, y1))
+        radius = cap_radius(2 * math.pi * share * (math.sin(top) - math.sin(bottom)))
+        yield Labelled(panorama, line.query, centre, radius)
 
 
 def cap_radius(solid_angle: float) -> float:
     """The angular radius (radians) of the cap with this solid angle (steradians)."""
     return math.acos(1 - min(max(solid_angle, 0.0), 4 * math.pi) / (2 * math.pi))
-
-
-def _radius(box: Sequence[float], grid: ErpGrid) -> float:
-    x0, y0, x1, y1 = box
-    width = (x1 - x0 if x1 > x0 else x1 - x0 + grid.width) / grid.width
-    top, bottom = (math.pi * (0.5 - min(max(y / grid.height, 0.0), 1.0)) for y in (y0, y1))
-    return cap_radius(2 * math.pi * width * (math.sin(top) - math.sin(bottom)))

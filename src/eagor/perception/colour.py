@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -55,14 +54,10 @@ def _above(low: float, high: float) -> Interval:
     return (low, high, _INF, _INF)
 
 
-def _below(low: float, high: float) -> Interval:
-    return (-_INF, -_INF, low, high)
-
-
 COLOURS: dict[str, Colour] = {
-    "black": Colour(None, _below(0.25, 0.45), _below(14, 24)),
-    "white": Colour(None, _below(0.07, 0.13), _above(78, 88)),
-    "grey": Colour(None, _below(0.08, 0.14), (18, 28, 72, 84)),
+    "black": Colour(None, (-_INF, -_INF, 0.25, 0.45), (-_INF, -_INF, 14, 24)),
+    "white": Colour(None, (-_INF, -_INF, 0.07, 0.13), _above(78, 88)),
+    "grey": Colour(None, (-_INF, -_INF, 0.08, 0.14), (18, 28, 72, 84)),
     "red": Colour((-6, 7, 41, 50), _above(0.4, 0.52), (3, 7, 68, 78)),
     "orange": Colour((42, 52, 74, 82), _above(0.55, 0.75), _above(38, 46)),
     "yellow": Colour((76, 86, 112, 120), _above(0.55, 0.75), _above(42, 52)),
@@ -147,12 +142,11 @@ class ColourPerception:
 
 def parse_colour(query: str) -> Colour:
     """The first colour named in `query`, with "dark" or "light" before it. Raises `QueryError` if there is none."""
-    if (found := colour_in(query)) is not None:
-        return found
-    known = ", ".join([*COLOURS, *SYNONYMS])
+    if (colour := colour_in(query)) is not None:
+        return colour
     raise QueryError(
-        f"the query {query!r} names no colour, and this perception sees only colours. Add one, such as "
-        f"'the red chair' or 'dark green'; known are {known}"
+        f"the query {query!r} names no colour, and this perception sees only colours. Add one, such as 'the red chair' "
+        f"or 'dark green'; known are {', '.join([*COLOURS, *SYNONYMS])}"
     )
 
 
@@ -192,17 +186,23 @@ def _shaded(colour: Colour, shade: str) -> Colour:
 def _reduced(panorama: np.ndarray, rows: int, columns: int) -> np.ndarray:
     """The picture in linear light, averaged over blocks down to at most ``(rows, columns, 3)``, float32."""
     image = np.asarray(panorama)
-    if image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
+    if (
+        image.ndim != 3
+        or image.shape[-1] != 3
+        or image.size == 0
+        or (image.dtype != np.uint8 and image.dtype.kind != "f")
+    ):
         raise ImageError(
-            f"the panorama has shape {image.shape}; wanted (H, W, 3), RGB. Files: eagor.media.panorama.read_panorama"
+            f"the panorama is {image.dtype} of shape {image.shape}; wanted (H, W, 3), RGB, uint8, or numbers in "
+            "[0, 1]. Files: eagor.media.panorama.read_panorama"
         )
-    decode: Callable[[np.ndarray], np.ndarray]
-    if image.dtype == np.uint8:
-        decode = to_linear(np.arange(256, dtype=np.float32) / 255).__getitem__
-    elif image.dtype.kind == "f":
-        decode = _linear_checked
-    else:
-        raise ImageError(f"the panorama holds {image.dtype}; wanted uint8, or floating numbers in [0, 1]")
+    if image.dtype != np.uint8 and not (image.min() >= 0 and image.max() <= 1):  # NaN fails both comparisons
+        raise ImageError("a floating panorama must lie in [0, 1] and be finite; divide 8-bit values by 255")
+    table = to_linear(np.arange(256, dtype=np.float32) / 255)
+
+    def decode(coded: np.ndarray) -> np.ndarray:
+        return table[coded] if coded.dtype == np.uint8 else to_linear(coded.astype(np.float32))
+
     height, width = image.shape[:2]
     if height <= rows and width <= columns:
         return decode(image)
@@ -214,24 +214,9 @@ def _reduced(panorama: np.ndarray, rows: int, columns: int) -> np.ndarray:
     return sums / np.diff(lefts)[:, None].astype(np.float32)
 
 
-def _linear_checked(coded: np.ndarray) -> np.ndarray:
-    if not (coded.min() >= 0 and coded.max() <= 1):  # NaN fails both comparisons
-        raise ImageError("a floating panorama must lie in [0, 1] and be finite; divide 8-bit values by 255")
-    return to_linear(coded.astype(np.float32))
-
-
 # Linear sRGB to CIE XYZ (IEC 61966-2-1), each row over its sum, so that white (D65) is (1, 1, 1).
 _XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]], dtype=np.float32)
 _XYZ /= _XYZ.sum(axis=1, keepdims=True)
-
-
-def _lab(linear: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """CIELAB L* (0 to 100), a* and b* of linear sRGB ``(..., 3)`` (CIE 15, section 8.2.1)."""
-    ratio = linear @ _XYZ.T
-    f, dark = np.cbrt(ratio), ratio <= (6 / 29) ** 3
-    f[dark] = ratio[dark] * (29 / 6) ** 2 / 3 + 4 / 29
-    x, y, z = f[..., 0], f[..., 1], f[..., 2]
-    return 116 * y - 16, 500 * (x - y), 200 * (y - z)
 
 
 def _likeness(linear: np.ndarray, colour: Colour, around: bool = True) -> np.ndarray:
@@ -250,15 +235,18 @@ def _likeness(linear: np.ndarray, colour: Colour, around: bool = True) -> np.nda
 
 def _pixel_likeness(linear: np.ndarray, colour: Colour) -> np.ndarray:
     """Likeness of each pixel of ``(h, w, 3)`` by itself, in [0, 1]."""
-    lightness, a, b = _lab(linear)
+    ratio = linear @ _XYZ.T  # CIELAB L* (0 to 100), a* and b* (CIE 15, section 8.2.1)
+    f, dark = np.cbrt(ratio), ratio <= (6 / 29) ** 3
+    f[dark] = ratio[dark] * (29 / 6) ** 2 / 3 + 4 / 29
+    x, y, z = f[..., 0], f[..., 1], f[..., 2]
+    lightness, a, b = 116 * y - 16, 500 * (x - y), 200 * (y - z)
     saturation = np.hypot(a, b) / (lightness + 12)
     # Mostly few: what is too pale or too vivid is not judged any further.
     some = ((saturation > colour.saturation[0]) & (saturation < colour.saturation[-1])).nonzero()
-    lightness, a, b = lightness[some], a[some], b[some]
-    members = _member(saturation[some], colour.saturation) * _member(lightness, colour.lightness)
+    members = _member(saturation[some], colour.saturation) * _member(lightness[some], colour.lightness)
     if colour.hue is not None:
         start, full_low, full_high, end = colour.hue
-        turned = (np.degrees(np.arctan2(b, a)) - start) % 360  # the interval now starts at zero and does not wrap
+        turned = (np.degrees(np.arctan2(b[some], a[some])) - start) % 360  # the interval starts at zero, without a wrap
         members *= _member(turned, (0.0, full_low - start, full_high - start, end - start))
     likeness = np.zeros_like(saturation)
     likeness[some] = members

@@ -43,12 +43,11 @@ def parsed_lines(path: str | os.PathLike[str], parse: Callable[[bytes], _Kind]) 
             continue
         where, hint = f"{name}, line {number}", ""
         try:
-            found = parse(line)
+            yield parse(line), where
         except EagorError as error:
             if number == len(lines) and isinstance(error.__cause__, JSONDecodeError | UnicodeDecodeError):
                 hint = ". The last line is incomplete: the writer was probably interrupted; remove the line"
             raise FormatError(f"{where}: {error}{hint}") from error
-        yield found, where
 
 
 def object_of(line: str | bytes) -> dict[str, Any]:
@@ -76,35 +75,33 @@ def checked(
         raise FormatError(f"{name} has a key that is no text ({error})") from error
     except msgspec.ValidationError as error:
         own = error.__cause__  # what the class in the structure says itself
-        raise FormatError(
-            str(own) if isinstance(own, EagorError) else _fault(bare, kind, name, error, hints or {})
-        ) from error
+        text = str(own) if isinstance(own, EagorError) else _fault(bare, kind, name, str(error), hints or {})
+        raise FormatError(text) from error
 
 
 def _without_notes(entry: Any) -> Any:
     if isinstance(entry, dict):
-        told = {key: value for key, value in entry.items() if value is not None and not key.startswith("_")}
-        return {key: _without_notes(value) for key, value in told.items()}
+        stated = {key: value for key, value in entry.items() if value is not None and not key.startswith("_")}
+        return {key: _without_notes(value) for key, value in stated.items()}
     return [_without_notes(each) for each in entry] if isinstance(entry, list) else entry
 
 
 def need(holds: bool, what: str, came: Any, wanted: str) -> None:
     """Raise `FormatError` unless it holds."""
     if not holds:
-        found = "is missing" if came is None else f"is {shown(came)}"
-        raise FormatError(f"{what} {found}; wanted {wanted}")
+        raise FormatError(f"{what} {'is missing' if came is None else f'is {shown(came)}'}; wanted {wanted}")
 
 
-def _fault(entry: Any, kind: type, name: str, error: Exception, hints: Mapping[str, str]) -> str:
-    """What came and what was wanted, from an error of msgspec, which tells the types and the place."""
-    text, _, place = str(error).removesuffix("`").partition(" - at `$")
+def _fault(entry: Any, kind: type, name: str, error: str, hints: Mapping[str, str]) -> str:
+    """What came and what was wanted, from the text of msgspec, which tells the types and the place."""
+    text, _, place = error.removesuffix("`").partition(" - at `$")
     for key, index in re.findall(r"\.(\w+)|\[(\d+)\]", place):
         entry = entry[key or int(index)]
     where = place.lstrip(".") or name
-    said = re.match(r"Object (missing required|contains unknown) field `([^`]*)", text)
-    if said is None:
+    match = re.match(r"Object (missing required|contains unknown) field `([^`]*)", text)
+    if match is None:
         return f"{where} is {shown(entry)}; {text.replace('Expected', 'wanted', 1)}"
-    what, key = said.groups()
+    what, key = match.groups()
     if what == "missing required":
         return f"{key} is missing in {where}"
     known = msgspec.json.schema(kind, schema_hook=lambda _: {}).get("$defs", {}).values()

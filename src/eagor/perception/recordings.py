@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from eagor.media import Frame, Pose
 from eagor.media.defects import NeverSeen
 from eagor.media.panorama import Picture
 from eagor.media.posed_frames import PosedFrame
-from eagor.perception.records import Footage
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.things import Seen
 from eagor.perception.views import Detector
@@ -35,7 +34,6 @@ UNSURE = math.radians(10)  # of a pose: a look from there says nothing of direct
 NEAR = math.radians(15)  # the error that still leads a person to the thing
 WORTH_SAYING = 0.002  # share of the sphere from which on a black region is worth a sentence
 PIXELS, SCORES, TURNS, METRES = 3, 6, 12, 6  # decimals that are written
-Looks = tuple[Evidence, ...]
 
 
 class HiddenParts:
@@ -46,22 +44,21 @@ class HiddenParts:
     """
 
     def __init__(self, masks: Sequence[BodyMask] = (), say: Callable[[str], object] = lambda text: None) -> None:
-        self._given, self._say = tuple(masks), say
-        self._black, self._said = NeverSeen(), False
+        self._given, self._say, self._black = tuple(masks), say, NeverSeen()
 
     def masks(self, frame: Picture | None) -> tuple[BodyMask, ...]:
         """All masks of a frame; those that are given for a look without a picture, whose record says what is black."""
         own = None if frame is None else self.of(frame)
         return self._given if own is None else (*self._given, own)
 
-    def covered(self, looks: Looks, frame: Picture | None) -> Looks:
+    def covered(self, looks: tuple[Evidence, ...], frame: Picture | None) -> tuple[Evidence, ...]:
         """The looks at `frame`, without what is not seen."""
         for mask in self.masks(frame):
             looks = tuple(look.covered(mask) for look in looks)
         return looks
 
     def of(self, frame: Picture) -> BodyMask | None:
-        """What `frame` shows, beside the mask that is given; None if that is all."""
+        """What `frame` shows, beside the masks that are given; None if that is all."""
         if frame.grid is not None:  # an ordinary picture has no poles
             return None if frame.unseen is None else _around(frame.grid, ~frame.unseen)
         black = self._black.add(frame.picture)
@@ -71,23 +68,20 @@ class HiddenParts:
         if hidden.all():
             raise ImageError("the picture is black or transparent everywhere: nothing can be seen in it")
         mask = BodyMask(~hidden)
-        self._tell(mask, black)
-        return mask
-
-    def _tell(self, mask: BodyMask, black: np.ndarray) -> None:
         share = 1 - float(np.sum(mask.seen * mask.grid.weights)) / (4 * np.pi)
-        if not self._said and share > WORTH_SAYING and black.any():
-            self._said = True
+        if share > WORTH_SAYING and black.any():
             self._say(f"{100 * share:.1f} % of the sphere is black around a pole, or missing: taken as not seen")
+            self._say = lambda text: None
+        return mask
 
 
 def _around(grid: PerspectiveGrid, seen: np.ndarray) -> BodyMask:
     """What an ordinary picture shows, ``(H, W)``, as a mask of the sphere; what is beside it says nothing anyway."""
     x, y, inside = grid.project(ErpGrid(512, 1024).directions)
-    rows, columns = (
+    cells = (
         np.clip(np.where(inside, at, 0).astype(int), 0, most - 1) for at, most in zip((y, x), seen.shape, strict=True)
     )
-    return BodyMask(inside & seen[rows, columns])
+    return BodyMask(inside & seen[tuple(cells)])
 
 
 # --- a file of looks: writing -----------------------------------------------------------------------------------------
@@ -96,9 +90,7 @@ def _around(grid: PerspectiveGrid, seen: np.ndarray) -> BodyMask:
 def first_line(of: str, perception: str, views: Detector, poses: str, begins: float = 0.0) -> str:
     """The line about the footage: what was looked at, by which perception, where its poses come from, in words."""
     about: dict[str, Any] = {"of": of, "perception": perception, "poses": poses, "begins": begins}
-    about["detector"] = model_as_json(views.detector)
-    if views.classes is not None:
-        about["classes"] = list(views.classes)
+    about |= {"detector": model_as_json(views.detector), "classes": list(views.classes or ())}
     return json.dumps({"footage": {key: value for key, value in about.items() if value}})
 
 
@@ -113,8 +105,8 @@ def looked_at(
     hidden = hidden or HiddenParts()
     for posed in frames:
         frame, pose = posed.frame, posed.pose or Pose(posed.frame.stamp, np.eye(3))
-        entries = [{"stamp": float(each.stamp), "pose": _pose(each)} for each in posed.before]
-        at: dict[str, Any] = {"stamp": float(frame.stamp), "pose": _pose(pose)}
+        *entries, at = ({"stamp": float(each.stamp), "pose": _pose(each)} for each in (*posed.before, pose))
+        at["stamp"] = float(frame.stamp)
         if not posed.looked:
             yield posed, [*entries, at]
             continue
@@ -125,11 +117,9 @@ def looked_at(
             mask = hidden.of(Picture(frame.picture, frame.unseen, grid=frame.grid))
             if mask is not None:
                 at["unseen"] = _runs(mask)
-            entries += [
-                at | ({} if query is None else {"query": query}) | {"views": [*map(_view, seen)]}
-                for query in (queries or (None,))
-                for seen in [views.seen(frame.picture, pose.world_R_body, query or "", frame.grid)]
-            ]
+            for query in queries or (None,):
+                views_of_look = views.seen(frame.picture, pose.world_R_body, query or "", frame.grid)
+                entries.append(at | ({"query": query} if query else {}) | {"views": [*map(_view, views_of_look)]})
         except QueryError:
             raise
         except EagorError as error:
@@ -139,14 +129,13 @@ def looked_at(
 
 def _pose(pose: Pose) -> dict[str, float]:
     place = () if pose.position is None else pose.position.tolist()
-    found = _quaternion(pose.world_R_body) | dict(zip("xyz", (round(value, METRES) for value in place), strict=False))
-    return found | ({"spread_deg": round(math.degrees(pose.spread), TURNS)} if pose.spread else {})
+    entry = _quaternion(pose.world_R_body) | dict(zip("xyz", (round(value, METRES) for value in place), strict=False))
+    return entry | ({"spread_deg": round(math.degrees(pose.spread), TURNS)} if pose.spread else {})
 
 
 def _quaternion(turn: np.ndarray) -> dict[str, float]:
-    return {
-        f"q{axis}": round(value, TURNS) for axis, value in zip("wxyz", wxyz_from_rotation(turn).tolist(), strict=True)
-    }
+    wxyz = wxyz_from_rotation(turn).round(TURNS).tolist()
+    return dict(zip(("qw", "qx", "qy", "qz"), wxyz, strict=True))
 
 
 def _view(seen: Seen) -> dict[str, Any]:
@@ -156,24 +145,21 @@ def _view(seen: Seen) -> dict[str, Any]:
         image |= {"hfov_deg": round(math.degrees(grid.hfov), TURNS)}
     else:  # exactly: a millionth of distortion may be pixels at the border
         image |= {"focal": list(lens.focal), "centre": list(lens.centre), "distortion": list(lens.distortion)}
-    image |= _quaternion(grid.body_R_view)
     inside = np.clip(boxes, 0, [grid.width, grid.height] * 2).round(PIXELS)
-    real = np.all(inside[:, 2:] > inside[:, :2], axis=1).tolist()
-    found = [
+    entries = [
         {"box": box.tolist(), "score": round(float(score), SCORES)} | ({} if label is None else {"label": label})
-        for box, score, label, kept in zip(inside, scores, labels or [None] * len(inside), real, strict=True)
-        if kept
+        for box, score, label in zip(inside, scores, labels or [None] * len(inside), strict=True)
+        if (box[2:] > box[:2]).all()
     ]
-    return {"image": image, "boxes": found}
+    return {"image": image | _quaternion(grid.body_R_view), "boxes": entries}
 
 
 def _runs(mask: BodyMask) -> dict[str, Any]:
     """A mask as the lengths of runs: seen, not seen, seen, ..., along the rows of a panorama twice as wide as high."""
     rows = mask.seen.shape[0]
     seen = mask.at(ErpGrid(rows, 2 * rows).directions).ravel()
-    ends = np.flatnonzero(np.diff(seen)) + 1
-    runs = np.diff(np.concatenate([[0], ends, [len(seen)]])).tolist()
-    return {"rows": rows, "runs": runs if seen[0] else [0, *runs]}
+    runs = np.diff(np.flatnonzero(np.diff(seen, prepend=True, append=~seen[-1])), prepend=0).tolist()
+    return {"rows": rows, "runs": runs}
 
 
 # --- a file of looks: reading -----------------------------------------------------------------------------------------
@@ -182,15 +168,20 @@ def _runs(mask: BodyMask) -> dict[str, Any]:
 class RecordedLooks:
     """A source of what `eagor look` wrote: frames without pictures, `posed`, for which `replay` answers.
 
-    `about`: what the first line says, `count`: how many frames there are. Raises `FormatError` without that line,
-    `PoseError` for a look without a pose.
+    `about`: what the first line says, `count`: how many frames there are; `after`: the poses after the last one. Raises
+    `FormatError` without that line, `PoseError` for a look without a pose.
     """
 
     live = False
     latency, dropped = 0.0, 0
 
     def __init__(self, replay: ReplayPerception) -> None:
-        self.replay, self.about = replay, about(replay)
+        if replay.footage is None:
+            raise FormatError(
+                f"{replay.name} does not begin with a line about its footage; wanted a file that eagor look wrote, or "
+                '{"footage": {"of": "clip.mp4", "perception": "NAME"}} as its first line'
+            )
+        self.replay, self.about = replay, replay.footage
         self.posed: list[PosedFrame] = []
         before: list[Pose] = []
         for record in replay.records:
@@ -202,19 +193,14 @@ class RecordedLooks:
                     '"pose": {"qw", "qx", "qy", "qz"} (world_R_body) in its line, as eagor look writes it. With the '
                     "footage or its poses at hand: eagor track FRAMES QUERY --perception replay:FILE.jsonl"
                 )
-            pose = Pose(record.stamp, record.pose.world_R_body, record.pose.position, record.spread)
+            pose = replace(record.pose, stamp=record.stamp)
             if record.kind == "pose" and record.problem is None:
                 before.append(pose)
                 continue
-            name = record.frame or f"{record.stamp:.2f} s"
-            frame = Frame(record.stamp, None, name, problem=record.problem or "")
+            frame = Frame(record.stamp, None, record.frame or f"{record.stamp:.2f} s", problem=record.problem or "")
             self.posed.append(PosedFrame(frame, pose, tuple(before), lost=record.lost))
             before = []
-        self.after = tuple(before)  # poses after the last look
-
-    @property
-    def count(self) -> int:
-        return len(self.posed)
+        self.after, self.count = tuple(before), len(self.posed)
 
     @property
     def grid(self) -> ErpGrid:
@@ -226,16 +212,6 @@ class RecordedLooks:
 
     def close(self) -> None:
         """Nothing is held."""
-
-
-def about(replay: ReplayPerception) -> Footage:
-    """What the first line says. Raises `FormatError` where there is none."""
-    if replay.footage is None:
-        raise FormatError(
-            f"{replay.name} does not begin with a line about its footage; wanted a file that eagor look wrote, or "
-            '{"footage": {"of": "clip.mp4", "perception": "NAME"}} as its first line'
-        )
-    return replay.footage
 
 
 # --- what there is ----------------------------------------------------------------------------------------------------
@@ -271,11 +247,24 @@ def things_seen(
     The looks of a `ThingSeen` are those since the poses were last lost.
     """
     begins = max((number for number, each in enumerate(recorded.posed) if each.lost), default=0)
-    found = []
+    hidden, found = hidden or HiddenParts(), []
     for query in asked_for(recorded.replay):
-        thing = _thing(recorded, begins, query, config, hidden or HiddenParts())
-        if thing is not None:
-            found.append(thing)
+        tracker, looks, among, last, now = DirectionTracker(config), 0, 0, -math.inf, 0.0
+        for posed in (*recorded.posed[begins:], None):
+            poses = recorded.after if posed is None else posed.poses[-1:] if posed.lost else posed.poses
+            for pose in poses:
+                tracker.add_pose(pose.stamp, pose.world_R_body, None if config.ranges is None else pose.position)
+                now = pose.stamp
+            if posed is None or posed.frame.problem or poses[-1].spread >= UNSURE:
+                continue
+            evidence = hidden.covered(recorded.replay.looks_near(query, now), None)
+            among += 1
+            for each in evidence:
+                tracker.observe(each.widened(poses[-1].spread))
+            if any(each.detections is None or len(each.detections) for each in evidence):
+                looks, last = looks + 1, now
+        if looks:
+            found.append(ThingSeen(query, tracker.estimate(now), looks, among, last))
         done()
     return sorted(found, key=lambda each: -each.sure)
 
@@ -284,30 +273,3 @@ def asked_for(replay: ReplayPerception) -> list[str]:
     """What a file can be asked for, each once: the labels of what was seen, and the queries that were looked for."""
     queries = [record.query for record in replay.records if record.query is not None and record.kind != "pose"]
     return [*dict.fromkeys([*sorted(replay.labels), *queries])]
-
-
-def _thing(
-    recorded: RecordedLooks, begins: int, query: str, config: TrackerConfig, hidden: HiddenParts
-) -> ThingSeen | None:
-    """What is known of one thing from this frame on; None if it was not seen there."""
-    tracker, looks, among, last, now = DirectionTracker(config), 0, 0, -math.inf, 0.0
-
-    def move(poses: Iterable[Pose]) -> None:
-        nonlocal now
-        for pose in poses:
-            tracker.add_pose(pose.stamp, pose.world_R_body, None if config.ranges is None else pose.position)
-            now = pose.stamp
-
-    for posed in recorded.posed[begins:]:
-        assert posed.pose is not None
-        move((posed.pose,) if posed.lost else posed.poses)
-        if posed.frame.problem or posed.pose.spread >= UNSURE:
-            continue
-        evidence = hidden.covered(recorded.replay.looks_near(query, now), None)
-        among += 1
-        for each in evidence:
-            tracker.observe(each.widened(posed.pose.spread))
-        if any(each.detections is None or len(each.detections) for each in evidence):
-            looks, last = looks + 1, now
-    move(recorded.after)
-    return ThingSeen(query, tracker.estimate(now), looks, among, last) if looks else None

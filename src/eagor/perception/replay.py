@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from eagor._checks import within
-from eagor.errors import EagorError, FormatError, QueryError, TimeError
+from eagor.errors import FormatError, QueryError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
@@ -27,10 +27,7 @@ from eagor.perception.records import Record, parse_record, read_looks, read_reco
 from eagor.perception.words import colour_of, fitting, meant, named
 from eagor.tracking.tracks import SAME_MOMENT
 
-__all__ = [
-    "Record", "ReplayPerception", "look", "look_if_recorded", "parse_record", "read_records",
-    "write_record",
-]  # fmt: skip
+__all__ = ["Record", "ReplayPerception", "look", "look_if_recorded", "parse_record", "read_records", "write_record"]
 
 MOST_LABELS = 12  # in a sentence
 
@@ -75,21 +72,48 @@ class ReplayPerception:
 
         Then the detector looked, and saw nothing of the kind.
         """
-        if strict:
-            self._check_labels(query)
         try:
-            return self._evidence(self._near(query, stamp), query)
+            return self._evidence(self.near(query, stamp, strict), query)
         except TimeError:
             return ()
 
-    def _evidence(self, records: Sequence[Record], query: str) -> tuple[Evidence, ...]:
-        return tuple(self._of(record, query) for record in records)
+    def near(self, query: str, stamp: float | None, strict: bool = True) -> tuple[Record, ...]:
+        """The records for `query` at the time nearest to `stamp`; several if that moment has several views.
 
-    def _of(self, record: Record, query: str) -> Evidence:
-        wanted = self._wanted(query)
-        found = record.evidence(query, self.calibration, self.detector, self.labels, wanted)
-        asked = record.query is not None  # the detector had these words
-        return found if asked else named(found, query, wanted or sorted(fitting(query, self.labels)))
+        Raises `QueryError` if no record is for `query`, or (if `strict`) none of the labels fits it, `TimeError` if no
+        record is within the tolerance.
+        """
+        if not isinstance(query, str):
+            raise QueryError(f"the query is {query!r}; wanted words")
+        if strict:
+            self._check_labels(query)
+        if stamp is None or not within(stamp, -math.inf):
+            raise TimeError(f"replay needs the time of capture, seconds; got stamp={stamp!r}. Pass stamp=...")
+        first = bisect_left(self.records, stamp - self.tolerance, key=lambda r: r.stamp)
+        last = bisect_right(self.records, stamp + self.tolerance, key=lambda r: r.stamp)
+        found = [r for r in self.records[first:last] if r.answers(query)]
+        stamps = [r.stamp for r in found or self.records if r.answers(query)]
+        if not stamps:
+            asked = sorted({str(r.query) for r in self.records if r.kind != "pose"})[:8]
+            more = ". That was never looked for, so nobody knows: eagor look FRAMES --for NAME ... looks for it"
+            more = f"{', '.join(map(repr, asked))}{more if self.footage else ''}"
+            raise QueryError(f"{self.name} has nothing for the query {query!r}; it has {more}")
+        nearest = min(stamps, key=lambda at: abs(at - stamp))
+        if not found:
+            raise TimeError(
+                f"{self.name} has no record for {query!r} within {self.tolerance:g} s of stamp {stamp:.6f}; the "
+                f"nearest is at {nearest:.6f} ({nearest - stamp:+.6f} s). Do both use one clock? Otherwise raise the "
+                "tolerance"
+            )
+        return tuple(r for r in found if abs(r.stamp - nearest) <= SAME_MOMENT)
+
+    def _evidence(self, records: Sequence[Record], query: str) -> tuple[Evidence, ...]:
+        wanted, looks = self._wanted(query), []
+        for record in records:
+            look = record.evidence(query, self.calibration, self.detector, self.labels, wanted)
+            asked = record.query is not None  # the detector had these words
+            looks.append(look if asked else named(look, query, wanted or sorted(fitting(query, self.labels))))
+        return tuple(looks)
 
     def _wanted(self, query: str) -> tuple[str, ...] | None:
         """The classes of the detector that `query` means; None where the file does not name them.
@@ -108,40 +132,14 @@ class ReplayPerception:
 
     def used(self, query: str, lines: int) -> str:
         """How many of the lines were used, and which labels stand for `query`: a sentence for the end of a run."""
-        told = f"{lines} of {len(self.records)} lines of {self.name} used"
+        sentence = f"{lines} of {len(self.records)} lines of {self.name} used"
         if not self.labels:
-            return told
+            return sentence
         wanted = self._wanted(query) or fitting(query, self.labels)
         means = f"{query!r} means {', '.join(map(repr, sorted(wanted)))}" if wanted else f"none fits {query!r}"
-        return f"{told}; labels in the file: {self._labels()}; {means}"
-
-    def _labels(self) -> str:
-        """The commonest labels, with how often they occur."""
         shown = [f"{label} ({count})" for label, count in self.labels.most_common(MOST_LABELS)]
-        rest = len(self.labels) - len(shown)
-        return ", ".join(shown) + (f" and {rest} more" if rest > 0 else "")
-
-    def near(self, query: str, stamp: float | None) -> tuple[Record, ...]:
-        """The records for `query` at the time nearest to `stamp`; several if that moment has several views.
-
-        Raises `QueryError` if no record is for `query`, or none of the labels fits it, `TimeError` if no record is
-        within the tolerance.
-        """
-        if not isinstance(query, str):
-            raise QueryError(f"the query is {query!r}; wanted words")
-        self._check_labels(query)
-        return self._near(query, stamp)
-
-    def _near(self, query: str, stamp: float | None) -> tuple[Record, ...]:
-        if stamp is None or not within(stamp, -math.inf):
-            raise TimeError(f"replay needs the time of capture, seconds; got stamp={stamp!r}. Pass stamp=...")
-        first = bisect_left(self.records, stamp - self.tolerance, key=lambda r: r.stamp)
-        last = bisect_right(self.records, stamp + self.tolerance, key=lambda r: r.stamp)
-        found = [r for r in self.records[first:last] if r.answers(query)]
-        if not found:
-            raise self._nothing(query, stamp)
-        nearest = min(found, key=lambda r: abs(r.stamp - stamp)).stamp
-        return tuple(r for r in found if abs(r.stamp - nearest) <= SAME_MOMENT)
+        more = f" and {len(self.labels) - MOST_LABELS} more" * (len(self.labels) > MOST_LABELS)
+        return f"{sentence}; labels in the file: {', '.join(shown)}{more}; {means}"
 
     def _check_labels(self, query: str) -> None:
         """Raise `QueryError` where labels decide, and all detections of the file have labels that do not fit."""
@@ -153,23 +151,8 @@ class ReplayPerception:
         if any(r.query is not None or r.kind == "response" or None in r.labels for r in answering):
             return
         raise QueryError(
-            f"0 of {len(self.records)} lines of {self.name} used; labels in the file: {self._labels()}; none fits "
-            f"{query!r}. Ask for one of them. If the detector looked for {query!r} and saw none, its lines want "
-            '"query": the words that it looked for'
-        )
-
-    def _nothing(self, query: str, stamp: float) -> EagorError:
-        stamps = [r.stamp for r in self.records if r.answers(query)]
-        if not stamps:
-            asked = sorted({str(r.query) for r in self.records if r.kind != "pose"})[:8]
-            told = f"{self.name} has nothing for the query {query!r}; it has {', '.join(map(repr, asked))}"
-            if self.footage is not None:
-                told += ". That was never looked for, so nobody knows: eagor look FRAMES --for NAME ... looks for it"
-            return QueryError(told)
-        nearest = min(stamps, key=lambda s: abs(s - stamp))
-        return TimeError(
-            f"{self.name} has no record for {query!r} within {self.tolerance:g} s of stamp {stamp:.6f}; the nearest "
-            f"is at {nearest:.6f} ({nearest - stamp:+.6f} s). Do both use one clock? Otherwise raise the tolerance"
+            f"{self.used(query, 0)}. Ask for one of them. If the detector looked for {query!r} and saw none, its lines "
+            'want "query": the words that it looked for'
         )
 
     def __call__(self, panorama: np.ndarray | None, query: str, *, stamp: float | None = None) -> Evidence:
@@ -178,13 +161,13 @@ class ReplayPerception:
         Raises `QueryError` and `TimeError` as `near` does, and `FormatError` if several records (views) are of that
         moment: then observe each of ``looks(query, stamp)``.
         """
-        record, *others = self.near(query, stamp)
-        if others:
+        records = self.near(query, stamp)
+        if len(records) > 1:
             raise FormatError(
-                f"{self.name} has {1 + len(others)} records for {query!r} at stamp {record.stamp:.6f}; wanted one. "
+                f"{self.name} has {len(records)} records for {query!r} at stamp {records[0].stamp:.6f}; wanted one. "
                 "If they are views of one moment, use each of looks(query, stamp)"
             )
-        return self._of(record, query)
+        return self._evidence(records, query)[0]
 
 
 def look(
@@ -216,9 +199,6 @@ def look_if_recorded(
     grid: PerspectiveGrid | None = None,
 ) -> tuple[Evidence, ...]:
     """As `look`, but empty if a replay has no line for this time."""
-    try:
-        return look(perception, picture, query, stamp, world_R_body, grid)
-    except TimeError:
-        if isinstance(perception, ReplayPerception):
-            return ()
-        raise
+    if isinstance(perception, ReplayPerception):
+        return perception.looks_near(query, stamp)
+    return look(perception, picture, query, stamp, world_R_body, grid)

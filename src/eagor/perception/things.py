@@ -9,7 +9,7 @@ length. Extended things are the connected regions of a response map.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -118,13 +118,10 @@ def things(pieces: Sequence[ViewBox]) -> list[Thing]:
     """One `Thing` for each group of pieces that show the same, the surest first."""
     groups: list[list[ViewBox]] = []
     for piece in sorted(pieces, key=lambda each: -each.score):
-        own = [
-            group
-            for group in groups
-            if all(other.view != piece.view for other in group) and any(piece.is_of(other) for other in group)
-        ]
-        if own:
-            own[0].append(piece)
+        for group in groups:
+            if all(other.view != piece.view for other in group) and any(piece.is_of(other) for other in group):
+                group.append(piece)
+                break
         else:
             groups.append([piece])
     return [_thing(group) for group in groups]
@@ -133,9 +130,9 @@ def things(pieces: Sequence[ViewBox]) -> list[Thing]:
 def _thing(group: Sequence[ViewBox]) -> Thing:
     """The thing that all pieces of a group show; the first is the surest."""
     score = group[0].score
-    whole = next((piece for piece in group if not piece.cut.any()), None)
-    if whole is not None:
-        return Thing(*moments_of(*whole.samples), score)
+    for piece in group:
+        if not piece.cut.any():
+            return Thing(*moments_of(*piece.samples), score)
     directions, weights = [], []
     for number, piece in enumerate(group):
         found, areas = box_samples(opened(piece, group), piece.plane)
@@ -197,8 +194,7 @@ def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[
     The border of an ordinary picture cuts what it meets: as a box does (`eagor.perception.things`), a region goes on
     there by an unknown length, as dense as in its box.
     """
-    around = isinstance(grid, ErpGrid | PatchGrid)
-    labels = connected(response >= level, around, poles=around).reshape(-1)
+    labels = connected(response >= level, isinstance(grid, ErpGrid | PatchGrid)).reshape(-1)
     where = np.flatnonzero(labels)
     order = where[np.argsort(labels[where], kind="stable")]
     ends = np.cumsum(np.bincount(labels[where])[1:])
@@ -206,32 +202,28 @@ def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[
     found = []
     for cells in np.split(order, ends[:-1]) if len(order) else ():
         weights = areas[cells] * values[cells]
-        if weights.sum() >= least:
-            beyond, more = _beyond(cells, float(weights.sum()), grid)
+        mass = float(weights.sum())
+        if mass >= least:
             rows, columns = np.divmod(cells, grid.width)
-            directions = grid.unproject(columns + 0.5, rows + 0.5)
-            points, masses = np.concatenate([directions, beyond]), np.concatenate([weights, more])
-            centre, spread = moments_of(points, masses)
-            found.append((centre, spread, float(weights.sum() / areas[cells].sum())))
+            points, masses = grid.unproject(columns + 0.5, rows + 0.5), weights
+            if isinstance(grid, PerspectiveGrid):
+                beyond, more = _beyond(rows, columns, mass, grid)
+                points, masses = np.concatenate([points, beyond]), np.concatenate([weights, more])
+            found.append((*moments_of(points, masses), mass / float(areas[cells].sum())))
     return found
 
 
-def _beyond(cells: np.ndarray, mass: float, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Where a region of these `cells` may go on outside of its picture: directions ``(n, 3)``, their weights ``(n,)``.
+def _beyond(rows: np.ndarray, columns: np.ndarray, mass: float, grid: PerspectiveGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Where a region of these cells may go on outside of its picture: directions ``(n, 3)``, their weights ``(n,)``.
 
     `mass`: the integral of the response in it. None (n = 0) if no border cuts it.
     """
-    nothing = np.zeros((0, 3)), np.zeros(0)
-    if not isinstance(grid, PerspectiveGrid):
-        return nothing
-    rows, columns = np.divmod(cells, grid.width)
-    left, top, right, bottom = columns.min(), rows.min(), columns.max(), rows.max()
-    box = np.array([left, top, right + 1, bottom + 1], dtype=np.float64)
+    box = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], dtype=np.float64)
     piece = ViewBox(0, grid, box, 1.0, near=0.0)
     if not piece.cut.any():
-        return nothing
-    at_side = np.array([columns == left, rows == top, columns == right, rows == bottom])
-    chords = at_side.sum(axis=1) / np.tile([bottom + 1 - top, right + 1 - left], 2)
+        return np.zeros((0, 3)), np.zeros(0)
+    at_side = np.array([columns == box[0], rows == box[1], columns + 1 == box[2], rows + 1 == box[3]])
+    chords = at_side.sum(axis=1) / np.tile((box[2:] - box[:2])[::-1], 2)
     points, areas = box_samples(opened(piece, [piece], chords), piece.plane)
     outside = ~grid.project(points)[2]
     return points[outside], areas[outside] * mass / piece.samples[1].sum()
@@ -252,10 +244,10 @@ def spread_evidence(
     return Evidence.from_moments([(centre, spread) for centre, spread, _ in found], scores, view, model, stamp)
 
 
-def connected(inside: np.ndarray, seam: bool, poles: bool = False) -> np.ndarray:
+def connected(inside: np.ndarray, around: bool) -> np.ndarray:
     """A label for each cell ``(H, W)``: the number of its connected region, 0 outside. Diagonal neighbours connect.
 
-    With `seam` the last column touches the first; with `poles` all cells of the first row touch, and all of the last.
+    `around`: the last column touches the first, all cells of the first row touch, and all of the last.
     """
     from scipy.ndimage import label
     from scipy.sparse import coo_array
@@ -263,19 +255,16 @@ def connected(inside: np.ndarray, seam: bool, poles: bool = False) -> np.ndarray
 
     counted: Any = label(inside, structure=np.ones((3, 3), dtype=int))
     labels, count = counted
-    if not seam or count < 2:
+    if not around or count < 2:
         return labels
     left, right = labels[:, 0], labels[:, -1]
-    pairs = [(left, right), (left[1:], right[:-1]), (left[:-1], right[1:])]
-    for row in (labels[0], labels[-1]) if poles else ():
-        met = row[row > 0]
-        pairs.append((met[:-1], met[1:]))
+    poles = [row[row > 0] for row in (labels[0], labels[-1])]
+    pairs = [(left, right), (left[1:], right[:-1]), (left[:-1], right[1:]), *((row[:-1], row[1:]) for row in poles)]
     one, other = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
     touching = (one > 0) & (other > 0)
     graph = coo_array((np.ones(int(touching.sum())), (one[touching], other[touching])), shape=(count + 1, count + 1))
-    parts = connected_components(graph, directed=False)[1]
-    # The background is a component of its own and has to keep label 0.
-    return np.where(labels > 0, ((parts - parts[0]) % (int(parts.max()) + 1))[labels], 0)
+    # The background is a component of its own, the first.
+    return connected_components(graph, directed=False)[1][labels]
 
 
 def blurred(cells: np.ndarray, wrap: bool = True) -> np.ndarray:
@@ -287,9 +276,6 @@ def blurred(cells: np.ndarray, wrap: bool = True) -> np.ndarray:
     return (tall[..., :-2, :] + 2 * across + tall[..., 2:, :]) / 4
 
 
-# --- what a detector found, and a query chooses of it ---
-
-
 def combined(
     seen: Sequence[Seen], fit: Collection[str], detector: DetectorModel | None = None, stamp: float | None = None
 ) -> Evidence:
@@ -297,28 +283,24 @@ def combined(
 
     `fit`: the labels that count (`eagor.perception.words.fitting`).
     """
-    pieces = [piece for number, each in enumerate(seen) for piece in pieces_of(number, *each, fit)]
     view = View(seen[0].grid if len(seen) == 1 else WHOLE_SPHERE)
-    return spread_evidence(things(pieces), detector or DetectorModel(), view, stamp)
+    return spread_evidence(things(pieces_of(seen, fit)), detector or DetectorModel(), view, stamp)
 
 
-def pieces_of(number: int, grid: PerspectiveGrid, seen: Boxes, fit: Collection[str]) -> Iterator[ViewBox]:
-    """The boxes of view `number` whose labels `fit`."""
-    boxes, scores, labels = seen
-    size = np.array([grid.width, grid.height] * 2, dtype=np.float64)
-    for box, score, label in zip(boxes, scores, labels or [None] * len(boxes), strict=True):
-        if label is not None and label not in fit:
-            continue
-        inside = np.clip(box, 0, size)
-        if np.abs(inside - box).reshape(2, 2).min(axis=0).max() > BEYOND * size.max():
-            raise ResponseError(
-                f"the box {np.round(box, 1).tolist()} lies outside of the {grid.width} x {grid.height} picture; wanted "
-                "its pixels: if the detector resizes pictures, scale its boxes back"
-            )
-        if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
-            yield ViewBox(number, grid, inside, float(score))
-
-
-def labels_of(seen: Iterable[Boxes]) -> set[str]:
-    """The labels in the views of a look."""
-    return {label for boxes in seen for label in boxes.labels or ()}
+def pieces_of(seen: Sequence[Seen], fit: Collection[str]) -> list[ViewBox]:
+    """The boxes of all views whose labels `fit`."""
+    pieces = []
+    for number, (grid, (boxes, scores, labels)) in enumerate(seen):
+        size = np.array([grid.width, grid.height] * 2, dtype=np.float64)
+        for box, score, label in zip(boxes, scores, labels or [None] * len(boxes), strict=True):
+            if label is not None and label not in fit:
+                continue
+            inside = np.clip(box, 0, size)
+            if np.abs(inside - box).reshape(2, 2).min(axis=0).max() > BEYOND * size.max():
+                raise ResponseError(
+                    f"the box {np.round(box, 1).tolist()} lies outside of the {grid.width} x {grid.height} picture; "
+                    "wanted its pixels: if the detector resizes pictures, scale its boxes back"
+                )
+            if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
+                pieces.append(ViewBox(number, grid, inside, float(score)))
+    return pieces

@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._checks import whole, within
+from eagor._checks import require, whole, within
 from eagor.errors import EagorError, GridError, ImageError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -25,7 +25,71 @@ from eagor.queries import Named, matching, parse_query
 from eagor.sphere import check_rotation
 
 CALIBRATION = Calibration(floor=0.2, neutral=0.1, temperature=2.0)  # fitted to moderate noise: benchmarks/fit.py
+WIDEST = 0.7  # radians: square root of the sum of the variances along both axes
 _FARTHEST = 3.0  # radians: a displacement of pi would have no unique direction
+_KINDS = ("nothing", "found", "category", "colour")
+_FOUND = 1
+_WANTED_IDS = (
+    "truth reads instance ids (H, 2 H), which only a simulator has: use it with `eagor bench run`, or call "
+    "TruthPerception(...).episode(labels, seed) and give that the ids"
+)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Error rates of a detector; docs/simulation.md explains each. The defaults are those of an ideal detector.
+
+    Rates are per frame, for a thing of at least the size `smallest`, and independent of `persistence`. Things wider
+    than `WIDEST`, such as a floor, are never confused with the target. `spread` is in radians.
+
+    Raises `EagorError` for numbers out of range.
+    """
+
+    miss: float = 0.0
+    false_alarm: float = 0.0
+    confuse_category: float = 0.0
+    confuse_colour: float = 0.0
+    spread: float = 0.0
+    floor: float = 0.0
+    persistence: float = 0.0
+    smallest: float = 0.0
+    weakest: float = 1.0
+
+    def __post_init__(self) -> None:
+        most = {field.name: 1.0 for field in fields(self)} | {"smallest": math.inf, "spread": math.pi / 2}
+        wanted = {name: f"a number from 0 to {highest:.4g}" for name, highest in most.items()}
+        wanted["spread"] += " radians (degrees in the text form)"
+        require(self, {name: (within(getattr(self, name), 0, most[name]), text) for name, text in wanted.items()})
+
+    @classmethod
+    def parse(cls, text: str) -> Noise:
+        """The noise from text: "ideal", "moderate" (also ""), "miss=0.1,spread=4", "ideal,miss=0.3".
+
+        Pairs change the profile named first, or "moderate"; here `spread` is in degrees. Raises `EagorError`, which
+        lists the keys, for other text.
+        """
+        first, *rest = [part.strip() for part in text.split(",")]
+        names, changes = [field.name for field in fields(cls)], dict[str, float]()
+        for pair in rest if first in ("", *PROFILES) else [first, *rest]:
+            key, _, value = (part.strip() for part in pair.partition("="))
+            try:
+                if key in changes or key not in names:
+                    raise ValueError(key)
+                changes[key] = math.radians(float(value)) if key == "spread" else float(value)
+            except ValueError:
+                raise EagorError(
+                    f"truth settings {text!r}: cannot read {pair!r}. Wanted 'ideal', 'moderate' or key=number pairs, "
+                    f"separated by commas, each key once, such as 'miss=0.1,spread=4'; keys: {', '.join(names)} "
+                    "(spread in degrees)"
+                ) from None
+        return replace(PROFILES.get(first, PROFILES["moderate"]), **changes)
+
+
+PROFILES = {
+    "ideal": Noise(),  # no mistakes: each matching thing at its place with score 1, response 0 elsewhere
+    # A usable detector: 30 % missed, a false alarm in every fifth frame, 8 degrees of error, some confusions.
+    "moderate": Noise(0.3, 0.2, 0.1, 0.02, math.radians(8), floor=0.02, persistence=0.3, smallest=0.1, weakest=0.6),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +143,6 @@ class TruthEpisode:
         self._noise, self._grid, self._calibration = perception.noise, perception.grid, perception.calibration
         self._labels = tuple(labels)
         self._rng = np.random.default_rng(seed)
-        self._relations: dict[str, np.ndarray] = {}
         # One row per thing, one for the false alarm, and one for its direction if it lies on no thing.
         self._luck = np.zeros((len(self._labels) + 2, 2))  # uniform in [0, 1): reported or not, and the score
         self._error = np.zeros((len(self._labels) + 2, 3))  # standard normal, world frame
@@ -100,8 +163,7 @@ class TruthEpisode:
         Raises `QueryError` if the query names no category of the labels, `ImageError` for any other array,
         `RotationError` if the attitude is not a rotation.
         """
-        reports = self.look(panorama, query, world_R_body)
-        response = drawn(reports, self._grid, self._noise.floor)
+        response = drawn(self.look(panorama, query, world_R_body), self._grid, self._noise.floor)
         meant = parse_query(query, [thing.category for thing in self._labels]).category
         return named(Evidence.from_response(response, self._grid, self._calibration, stamp), query, (meant,))
 
@@ -120,21 +182,20 @@ class TruthEpisode:
             if relation[thing] == _FOUND or np.trace(covariance) <= WIDEST**2:
                 reports.append(self._report(_KINDS[relation[thing]], thing, centre, covariance, turn))
         if self._luck[-2, 0] < noise.false_alarm:
-            candidates = np.where((relation != _FOUND) & (seen > 0), self._appeal, -1.0)
-            reports.append(self._false_alarm(candidates, flat, turn))
+            reports.append(
+                self._false_alarm(np.where((relation != _FOUND) & (seen > 0), self._appeal, -1.0), flat, turn)
+            )
         return reports
 
     def _relation(self, query: str) -> np.ndarray:
         """The relation of each thing to the query, as an index of `_KINDS`."""
-        if not isinstance(query, str) or query not in self._relations:
-            asked = parse_query(query, [thing.category for thing in self._labels])
-            relation = np.zeros(len(self._labels), dtype=np.intp)
-            if asked.colour is not None:
-                relation[[thing.category == asked.category for thing in self._labels]] = _KINDS.index("category")
-                relation[[thing.colour == asked.colour for thing in self._labels]] = _KINDS.index("colour")
-            relation[matching(asked, self._labels)] = _FOUND
-            self._relations[query] = relation
-        return self._relations[query]
+        asked = parse_query(query, [thing.category for thing in self._labels])
+        relation = np.zeros(len(self._labels), dtype=np.intp)
+        if asked.colour is not None:
+            relation[[thing.category == asked.category for thing in self._labels]] = _KINDS.index("category")
+            relation[[thing.colour == asked.colour for thing in self._labels]] = _KINDS.index("colour")
+        relation[matching(asked, self._labels)] = _FOUND
+        return relation
 
     def _advance(self) -> None:
         """Advance by one frame: each row is kept or drawn anew."""
@@ -142,8 +203,7 @@ class TruthEpisode:
         error = self._rng.standard_normal(self._error.shape)
         anew = drawn[:, 0] >= self._noise.persistence if self._started else np.ones(len(drawn), dtype=bool)
         anew[-1] = anew[-2]
-        self._luck[anew] = drawn[anew, 1:3]
-        self._error[anew] = error[anew]
+        self._luck[anew], self._error[anew] = drawn[anew, 1:3], error[anew]
         if anew[-2]:
             self._appeal, self._alarm = drawn[:-2, 3], None
         self._started = True
@@ -166,21 +226,11 @@ class TruthEpisode:
         self, kind: str, thing: int | None, centre: np.ndarray, covariance: np.ndarray, turn: np.ndarray
     ) -> Report:
         """A report of a thing at `centre`: displaced by the error of its row, widened, with a score."""
-        row = -2 if kind == "false alarm" else thing
-        error = turn.T @ self._error[row] * self._noise.spread
-        placed, carry = displaced(centre, error)
-        width = self._noise.spread**2 + (math.pi / self._grid.rows / 2) ** 2
+        row, noise = -2 if kind == "false alarm" else thing, self._noise
+        placed, carry = displaced(centre, turn.T @ self._error[row] * noise.spread)
+        width = noise.spread**2 + (math.pi / self._grid.rows / 2) ** 2
         covariance = carry @ covariance @ carry.T + width * (np.eye(3) - np.outer(placed, placed))
-        score = self._noise.weakest + (1 - self._noise.weakest) * float(self._luck[row, 1])
-        return Report(kind, thing, placed, covariance, score)
-
-
-_KINDS = ("nothing", "found", "category", "colour")
-_FOUND = 1
-_WANTED_IDS = (
-    "truth reads instance ids (H, 2 H), which only a simulator has: use it with `eagor bench run`, or call "
-    "TruthPerception(...).episode(labels, seed) and give that the ids"
-)
+        return Report(kind, thing, placed, covariance, noise.weakest + (1 - noise.weakest) * float(self._luck[row, 1]))
 
 
 @lru_cache(maxsize=8)
@@ -192,11 +242,15 @@ def _pixels(rows: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _areas(ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The ids in a row, checked, and the solid angle ``(count,)`` that each thing covers."""
-    if not isinstance(ids, np.ndarray) or ids.ndim != 2 or ids.dtype.kind not in "iu" or ids.size == 0:
+    if (
+        not isinstance(ids, np.ndarray)
+        or ids.dtype.kind not in "iu"
+        or ids.ndim != 2
+        or ids.shape[1] != 2 * len(ids)
+        or not ids.size
+    ):
         what = f"shape {ids.shape}, {ids.dtype}" if isinstance(ids, np.ndarray) else type(ids).__name__
         raise ImageError(f"the panorama is not a map of ids ({what}): {_WANTED_IDS}")
-    if ids.shape[1] != 2 * ids.shape[0]:
-        raise ImageError(f"the ids have shape {ids.shape}; wanted (H, 2 H), a whole equirectangular panorama")
     flat = ids.reshape(-1)
     if flat.min() < -1 or flat.max() >= count:
         raise ImageError(
@@ -249,8 +303,7 @@ def displaced(centre: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.nda
     placed = math.cos(angle) * centre + (math.sin(angle) / length) * along
     placed = placed / math.sqrt(placed @ placed)
     middle = centre + placed
-    turn = np.eye(3) - np.outer(middle, middle) / (1 + centre @ placed) + 2 * np.outer(placed, centre)
-    return placed, turn
+    return placed, np.eye(3) - np.outer(middle, middle) / (1 + centre @ placed) + 2 * np.outer(placed, centre)
 
 
 @lru_cache(maxsize=8)
@@ -272,90 +325,7 @@ def drawn(reports: list[Report], grid: PatchGrid | PerspectiveGrid, floor: float
     cosine = cells @ centres.T
     squared = (products @ precision.reshape(-1, 9).T) * _stretch(cosine)
     # At the antipode the direction is undefined and the quotient above is noise: take the mean over all directions.
-    opposite = 0.5 * math.pi**2 * np.trace(precision, axis1=1, axis2=2)
-    squared = np.where(cosine > -0.999999, squared, opposite)
+    squared = np.where(cosine > -0.999999, squared, 0.5 * math.pi**2 * np.trace(precision, axis1=1, axis2=2))
     scores = np.array([report.score for report in reports])
     response = (scores * np.exp(-0.5 * squared)).max(axis=1)
     return np.maximum(response, floor).astype(np.float32).reshape(grid.shape)
-
-
-# --- error rates ------------------------------------------------------------------------------------------------------
-
-WIDEST = 0.7  # radians: square root of the sum of the variances along both axes
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Error rates of a detector; docs/simulation.md explains each. The defaults are those of an ideal detector.
-
-    Rates are per frame, for a thing of at least the size `smallest`, and independent of `persistence`. Things wider
-    than `WIDEST`, such as a floor, are never confused with the target. `spread` is in radians.
-
-    Raises `EagorError` for numbers out of range.
-    """
-
-    miss: float = 0.0
-    false_alarm: float = 0.0
-    confuse_category: float = 0.0
-    confuse_colour: float = 0.0
-    spread: float = 0.0
-    floor: float = 0.0
-    persistence: float = 0.0
-    smallest: float = 0.0
-    weakest: float = 1.0
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            highest = {"spread": math.pi / 2, "smallest": math.inf}.get(field.name, 1.0)
-            if not within(value, 0, highest):
-                unit = " radians (degrees in the text form)" if field.name == "spread" else ""
-                raise EagorError(f"{field.name} = {value!r}; wanted a number from 0 to {highest:.4g}{unit}")
-
-    @classmethod
-    def ideal(cls) -> Noise:
-        """No mistakes: each matching thing at its place with score 1, response 0 elsewhere."""
-        return cls()
-
-    @classmethod
-    def moderate(cls) -> Noise:
-        """A usable detector: 30 % missed, a false alarm in every fifth frame, 8 degrees of error, some confusions."""
-        return cls(
-            miss=0.3,
-            false_alarm=0.2,
-            confuse_category=0.1,
-            confuse_colour=0.02,
-            spread=math.radians(8),
-            floor=0.02,
-            persistence=0.3,
-            smallest=0.1,
-            weakest=0.6,
-        )
-
-    @classmethod
-    def parse(cls, text: str) -> Noise:
-        """The noise from text: "ideal", "moderate" (also ""), "miss=0.1,spread=4", "ideal,miss=0.3".
-
-        Pairs change the profile named first, or "moderate"; here `spread` is in degrees. Raises `EagorError`, which
-        lists the keys, for other text.
-        """
-        profiles = {"ideal": cls.ideal, "moderate": cls.moderate}
-        first, *rest = [part.strip() for part in text.split(",")]
-        pairs = rest if first in ("", *profiles) else [first, *rest]
-        names = [field.name for field in fields(cls)]
-        changes: dict[str, float] = {}
-        for pair in pairs:
-            key, _, value = (part.strip() for part in pair.partition("="))
-            try:
-                if key in changes or key not in names:
-                    raise ValueError(key)
-                changes[key] = float(value)
-            except ValueError:
-                raise EagorError(
-                    f"truth settings {text!r}: cannot read {pair!r}. Wanted 'ideal', 'moderate' or key=number pairs, "
-                    f"separated by commas, each key once, such as 'miss=0.1,spread=4'; keys: {', '.join(names)} "
-                    "(spread in degrees)"
-                ) from None
-        if "spread" in changes:
-            changes["spread"] = math.radians(changes["spread"])
-        return replace(profiles.get(first, cls.moderate)(), **changes)

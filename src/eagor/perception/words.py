@@ -24,23 +24,20 @@ from eagor.perception.colour import SYNONYMS, Colour, colour_in, is_colour
 from eagor.queries import COLOURS
 
 __all__ = [
-    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "looked_for", "meant", "named",
-    "plain", "same_name", "singular",
+    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "meant", "named", "plain",
+    "same_name", "singular",
 ]  # fmt: skip
 
 _TABLES = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
-
-
-def _lines(table: str) -> list[str]:
-    return _TABLES[table].strip().splitlines()
 
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(","))
 
 
-GROUPS = tuple(map(_names, _lines("groups")))  # names of one thing
-OTHER_THINGS = frozenset(_lines("other_things"))  # not what their last word is
+# Every name to the names that mean the same.
+GROUPS = {name: group for group in map(_names, _TABLES["groups"].strip().splitlines()) for name in group}
+OTHER_THINGS = frozenset(_TABLES["other_things"].strip().splitlines())  # not what their last word is
 OPENERS, DESCRIBING = frozenset(_TABLES["openers"].split()), frozenset(_TABLES["describing"].split())
 DRINKING: list[str] = _TABLES["drinking"].split()
 IRREGULAR: dict[str, str] = _TABLES["irregular"]
@@ -49,9 +46,8 @@ WIDER: dict[str, tuple[str, ...]] = {wide: _names(kinds) for wide, kinds in _TAB
     narrow: (wide,) for wide, words in _TABLES["narrower"].items() for narrow in words.split()
 }
 KIN: dict[str, tuple[str, ...]] = {}  # for errors: classes of the same kind, by words that no class may fit
-for _classes, _, _words in (line.partition(": ") for line in _lines("kin")):
-    for _word in _words.split():
-        KIN[_word] = (*KIN.get(_word, ()), *_names(_classes))
+for _classes, _, _words in (line.partition(": ") for line in _TABLES["kin"].strip().splitlines()):
+    KIN |= {word: (*KIN.get(word, ()), *_names(_classes)) for word in _words.split()}
 
 _COLOURS = {*COLOURS, *SHADES}
 _PLACES = """
@@ -63,9 +59,9 @@ _ANYTHING = {"something", "anything", "thing", "things", "stuff"}
 _HOLDING = {"cup", "glass", "mug", "bottle", "bowl", "vase", "box", "can", "jar", "pot"}  # a cup of tea is a cup
 _PARTS = {"slice", "piece", "pair", "bunch", "group", "kind", "sort", "couple"}  # a slice of pizza is pizza
 # What detectors of an open vocabulary are asked with, and label with: "a photo of a chair", "an image of the chair".
-_SHOWN = "this here it is an? the one my good bad cropped blurry clean bright dark low high resolution quality"
 _PROMPT = re.compile(
-    rf"\A(?:(?:{_SHOWN.replace(' ', '|')}) )*(?:photo|photograph|picture|image|rendering|itap|close up) of (?=\S)"
+    r"\A(?:(?:this|here|it|is|an?|the|one|my|good|bad|cropped|blurry|clean|bright|dark|low|high|resolution|quality) )*"
+    r"(?:photo|photograph|picture|image|rendering|itap|close up) of (?=\S)"
 )
 _EVERY = 8  # classes that an error names
 _ROOMS = ("chair", "couch", "bed", "dining table", "tv", "refrigerator", "potted plant", "person")
@@ -87,25 +83,47 @@ def meant(query: str, classes: Sequence[str], *, described: bool = False, colour
     found, noun, left_out = _looked_up(tuple(words), tuple(classes))
     if found and (not left_out or described or (coloured and is_colour(" ".join(left_out)))):
         return found
-    words = _asked(words)
-    if all(word in _COLOURS for word in words):
+    if _COLOURS.issuperset(words := _asked(words)):
         raise QueryError(
             f"the query {query!r} names a colour and no thing; this detector does not know colours. It knows "
             f"{_some(classes)}. --perception colour finds what is of a colour; for any words: {for_any_words()}"
         )
     if found:
-        raise _too_much(query, left_out, noun, found)
-    raise _unknown(query, noun or words, classes)
+        what = "words such as" if _COLOURS.isdisjoint(left_out) else "colours, such as"
+        raise QueryError(
+            f"the query {query!r}: this detector does not know {what} {' '.join(left_out)!r}; it finds every "
+            f"{' or '.join(found)}. Ask for {' '.join(noun)!r} alone. To look for any words: {for_any_words()}"
+        )
+    near = nearest(" ".join(noun or words), classes)
+    hint = (
+        f"the nearest that it knows: {', '.join(near)}"
+        if near
+        else f"it knows {_some(classes)}, and none spelt like it"
+    )
+    raise QueryError(
+        f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. To look for any "
+        f"words: {for_any_words()}{by_colour_alone(query, classes)}"
+    )
 
 
 @lru_cache(maxsize=4096)
 def _looked_up(asked: tuple[str, ...], classes: tuple[str, ...]) -> tuple[tuple[str, ...], list[str], list[str]]:
-    """The classes that the words mean, their noun, and the words that describe it."""
+    """The classes that the words mean, their noun, and the words that describe it.
+
+    By name, by another name, by a wider word; then by fewer and fewer of the last words.
+    """
     found, words = _named(" ".join(asked), classes), _asked([*asked])  # whatever it is, a class is called so
     if found := found or _called(" ".join(words), classes):
         return found, words, []
     noun, left_out = _noun(words)
-    return _found(noun, classes), noun, left_out
+    for at in range(len(noun)) if "of" not in noun else ():
+        name = " ".join(noun[at:])
+        # A car seat is no couch.
+        if singular(name) in OTHER_THINGS or (at and len(WIDER.get(singular(name), "1")) > 1):
+            break
+        if found := _called(name, classes):
+            return found, noun, left_out
+    return (), noun, left_out
 
 
 def colour_of(query: str, classes: Sequence[str]) -> Colour | None:
@@ -113,29 +131,26 @@ def colour_of(query: str, classes: Sequence[str]) -> Colour | None:
     return colour_in(" ".join(_looked_up(tuple(plain(query).split()), tuple(classes))[2]))
 
 
-def looked_for(query: str, names: Collection[str]) -> str:
-    """What was looked for instead of `query`, of which these classes or labels are meant: "chair" for "footstool".
-
-    "" where one of them is the word that was asked, whatever its article, number or colour.
-    """
-    _, noun, _ = _looked_up(tuple(plain(query).split()), tuple(names))
-    if not names or _named(plain(query), names) or _named(" ".join(noun), names):
-        return ""
-    shown, rest = [*names][:_EVERY], len(names) - _EVERY
-    return " or ".join(shown) + (f" or {rest} more" if rest > 0 else "")
-
-
 def named(evidence: Evidence, query: str, names: Collection[str]) -> Evidence:
-    """`evidence` that names what was `looked_for`."""
-    words = looked_for(query, names)
-    return replace(evidence, looked_for=words) if words else evidence
+    """`evidence` that names what was looked for instead of `query`, of which these classes or labels are meant.
+
+    That is "chair" for "footstool"; nothing where one of them is the word that was asked, whatever its article, number
+    or colour.
+    """
+    noun = " ".join(_looked_up(tuple(plain(query).split()), tuple(names))[1])
+    if not names or _named(plain(query), names) or _named(noun, names):
+        return evidence
+    rest = len(names) - _EVERY
+    words = " or ".join([*names][:_EVERY]) + (f" or {rest} more" if rest > 0 else "")
+    return replace(evidence, looked_for=words)
 
 
 def is_bare_colour(query: str, classes: Sequence[str]) -> bool:
     """Whether `query` names a colour and no thing, as "red" and "something red" do; "the orange" may be a class."""
     words = plain(query).split()
-    named = [word for word in words if word not in OPENERS and word not in _ANYTHING]
-    return is_colour(" ".join(named)) and (len({*words} & _ANYTHING) > 0 or not _looked_up((*words,), (*classes,))[0])
+    anything = not _ANYTHING.isdisjoint(words)
+    rest = " ".join(word for word in words if word not in OPENERS and word not in _ANYTHING)
+    return is_colour(rest) and (anything or not _looked_up((*words,), (*classes,))[0])
 
 
 def by_colour_alone(query: str, classes: Sequence[str]) -> str:
@@ -170,19 +185,21 @@ def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = 
             return False
         more = words[-1:] == asked[-1:] and {*asked} <= {*words}
         narrower = more or (not exact and _looked_up(tuple(words), (noun,))[0])
-        return bool((narrower and not _is_other(name, noun)) or (not exact and _looked_up(tuple(asked), (name,))[0]))
+        # A thing by itself is not the noun that it ends with: a teddy bear is no bear.
+        group = GROUPS.get(singular(name), ())
+        other = singular(name) in OTHER_THINGS or (bool(group) and singular(noun) not in group)
+        return bool((narrower and not other) or (not exact and _looked_up(tuple(asked), (name,))[0]))
 
     return frozenset(label for label, words in known.items() if fits(words))
 
 
+def same_name(label: str, classes: Collection[str]) -> bool:
+    """Whether a label is one of the `classes`, as it is or without article, prompt, plural, case and signs."""
+    return label in classes or any(_same(_bare(label), _bare(each)) for each in classes)
+
+
 def _same(words: list[str], others: list[str]) -> bool:
     return bool(words) and singular(" ".join(words)) == singular(" ".join(others))
-
-
-def _is_other(name: str, noun: str) -> bool:
-    """Whether `name` is a thing by itself, and not the noun that it ends with: a teddy bear is no bear."""
-    group = _groups().get(singular(name), ())
-    return singular(name) in OTHER_THINGS or (bool(group) and singular(noun) not in group)
 
 
 def _bare(text: str) -> list[str]:
@@ -193,13 +210,7 @@ def _bare(text: str) -> list[str]:
 def _colours(words: list[str]) -> set[str]:
     """The colours of the thing, each by one name."""
     place = next((at for at, word in enumerate(words) if at and word in RELATIONS), len(words))
-    named = [SYNONYMS.get(word, word).rpartition(" ")[2] for word in words[: place - 1]]
-    return {name for name in named if name in SHADES}
-
-
-def same_name(label: str, classes: Collection[str]) -> bool:
-    """Whether a label is one of the `classes`, as it is or without article, prompt, plural, case and signs."""
-    return label in classes or any(_same(_bare(label), _bare(each)) for each in classes)
+    return {SYNONYMS.get(word, word).rpartition(" ")[2] for word in words[: place - 1]} & SHADES.keys()
 
 
 def for_any_words() -> str:
@@ -217,25 +228,18 @@ def plain(text: str) -> str:
     return " ".join(re.findall(r"[^\W_]+", text))
 
 
+@lru_cache(maxsize=4096)
 def singular(words: str) -> str:
     """The last of `words` in the singular; "glass", "bus" and "scissors" stay as they are."""
-    first, _, last = words.rpartition(" ")
-    if last == "glasses" and first.rpartition(" ")[2] in DRINKING:
-        return f"{first} glass"
-    return f"{first} {_one(last)}".strip()
-
-
-@lru_cache(maxsize=4096)
-def _one(word: str) -> str:
-    if word in IRREGULAR:
-        return IRREGULAR[word]
-    if word in IRREGULAR.values() or len(word) < 4 or not word.endswith("s") or word.endswith(("ss", "us", "is")):
-        return word
-    if word.endswith("ies") and len(word) > 4:
-        return word[:-3] + "y"
-    if word.endswith(("ches", "shes", "sses", "xes", "zes", "oes")):
-        return word[:-2]
-    return word[:-1]
+    first, _, word = words.rpartition(" ")
+    if word == "glasses" and first.rpartition(" ")[2] in DRINKING:
+        word = "glass"
+    elif word in IRREGULAR:
+        word = IRREGULAR[word]
+    elif word not in IRREGULAR.values() and len(word) > 3 and re.search(r"[^sui]s\Z", word):
+        es = re.search(r"(?:ch|sh|ss|x|z|o)es\Z", word)
+        word = f"{word[:-3]}y" if word.endswith("ies") and len(word) > 4 else word[: -2 if es else -1]
+    return f"{first} {word}".strip()
 
 
 def _asked(words: list[str]) -> list[str]:
@@ -253,41 +257,31 @@ def _noun(words: list[str]) -> tuple[list[str], list[str]]:
             words, left_out = words[:at], words[at:]
             break
         if words[at] == "of":  # but a picture of a dog is no dog
-            head, rest = _one(words[at - 1]), _asked(words[at + 1 :])
+            head, rest = singular(words[at - 1]), _asked(words[at + 1 :])
             words = words[:at] if head in _HOLDING else rest if head in _PARTS and rest else words
             break
     while len(words) > 1 and (words[0] in DESCRIBING or words[0] in _COLOURS):
-        left_out, words = [*left_out, words[0]], words[1:]
-        words = _asked(words)
+        left_out, words = [*left_out, words[0]], _asked(words[1:])
     return words, left_out
 
 
-def _found(words: list[str], classes: Sequence[str]) -> tuple[str, ...]:
-    """By name, by another name, by a wider word; then by fewer and fewer of the last words."""
-    if "of" in words:
-        return ()
-    for at in range(len(words)):
-        name = " ".join(words[at:])
-        if singular(name) in OTHER_THINGS:
-            break
-        if at and len(WIDER.get(singular(name), "1")) > 1:  # a car seat is no couch
-            break
-        if found := _called(name, classes):
-            return found
-    return ()
-
-
 def _called(name: str, classes: Sequence[str]) -> tuple[str, ...]:
-    return _named(name, classes) or _other(name, classes) or _wider(name, classes)
+    """The classes by their name, by another of it, or by a wider word, each by any of its names."""
+    if found := _named(name, classes) or _other(name, classes):
+        return found
+    ways = (name, singular(name), *GROUPS.get(name, ()), *GROUPS.get(singular(name), ()))
+    for way in ways:
+        kinds = [each for kind in WIDER.get(way, ()) for each in _named(kind, classes) or _other(kind, classes)]
+        if kinds:
+            return tuple(each for each in dict.fromkeys(classes) if each in kinds)
+    return ()
 
 
 def _named(name: str, classes: Collection[str]) -> tuple[str, ...]:
     """The classes that are called `name`, in the singular or as written."""
     ways = _spelt(tuple(classes))
-    for way in (name, singular(name), singular(name).replace(" ", "")):
-        if found := ways.get(way):
-            return found
-    return ()
+    names = (name, singular(name), singular(name).replace(" ", ""))
+    return next((ways[way] for way in names if way in ways), ())
 
 
 @lru_cache(maxsize=64)
@@ -300,77 +294,33 @@ def _spelt(classes: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
         for way in {whole, singular(whole), whole.replace(" ", "")}:
             exact.setdefault(way, []).append(each)
         without = re.sub(r"\([^)]*\)", "", each)
-        for part in [without, *re.split(r"[/;,|]", without)]:
-            for way in {plain(part), singular(plain(part))} - {""}:
+        for part in map(plain, [without, *re.split(r"[/;,|]", without)]):
+            for way in {part, singular(part)} - {""}:
                 parts.setdefault(way, []).append(each)
     return {way: tuple(dict.fromkeys(names)) for way, names in (parts | exact).items()}
 
 
-@lru_cache(maxsize=1)
-def _groups() -> dict[str, tuple[str, ...]]:
-    """Every name to the names that mean the same."""
-    return {name: group for group in GROUPS for name in group}
-
-
 def _other(name: str, classes: Sequence[str]) -> tuple[str, ...]:
     """The classes with another name for `name`: the nearest in the group, and all that are spelt so."""
-    for way in dict.fromkeys((name, singular(name))):
-        for same in _groups().get(way, ()):
-            if found := _named(same, classes):
-                return found
-    return ()
-
-
-def _wider(name: str, classes: Sequence[str]) -> tuple[str, ...]:
-    """The classes of a wider word, each by any of its names."""
-    found: list[str] = []
-    for way in dict.fromkeys((name, singular(name), *_groups().get(name, ()), *_groups().get(singular(name), ()))):
-        for kind in WIDER.get(way, ()):
-            found += _named(kind, classes) or _other(kind, classes)
-        if found:
-            break
-    return tuple(each for each in dict.fromkeys(classes) if each in set(found))
-
-
-def _too_much(query: str, left_out: Sequence[str], noun: Iterable[str], found: Sequence[str]) -> QueryError:
-    text, what = " ".join(left_out), "words such as"
-    if any(word in _COLOURS for word in left_out):
-        what = "colours, such as"
-    return QueryError(
-        f"the query {query!r}: this detector does not know {what} {text!r}; it finds every {' or '.join(found)}. Ask "
-        f"for {' '.join(noun)!r} alone. To look for any words: {for_any_words()}"
-    )
-
-
-def _unknown(query: str, words: Sequence[str], classes: Sequence[str]) -> QueryError:
-    near = nearest(" ".join(words), classes)
-    hint = f"the nearest that it knows: {', '.join(near)}" if near else f"it knows {_some(classes)}"
-    if not near:
-        hint += ", and none spelt like it"
-    return QueryError(
-        f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. To look for any "
-        f"words: {for_any_words()}{by_colour_alone(query, classes)}"
-    )
+    group = (*GROUPS.get(name, ()), *GROUPS.get(singular(name), ()))
+    return next(filter(None, (_named(same, classes) for same in group)), ())
 
 
 def nearest(name: str, classes: Sequence[str], most: int = 5) -> tuple[str, ...]:
     """The classes nearest to `name`: those of the same kind of thing, those spelt alike, those with a word of it."""
     name = singular(plain(name))
     last = name.rpartition(" ")[2]
-    by_way = dict.fromkeys([*_spelt(tuple(classes)), *(other for other in _groups() if _other(other, classes))])
+    by_way = dict.fromkeys([*_spelt(tuple(classes)), *(other for other in GROUPS if _other(other, classes))])
     swapped = [way for way in by_way if way[:1] == name[:1] and sorted(way) == sorted(name)]  # "chiar"
     alike = swapped or difflib.get_close_matches(name, by_way, n=3, cutoff=0.82)  # a lower one takes a wall for a ball
-    found = [each for way in alike for each in _named(way, classes) or _other(way, classes)]
-    same = dict.fromkeys((name, *_groups().get(name, ()), last))
-    for kind in (each for way in same for each in KIN.get(way, ())):
-        found += _named(kind, classes) or _other(kind, classes)
+    ways = [*alike, *(each for way in dict.fromkeys((name, *GROUPS.get(name, ()), last)) for each in KIN.get(way, ()))]
+    found = [each for way in ways for each in _named(way, classes) or _other(way, classes)]
     found += [each for each in classes if last in plain(each).split()]
     return tuple(dict.fromkeys(found))[:most]
 
 
 def _some(classes: Sequence[str]) -> str:
     """Some of the classes, those of rooms first, and how many more there are."""
-    shown = [each for kind in _ROOMS for each in _named(kind, classes)]
-    shown = list(dict.fromkeys([*shown, *classes]))[:_EVERY]
+    shown = [*dict.fromkeys([each for kind in _ROOMS for each in _named(kind, classes)] + [*classes])][:_EVERY]
     rest = len(classes) - len(shown)
     return ", ".join(shown) + (f" and {rest} more" if rest > 0 else "")

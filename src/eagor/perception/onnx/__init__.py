@@ -21,9 +21,8 @@ import numpy as np
 from eagor._checks import whole, within
 from eagor.errors import EagorError, ImageError, ResponseError
 from eagor.evidence.shapes import are_fractions
-from eagor.perception.onnx.labels import Labels, names_in, names_of
-from eagor.perception.onnx.layouts import LAYOUTS, choose_layout
-from eagor.perception.onnx.network import FITS, ORDERS, PAD, VALUES, Fit, Network, Order, Size, Values, letterbox
+from eagor.perception.onnx.layouts import LAYOUTS, Labels, choose_layout, literal, names_of
+from eagor.perception.onnx.network import FITS, ORDERS, PAD, VALUES, Network, Size, letterbox
 
 if TYPE_CHECKING:
     from eagor.perception.views import Detector
@@ -35,6 +34,7 @@ MOST_COMPARED = 2000  # boxes that suppression looks at: the best
 OVERLAP = 0.5  # intersection over union beyond which two boxes of a class are of one thing
 SLACK = 1e-3  # by which a probability of 16 bits may leave [0, 1]
 OF_VIEWS = {"hfov_deg": "hfov_deg", "views": "views", "view": "size", "detector": "detector"}  # names of `Detector`
+COUNT = "a whole number, 1 or more"
 
 
 class OnnxDetector:
@@ -68,32 +68,42 @@ class OnnxDetector:
         threshold: float | None = None,
         layout: str | None = None,
         *,
-        fit: Fit | None = None,
-        values: Values | None = None,
-        order: Order = "rgb",
+        fit: str | None = None,
+        values: str | None = None,
+        order: str = "rgb",
         threads: int = 1,
         together: int = 1,
     ) -> None:
         self._options: dict[str, Any] = {name: value for name, value in locals().items() if name != "self"}
-        _check(self._options)
+        for name, fits, wanted in (
+            ("layout", layout in (None, *LAYOUTS), ", ".join(LAYOUTS)),
+            ("fit", fit in (None, *FITS), ", ".join(FITS)),
+            ("values", values in (None, *VALUES), ", ".join(VALUES)),
+            ("order", order in ORDERS, ", ".join(ORDERS)),
+            ("threshold", threshold is None or within(threshold, 0, 1), "a number from 0 to 1"),
+            ("threads", whole(threads, 1, 1024), COUNT),
+            ("together", whole(together, 1, 1024), COUNT),
+        ):
+            if not fits:
+                raise EagorError(f"OnnxDetector: {name} = {self._options[name]!r}; wanted {wanted}")
         self._network = Network(path, threads)
-        metadata = self._network.metadata
+        metadata, noted = self._network.metadata, "'names' in the file's metadata"
         usual = LAYOUTS.get(layout or metadata.get("layout", ""), LAYOUTS["yolov8"])  # other metadata are YOLO's
-        names = names_in(metadata) if labels is None else names_of(labels, usual.first)
-        if not names:
+        if labels is not None:
+            self._names = names_of(labels, usual.first)
+        elif metadata.get("names", "").strip():
+            self._names = names_of(literal(metadata["names"], noted), 0, noted)
+        else:
             raise EagorError(f"{path} does not say what its classes are called; name a file with labels=FILE.txt")
+        self.classes = tuple(filter(None, self._names))
         self.size = self._network.size(size, usual.size)
         tried = self._network.run(np.full((*self.size, 3), PAD, dtype=np.uint8), values or usual.values, order)
         try:
-            self.layout, self._outputs = choose_layout(layout, metadata, tried, len(names))
+            self.layout, self._outputs = choose_layout(layout, metadata, tried, len(self._names))
         except EagorError as error:
             raise EagorError(f"{path}: {error}") from None
         self._layout = usual = LAYOUTS[self.layout]
-        self._names, self.classes = names, tuple(name for name in names if name)
-        self.fit: Fit = fit or usual.fit
-        self.values: Values = values or usual.values
-        self.order: Order = order
-        self.together = together
+        self.fit, self.values, self.order, self.together = fit or usual.fit, values or usual.values, order, together
         self.threshold = usual.threshold if threshold is None else threshold
 
     def __call__(self, picture: np.ndarray, query: str = "") -> tuple[np.ndarray, np.ndarray, list[str]]:
@@ -107,19 +117,17 @@ class OnnxDetector:
             raise ImageError(f"the picture is {picture.dtype} of shape {picture.shape}; wanted uint8 RGB (h, w, 3)")
         canvas, scale, offset = letterbox(picture, self.size, self.fit)
         outputs = self._network.run(canvas, self.values, self.order)
-        try:
-            boxes, scores, classes = self._detections([outputs[name] for name in self._outputs])
-        except ResponseError as error:
-            raise ResponseError(
-                f"{self._network.path} (layout {self.layout}) gives {error}; state the right layout=... of its "
-                "outputs, or the right values=... of its input"
-            ) from None
+        boxes, scores, classes = self._detections([outputs[name] for name in self._outputs])
         height, width = picture.shape[:2]
         boxes = np.clip((boxes - np.tile(offset, 2)) / np.tile(scale, 2), 0, [width, height, width, height])
         real = np.flatnonzero((boxes[:, 2:] > boxes[:, :2]).all(axis=1))
         best = real[np.argsort(-scores[real], kind="stable")][:MOST_COMPARED]  # of equal scores the earlier is better
-        if not self._layout.suppressed:
-            best = best[nms(boxes[best], scores[best], classes[best])]
+        if not self._layout.suppressed and len(best):
+            import cv2
+
+            suppress: Any = cv2.dnn.NMSBoxesBatched  # its types want lists, it takes arrays
+            corners_and_sides = np.hstack([boxes[best, :2], boxes[best, 2:] - boxes[best, :2]])
+            best = best[np.asarray(suppress(corners_and_sides, scores[best], classes[best], 0.0, OVERLAP), dtype=int)]
         best = best[:MOST]
         return boxes[best], scores[best], [self._names[at] or f"class {at}" for at in classes[best].tolist()]
 
@@ -132,53 +140,42 @@ class OnnxDetector:
 
     def _detections(self, outputs: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Boxes in pixels of the input, scores and numbers of classes, of all that reaches the threshold."""
-        if broken := sum(int((~np.isfinite(each)).sum()) for each in outputs):
-            raise ResponseError(f"{broken} numbers that are not finite")
-        boxes, scores, *numbers = self._layout.detections(outputs, self.size, len(self._names), self.threshold)
-        if scores.size and not (scores.min() >= -SLACK and scores.max() <= 1 + SLACK):
-            raise ResponseError(f"scores from {scores.min():.3g} to {scores.max():.3g}, where [0, 1] is wanted")
+        self._check(all(np.isfinite(each).all() for each in outputs), "numbers that are not finite")
+        layout, count = self._layout, len(self._names)
+        batched = layout.outputs(count, 0)[0][0] == 1
+        single = [(each[0] if batched else each).astype(np.float32, copy=False) for each in outputs]
+        boxes, scores, *numbers = (each.astype(np.float64) for each in layout.read(single, count, self.threshold))
+        if layout.centred:
+            boxes = np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
+        boxes = boxes * np.tile(self.size[::-1], 2) if layout.fractions else boxes
         reach = scores >= self.threshold
         rows, *columns = np.nonzero(reach)
+        self._check(not scores.size or (scores.min() >= -SLACK and scores.max() <= 1 + SLACK), "scores outside [0, 1]")
         boxes, scores = boxes[rows], np.clip(scores[reach], 0, 1)
         numbers = numbers[0][rows] if numbers else columns[0]
         classes = np.rint(numbers).astype(np.int64)
-        if (np.abs(numbers - classes) > SLACK).any() or (classes < 0).any():
-            raise ResponseError(f"classes such as {numbers[:3].tolist()}, where whole numbers are wanted")
-        if (classes >= len(self._names)).any():
-            raise ResponseError(f"class {classes.max()}, and only {len(self._names)} have labels: name all")
-        if 2 * (boxes[:, :2] > boxes[:, 2:]).any(axis=1).sum() > len(boxes) or are_fractions(boxes):
-            raise ResponseError(f"boxes such as {boxes[0].round(3).tolist()}, where corners in pixels are wanted")
-        middles = (boxes[:, :2] + boxes[:, 2:]) / 2 / self.size[::-1]
-        if (np.abs(middles - 0.5) > 1.5).any():
-            raise ResponseError("boxes far outside of the picture")
+        whole_numbers = (np.abs(numbers - classes) <= SLACK) & (classes >= 0) & (classes < len(self._names))
+        self._check(
+            whole_numbers.all(), f"classes such as {numbers[:3].tolist()} of {len(self._names)} that have labels"
+        )
+        inverted, middles = (
+            (boxes[:, :2] > boxes[:, 2:]).any(axis=1),
+            (boxes[:, :2] + boxes[:, 2:]) / 2 / self.size[::-1],
+        )
+        right = 2 * inverted.sum() <= len(boxes) and not are_fractions(boxes) and (np.abs(middles - 0.5) <= 1.5).all()
+        self._check(right, f"boxes such as {boxes[:1].round(3).tolist()}, where corners in pixels are wanted")
         return boxes, scores, classes
+
+    def _check(self, right: Any, what: str) -> None:
+        if not right:
+            raise ResponseError(
+                f"{self._network.path} (layout {self.layout}) gives {what}; state the right layout=... of its outputs, "
+                "or the right values=... of its input"
+            )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Other processes open the file again."""
         return partial(OnnxDetector, **self._options), ()
-
-
-def _check(given: dict[str, Any]) -> None:
-    """Raise `EagorError` for the first option that makes no sense."""
-    choices = {"layout": (None, *LAYOUTS), "fit": (None, *FITS), "values": (None, *VALUES), "order": ORDERS}
-    faults = {name: ", ".join(filter(None, each)) for name, each in choices.items() if given[name] not in each}
-    if not (given["threshold"] is None or within(given["threshold"], 0, 1)):
-        faults["threshold"] = "a number from 0 to 1"
-    faults |= {name: "a whole number, 1 or more" for name in ("threads", "together") if not whole(given[name], 1, 1024)}
-    for name, wanted in faults.items():
-        raise EagorError(f"OnnxDetector: {name} = {given[name]!r}; wanted {wanted}")
-
-
-def nms(boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray) -> np.ndarray:
-    """The places ``(k,)`` of the boxes ``(n, 4)`` that stay, the best first.
-
-    A box falls if a better one that stays has its class and overlaps it by more than `OVERLAP`.
-    """
-    import cv2
-
-    suppress: Any = cv2.dnn.NMSBoxesBatched  # its types want lists, it takes arrays
-    corners_and_sides = np.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]])
-    return np.array(suppress(corners_and_sides, scores, classes, 0.0, OVERLAP) if len(boxes) else [], dtype=int)
 
 
 def from_text(text: str = "", /, **options: Any) -> Detector:

@@ -1,4 +1,4 @@
-"""The layouts in which families of detectors write boxes, and which of them a file's metadata settle.
+"""The layouts in which families of detectors write boxes, which of them a file's metadata settle, and names of classes.
 
 Where they settle none, none is guessed: with the wrong one a box is wrong, and its score is not. An error lists the
 outputs and the layouts instead.
@@ -6,6 +6,8 @@ outputs and the layouts instead.
 
 from __future__ import annotations
 
+import ast
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +16,9 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, softmax
 
-from eagor.errors import EagorError
-from eagor.perception.onnx.network import Fit, Values
+from eagor._checks import shown
+from eagor._files import read_file
+from eagor.errors import EagorError, FormatError
 
 MASKS = 32  # further columns of Ultralytics' tables with masks
 STRIDE = 4  # pixels per cell of CenterNet
@@ -37,35 +40,24 @@ class Layout:
 
     title: str
     outputs: Callable[[int, int], Sequence[tuple[int | None, ...]]]
-    read: Callable[[Arrays, int, float], tuple[np.ndarray, ...]]
+    read: Callable[[Arrays, int, float], Sequence[np.ndarray]]
     centred: bool = False
     fractions: bool = False
     suppressed: bool = True
-    fit: Fit = "stretch"
-    values: Values = "unit"
+    fit: str = "stretch"
+    values: str = "unit"
     size: int = 640
     first: int = 0
     threshold: float = 0.25
-
-    def detections(self, outputs: Arrays, size: tuple[int, int], classes: int, threshold: float) -> Any:
-        """Boxes x0, y0, x1, y1 in pixels of an input of `size` (rows, columns), scores, perhaps classes, as `read`."""
-        batched = self.outputs(classes, 0)[0][0] == 1
-        single = [(each[0] if batched else each).astype(np.float32, copy=False) for each in outputs]
-        boxes, *scores = (each.astype(np.float64) for each in self.read(single, classes, threshold))
-        if self.centred:
-            boxes = np.concatenate([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2], axis=1)
-        return boxes * np.tile(size[::-1], 2) if self.fractions else boxes, *scores
 
 
 def _peaks(outputs: Arrays, classes: int, threshold: float) -> tuple[np.ndarray, ...]:
     """CenterNet's: peaks are cells that no neighbour of 3 x 3 exceeds; distances are from a cell's top left corner."""
     distances, scores = outputs
-    rows, columns = scores.shape[1:]
     kind, row, column = np.nonzero(scores >= threshold)  # a few of a million
-    peaks = np.ones(len(kind), dtype=bool)
-    for down, across in np.ndindex(3, 3):
-        y, x = np.clip(row + down - 1, 0, rows - 1), np.clip(column + across - 1, 0, columns - 1)
-        peaks &= scores[kind, row, column] >= scores[kind, y, x]
+    padded = np.pad(scores, [(0, 0), (1, 1), (1, 1)], mode="edge")
+    around = [padded[kind, row + down, column + across] for down, across in np.ndindex(3, 3)]
+    peaks = scores[kind, row, column] >= np.max(around, axis=0, initial=-np.inf)
     kind, row, column = kind[peaks], row[peaks], column[peaks]
     corners = STRIDE * np.stack([column, row, column, row], axis=1)
     return corners + distances[:, row, column].T * [-1, -1, 1, 1], scores[kind, row, column], kind
@@ -107,11 +99,11 @@ LAYOUTS: dict[str, Layout] = {
     ),
     "rtdetr-boxes": Layout(
         "boxes (1, n, 4) by corners in pixels, scores (1, n), labels (1, n) (RT-DETR, D-FINE with post-processing)",
-        lambda c, more: [(1, None, 4), (1, None), (1, None)], lambda o, c, t: tuple(o),
+        lambda c, more: [(1, None, 4), (1, None), (1, None)], lambda o, c, t: o,
     ),
     "torchvision": Layout(
         "boxes (n, 4) by corners in pixels, scores (n,), labels (n,)",
-        lambda c, more: [(None, 4), (None,), (None,)], lambda o, c, t: tuple(o), fit="letterbox", first=1,
+        lambda c, more: [(None, 4), (None,), (None,)], lambda o, c, t: o, fit="letterbox", first=1,
     ),
     "centernet": Layout(
         "distances (1, 4, h, w) to left, top, right, bottom in pixels, scores (1, C, h, w) (CenterNet)",
@@ -134,22 +126,22 @@ def choose_layout(
         raise EagorError(f"it was made for the task {task!r}; wanted a detector of upright boxes")
     key_points = [int(side) for side in re.findall(r"\d+", metadata.get("kpt_shape", "[17, 3]"))]
     more = {"detect": 0, "segment": MASKS, "pose": int(np.prod(key_points))}[task]
-    shown = ", ".join(f"{name} {array.shape}" for name, array in outputs.items()) + f", of {classes} classes"
     picks = {name: picked for name in LAYOUTS if (picked := _match_outputs(name, outputs, classes, more))}
     listing = "; ".join(f"{name}: {LAYOUTS[name].title}" for name in picks or LAYOUTS)
+    shapes = ", ".join(f"{name} {array.shape}" for name, array in outputs.items()) + f", of {classes} classes"
     settled = _layout_in_metadata(metadata, picks)
-    name = stated or settled
-    if name is None:
+    if not stated and not settled:
         raise EagorError(
-            f"its metadata do not say how it writes boxes: {shown}. Say it by layout=NAME; by the shapes "
+            f"its metadata do not say how it writes boxes: {shapes}. Say it by layout=NAME; by the shapes "
             f"{'it can be' if picks else 'it is none of'} {listing}. For other outputs, call the network yourself, and "
             "give eagor.Detector a function that returns boxes and scores"
         )
+    name = stated or settled or ""
     if settled not in (name, None):
         raise EagorError(f"layout = {name!r}, and the file's metadata say {settled!r}; leave layout out")
     if name not in picks:
         raise EagorError(
-            f"the outputs do not fit layout {name!r}; they are {shown}. Wanted as many labels=... as there are "
+            f"the outputs do not fit layout {name!r}; they are {shapes}. Wanted as many labels=... as there are "
             f"classes, and {'a layout that fits' if picks else 'one of the layouts'}: {listing}"
         )
     return name, picks[name]
@@ -172,16 +164,77 @@ def _match_outputs(name: str, outputs: Mapping[str, np.ndarray], classes: int, m
 
     Of two with the same shape, boxes are known by their name, and labels by whole numbers.
     """
-    found: list[str] = []
+    picked: list[str] = []
     for place, shape in enumerate(LAYOUTS[name].outputs(classes, more)):
         fits = [
             key for key, array in outputs.items()
-            if key not in found and array.ndim == len(shape) and (place == 2) == (array.dtype.kind in "iu")
+            if key not in picked and array.ndim == len(shape) and (place == 2) == (array.dtype.kind in "iu")
             and all(wanted in (None, side) for wanted, side in zip(shape, array.shape, strict=True))
         ]  # fmt: skip
-        if len(fits) > 1 and not found:
+        if len(fits) > 1 and not picked:
             fits = [key for key in fits if any(word in key.lower() for word in BOXES)]
         if len(fits) != 1:
             return None
-        found += fits
-    return tuple(found)
+        picked += fits
+    return tuple(picked)
+
+
+# --- what classes are called ------------------------------------------------------------------------------------------
+
+MOST = 100_000  # classes
+WANTED = "wanted a list of names, or names by number"
+_NOTHING = {"background", "__background__", "n/a", "none", "???", ""}  # what numbers are called that no class has
+_NUMBERED = re.compile(r"(\d+)\s*[:=,\t ]\s*(.+)")
+
+Labels = str | os.PathLike[str] | Sequence[str] | Mapping[int, str]
+
+
+def names_of(labels: Labels, first: int, where: str = "labels") -> tuple[str, ...]:
+    """The names of classes in the order of their numbers, "" for a number without a class.
+
+    `labels`: a file (`read_labels`), a list, or names by number. `first`: the number of the first name of a list that
+    does not begin with the background, which has number 0. Raises `FormatError` for what is no such thing.
+    """
+    listed: Any = labels
+    if isinstance(labels, str | os.PathLike):
+        where, listed = f"the labels in {os.fspath(labels)}", read_labels(labels)
+    try:
+        if not isinstance(listed, Mapping):
+            listed = dict(enumerate(listed, 0 if listed[0].strip().lower() in _NOTHING else first))
+        names = {int(number): name.strip() for number, name in listed.items()}
+    except (TypeError, ValueError, AttributeError, IndexError):
+        names = {}
+    names = {number: "" if name.lower() in _NOTHING else name for number, name in names.items()}
+    if not any(names.values()) or min(names) < 0 or max(names) >= MOST:
+        raise FormatError(f"{where}: {shown(listed)}; {WANTED}")
+    return tuple(names.get(number, "") for number in range(max(names) + 1))
+
+
+def read_labels(path: str | os.PathLike[str]) -> Any:
+    """The labels in a text file: one per line, ``id name`` on each line, or a list or an object as JSON.
+
+    Empty lines at the end do not count. Raises `FormatError`, which says what is wrong where.
+    """
+    try:
+        text = read_file(path).decode("utf-8-sig").rstrip()
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path} cannot be read ({error}); wanted a text file of labels, one per line") from error
+    if not text:
+        raise FormatError(f"{path} has no labels; wanted one per line, 'id name' lines, or a JSON list")
+    if text.lstrip()[0] in "[{":
+        return literal(text, str(path))
+    lines = [line.strip() for line in text.splitlines()]
+    numbered = [match.groups() for line in lines if (match := _NUMBERED.fullmatch(line))]
+    if len(numbered) < len(lines):
+        return lines
+    if len({int(number) for number, _ in numbered}) < len(numbered):
+        raise FormatError(f"{path} has a number twice; wanted 'id name' lines, each id once")
+    return {number: name for number, name in numbered}
+
+
+def literal(text: str, where: str) -> Any:
+    """A list or mapping written as JSON or as Python writes it; nothing in it is run. Raises `FormatError`."""
+    try:
+        return ast.literal_eval(text.strip())
+    except (ValueError, SyntaxError, MemoryError, RecursionError, TypeError):
+        raise FormatError(f"{where} cannot be read: {shown(text)}; {WANTED}") from None

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,12 +24,10 @@ from eagor.errors import ImageError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
+from eagor.media.panorama import by_area, checked_picture, resized
 from eagor.perception.onnx.network import session
 from eagor.perception.words import named
 from eagor.queries import parse_query
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 __all__ = ["CALIBRATION", "ScoutPerception"]
 
@@ -55,21 +53,13 @@ class ScoutPerception:
     onnxruntime, which the extra ``sim`` brings.
     """
 
+    rows = ROWS  # of the panoramas that it works on; others are resized
+    grid = PatchGrid(ROWS // STRIDE, 2 * ROWS // STRIDE)  # the cells of the response: 4.5 degrees each way
     calibration: Calibration = CALIBRATION
 
     def __post_init__(self) -> None:
         need("the scout", "sim", "onnxruntime")
         require(self, {"calibration": (isinstance(self.calibration, Calibration), "an eagor.Calibration; no text")})
-
-    @property
-    def rows(self) -> int:
-        """Rows of the panoramas that it works on; others are resized."""
-        return ROWS
-
-    @property
-    def grid(self) -> PatchGrid:
-        """The cells of the response: 4.5 degrees each way."""
-        return PatchGrid(ROWS // STRIDE, 2 * ROWS // STRIDE)
 
     @property
     def categories(self) -> tuple[str, ...]:
@@ -90,16 +80,12 @@ class ScoutPerception:
         categories, colours = _vocabulary()
         asked = [parse_query(query, categories) for query in queries]
         words = [[categories.index(q.category), colours.index(q.colour) if q.colour else len(colours)] for q in asked]
-        image = np.asarray(panorama)
-        height = image.shape[0] if image.ndim == 3 else 0
-        if image.dtype != np.uint8 or height == 0 or image.shape != (height, 2 * height, 3):
-            raise ImageError(
-                f"the panorama is {image.dtype} of shape {image.shape}; the scout wants uint8 sRGB (H, 2 H, 3). Files: "
-                "eagor.media.panorama.read_panorama"
-            )
-        if not words:
-            return np.zeros((0, *self.grid.shape), dtype=np.float32)
-        feed = {"image": resized(image, ROWS)[None], "words": np.array(words, dtype=np.int64)}
+        image = checked_picture(panorama)
+        if image.shape[1] != 2 * image.shape[0]:
+            raise ImageError(f"the panorama has shape {image.shape}; the scout wants uint8 sRGB (H, 2 H, 3)")
+        size = (ROWS, 2 * ROWS)
+        image = by_area(image, *size) if len(image) >= ROWS else resized(image, size, wrap=True)
+        feed = {"image": image[None], "words": np.array(words, dtype=np.int64)}
         return np.clip(_session().run(["response"], feed)[0], 0.0, 1.0)
 
 
@@ -113,41 +99,3 @@ def _vocabulary() -> tuple[tuple[str, ...], tuple[str, ...]]:
 @lru_cache(maxsize=1)
 def _session() -> Any:
     return session(FOLDER / "scout.onnx")
-
-
-def resized(image: np.ndarray, rows: int) -> np.ndarray:
-    """`image` ``(H, 2 H, 3)`` uint8 as ``(rows, 2 rows, 3)`` uint8.
-
-    Whole blocks are averaged if `rows` divides H. Otherwise a triangle filter is used, two pixels of the coarser image
-    wide; it wraps around the seam and stops at the poles.
-    """
-    height = image.shape[0]
-    if height == rows:
-        return image
-    if height % rows == 0:
-        times = height // rows
-        # Columns first would access memory with strides.
-        sums = image.reshape(rows, times, 2 * height, 3).sum(axis=1, dtype=np.uint32)
-        sums = sums.reshape(rows, 2 * rows, times, 3).sum(axis=2)
-        return ((sums + times * times // 2) // (times * times)).astype(np.uint8)
-    down = triangles(height, rows, False) @ image.reshape(height, -1).astype(np.float32)
-    across = down.reshape(rows, 2 * height, 3).transpose(1, 0, 2).reshape(2 * height, -1)
-    found = (triangles(2 * height, 2 * rows, True) @ across).reshape(2 * rows, rows, 3).transpose(1, 0, 2)
-    return np.clip(np.rint(found), 0, 255).astype(np.uint8)
-
-
-@lru_cache(maxsize=8)
-def triangles(before: int, after: int, circular: bool) -> csr_array:
-    """Weights ``(after, before)`` of the triangle filter; rows sum to 1."""
-    from scipy.sparse import csr_array
-
-    scale = before / after
-    reach = max(scale, 1.0)
-    centre = (np.arange(after) + 0.5) * scale - 0.5
-    offset = np.arange(-int(np.ceil(reach)), int(np.ceil(reach)) + 2)
-    place = np.floor(centre).astype(int)[:, None] + offset
-    weight = np.maximum(1 - np.abs(place - centre[:, None]) / reach, 0)
-    place = place % before if circular else np.clip(place, 0, before - 1)
-    weight /= weight.sum(axis=1, keepdims=True)
-    row = np.repeat(np.arange(after), len(offset))
-    return csr_array((weight.ravel().astype(np.float32), (row, place.ravel())), shape=(after, before))
