@@ -42,7 +42,7 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         (("locate", "a.png", "red", "--picture", "folder/../a.png"), "a.png is an input"),
         ((*TRACK, "red", "--poses", "poses.csv", "--out", "poses.csv"), "--out poses.csv is an input"),
         (("track", "folder", "red", "--poses", "poses.csv", "--pictures", "folder"), "--pictures folder is an input"),
-        (("locate", "a.png", "red", "--calibration", "bad.json"), "bad.json is not JSON"),
+        (("locate", "a.png", "red", "--calibration", "bad.json"), "bad.json cannot be read"),
         (("locate", "a.png", "red", "--calibration", "folder"), "folder cannot be read"),
         ((*TRACK, "chair", "--poses", "poses.csv", "--out", "new.csv", "--perception", "colour"), "names no colour"),
         ((*TRACK, "red", "--poses", "poses.csv", "--floor", "nan"), "--floor nan"),

@@ -236,7 +236,6 @@ def test_results_do_not_steer_the_terminal_either(capsys):
     assert said.rstrip("\n").isprintable()
     assert json.loads(said) == {"words": EVIL, "further": {EVIL: [EVIL]}}
     terminal.facts({"name": EVIL, EVIL: {"inner": [EVIL, "b"]}})
-    terminal.columns({EVIL: EVIL})
     terminal.say(EVIL, "two\tcolumns")
     terminal.warning(EVIL)
     out, err = capsys.readouterr()

@@ -6,19 +6,21 @@ of it; of an SQLite file with a journal beside it, one into which that is folded
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import sqlite3
+import struct
 import tempfile
 import threading
 import time
 import warnings
 import weakref
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from errno import ENOENT
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError, StorageError
@@ -50,6 +52,7 @@ SUFFIXES = (".mcap", ".db3")
 MAGIC, ROS_1, ROS_1_SUFFIX = b"\x89MCAP0\r\n", b"#ROSBAG V", ".bag"
 ZSTANDARD = b"\x28\xb5\x2f\xfd"  # as no message begins: a recorder compresses by message, too
 DEFINITIONS = ("ros2msg", "ros2idl", "omgidl")  # of types, that `rosbags` reads
+CHUNK = 0x06  # MCAP's number of such records
 MOST = 1 << 28  # bytes of a record of a file that was cut off, which may claim any
 PICTURES = (IMAGE, COMPRESSED)
 MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS, POSE_WITH_COVARIANCE, TRANSFORM)  # the best first
@@ -186,8 +189,10 @@ def _recover(file: Path, whole: Path) -> str | None:
     with file.open("rb") as source, whole.open("wb") as copy:
         writer = Writer(copy, compression=CompressionType.NONE)
         writer.start("ros2")
-        try:
-            for record in StreamReader(source, validate_crcs=True, record_size_limit=MOST).records:
+
+        def take(records: Iterable[Any]) -> bool:
+            """Copy them; whether the end of the file is among them."""
+            for record in records:
                 if isinstance(record, Message):
                     if record.channel_id in channels:
                         number = channels[record.channel_id]
@@ -200,12 +205,45 @@ def _recover(file: Path, whole: Path) -> str | None:
                     schema = schemas.get(record.schema_id, 0)
                     channels[record.id] = writer.register_channel(record.topic, record.message_encoding, schema)
                 elif isinstance(record, DataEnd):
-                    broken = None
-                    break
+                    return True
+            return False
+
+        try:
+            if take(StreamReader(source, validate_crcs=True, record_size_limit=MOST).records):
+                broken = None
         except Exception as error:  # as the library happens to meet the damage
             broken = str(error) or "it ends in the middle of a record"
+            with suppress(Exception):
+                inside = io.BytesIO(_cut_chunk(source))
+                take(StreamReader(inside, skip_magic=True, record_size_limit=MOST).records)
         writer.finish()
     return broken
+
+
+def _cut_chunk(source: BinaryIO) -> bytes:
+    """The records in the last chunk of an MCAP file that ends within it, as far as they go; empty if it does not."""
+    from lz4.frame import LZ4FrameDecompressor
+    from zstandard import ZstdDecompressor
+
+    end, at = source.seek(0, os.SEEK_END), len(MAGIC)
+    while at + 9 <= end:
+        source.seek(at)
+        kind, length = struct.unpack("<BQ", source.read(9))
+        if at + 9 + length > end:
+            if kind != CHUNK or end - at > MOST:
+                break
+            source.seek(at + 9 + 28)  # times, size and checksum of the whole chunk
+            method = source.read(*struct.unpack("<I", source.read(4)))
+            source.seek(8, os.SEEK_CUR)
+            match method, source.read():
+                case b"lz4", data:
+                    return LZ4FrameDecompressor().decompress(data, max_length=MOST)
+                case b"zstd", data:
+                    return ZstdDecompressor().stream_reader(data).read(MOST)
+                case _, data:
+                    return data
+        at += 9 + length
+    return b""
 
 
 def _fold(file: Path, beside: Sequence[Path], whole: Path) -> None:

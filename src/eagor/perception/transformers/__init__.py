@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 
-from eagor._extras import need
+from eagor._extras import EXTRAS, how_to_install, is_older, need
 from eagor.errors import EagorError
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
@@ -180,6 +180,12 @@ def read_config(name: str, revision: str | None = None) -> Any:
     Raises `EagorError` if packages are missing, or nothing can be loaded there.
     """
     need(name, "vlm", "torch", "transformers")
+    import transformers
+
+    if is_older(transformers.__version__, least := EXTRAS["vlm"]["transformers"]):
+        raise EagorError(
+            f"{name} needs transformers {least} or newer; this is {transformers.__version__}: {how_to_install('vlm')}"
+        )
     return _loaded(name, "AutoConfig", revision)
 
 
