@@ -293,7 +293,11 @@ def check_perception(
     ends = f"gives responses from {response.min():g} to {response.max():g}"
     need(((response >= 0) & (response <= 1)).all(), ends, "[0, 1]: logits want a sigmoid")
     finite = bool(np.isfinite(np.asarray(evidence.log_ratio)).all())
-    need(finite and bool(np.isfinite(evidence.coefficients(3)).all()), "gives evidence that is not finite", "finite log ratios: make it with Evidence.from_response")
+    need(
+        finite and bool(np.isfinite(evidence.coefficients(3)).all()),
+        "gives evidence that is not finite",
+        "finite log ratios: make it with Evidence.from_response",
+    )
     again = perception(panorama, query, stamp=stamp)
     first, second = (f"a {type(each.grid).__name__} of {tuple(each.grid.shape)}" for each in (evidence, again))
     twice = f"answers on {first}, then for the same panorama on {second}"
