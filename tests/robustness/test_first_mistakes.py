@@ -4,11 +4,13 @@ import math
 import threading
 from itertools import islice
 
+import cv2
 import numpy as np
 import pytest
 
 import eagor
 from eagor.errors import EagorError, ImageError, RotationError, TimeError
+from eagor.media.panorama import read_panorama, read_photograph, tone_mapped
 from eagor.media.posed_frames import prefetched
 from eagor.perception.colour import ColourPerception
 from eagor.perception.views import Detector
@@ -58,6 +60,30 @@ def test_names_that_are_nearly_right(name, meant):
 def test_an_ordinary_picture_for_a_panorama(perception):
     with pytest.warns(UserWarning, match=r"640 x 480 came for a panorama, which is 2:1.*eagor\.PerspectiveGrid"):
         perception(np.zeros((480, 640, 3), np.uint8), "red", stamp=0.0)
+
+
+def test_a_picture_with_radiance_is_tone_mapped_and_says_so(tmp_path):
+    rng = np.random.default_rng(3)
+    radiance = (rng.random((32, 64, 3)) * np.geomspace(1e-3, 1e3, 64)[:, None]).astype(np.float32)
+    path = tmp_path / "room.hdr"
+    cv2.imwrite(str(path), radiance[..., ::-1])
+    with pytest.warns(UserWarning, match="holds radiance"):
+        shown = read_panorama(path)
+    assert np.abs(shown.astype(int) - tone_mapped(radiance)).mean() < 2  # RGBE has eight bits for the brightest
+    light = tone_mapped(np.repeat(np.geomspace(1e-3, 1e3, 64)[None, :, None], 3, axis=2))[0, :, 0].astype(int)
+    assert (np.diff(light) >= 0).all()
+    assert light[0] < 20
+    assert light[-1] == 255
+    with pytest.warns(UserWarning, match="holds radiance"):
+        assert "tone-mapped" in read_photograph(path).facts[0]
+    assert tone_mapped(np.zeros((2, 4, 3))).max() == 0
+    for content, says in ((path.read_bytes()[:300], "corrupt or truncated"), (b"nonsense", "no Radiance picture")):
+        (broken := tmp_path / "broken.hdr").write_bytes(content)
+        with pytest.raises(ImageError, match=says):
+            read_panorama(broken)
+    broken.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 99999 +X 199998\n")
+    with pytest.raises(ImageError, match="claims 199998 x 99999 pixels"):
+        read_panorama(broken)
 
 
 def test_frames_that_are_made_ahead_come_in_order_with_their_error_and_end_with_the_caller():

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
@@ -23,10 +24,11 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from eagor._checks import checked_picture, is_twice_as_wide
-from eagor._extras import opencv
+from eagor._extras import need, opencv
 from eagor._files import natural
+from eagor._srgb import to_coded
 from eagor.cameras import Sampler
-from eagor.errors import ImageError
+from eagor.errors import ImageError, MissingExtraError
 from eagor.grids import ErpGrid, Grid, PerspectiveGrid, ViewKey, forward_view, view_key
 from eagor.media.metadata import GPANO, of_photograph, properties
 from eagor.sphere import check_rotation
@@ -41,9 +43,11 @@ _DENSEST = 600  # decoded bytes per byte of the file; blank pictures reach up to
 _PAD = 8  # columns copied from the other side of the seam before a panorama is resized
 
 IMAGES = (
-    ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".avif", ".heic", ".heif", ".hif", ".insp",
+    ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".hdr", ".avif", ".heic", ".heif", ".hif", ".insp",
     ".gif", ".apng", ".jpe", ".jfif", ".ppm", ".pgm", ".pnm",
 )  # fmt: skip
+TONE_MAPPED = "holds radiance (HDR); tone-mapped to 8 bits"
+MIDDLE = 0.18  # what the mean radiance becomes: grey
 
 JPEG_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # how a JPEG's APP1 segment with XMP begins (XMP specification, part 3)
 
@@ -53,8 +57,8 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
 
     Grey, palette and transparent images become RGB (what is transparent is black). It is turned or mirrored as the
     orientation tag of the file (Exif) says, unless that would stand a 2:1 panorama on its side. An image that is not
-    2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Raises `ImageError` if there is
-    no readable image.
+    2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Radiance (.hdr) is tone-mapped,
+    with a warning; that needs OpenCV. Raises `ImageError` if there is no readable image.
     """
     image, _ = _read(name := os.fspath(path))
     _warn(name, image)
@@ -62,8 +66,10 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
 
 
 def _warn(name: str, image: np.ndarray) -> None:
-    """Say of an image that is taken for a panorama as it is that it is not 2:1."""
+    """Say of an image that is taken for a panorama as it is that it is not 2:1, or was tone-mapped."""
     height, width = image.shape[:2]
+    if _is_hdr(name):
+        warnings.warn(f"{name!r} {TONE_MAPPED}", UserWarning, stacklevel=3)
     if width != 2 * height:
         warnings.warn(
             f"{name!r} is {width} x {height}, not 2:1: longitude and latitude are mapped separately (all columns span "
@@ -93,7 +99,11 @@ def _read(name: str) -> tuple[np.ndarray, np.ndarray | None]:
     """The image, and the mask ``(H, W)`` of what is transparent in it, or None; errors as of `read_panorama`."""
     check_file(name, "an equirectangular image (PNG, JPEG, ...)")
     try:
+        if _is_hdr(name):
+            return tone_mapped(_radiance(name)), None
         return _decoded(name, os.path.getsize(name), _upright)
+    except MissingExtraError:
+        raise
     except ImageError as error:
         raise ImageError(f"{name!r} {error}") from error
     except Exception as error:  # Pillow's decoders may raise anything for damaged files
@@ -101,6 +111,51 @@ def _read(name: str) -> tuple[np.ndarray, np.ndarray | None]:
             f"{name!r} cannot be read as an image ({type(error).__name__}: {error}); it is corrupt, truncated or of "
             "another kind. Wanted an image that Pillow reads, such as PNG or JPEG: fetch or export it again"
         ) from error
+
+
+def _is_hdr(name: str) -> bool:
+    return name.lower().endswith(".hdr")
+
+
+def _radiance(name: str) -> np.ndarray:
+    """Linear red, green, blue ``(H, W, 3)`` float32 of a Radiance picture (RGBE, Ward 1991)."""
+    need("a picture with radiance (.hdr)", "photos", "cv2")
+    import cv2
+
+    with open(name, "rb") as file:
+        head = file.read(1 << 16)
+    size = re.search(rb"\n[-+]Y (\d{1,6}) [-+]X (\d{1,6})\n", head)
+    if not head.startswith(b"#?") or size is None:
+        raise ImageError("is no Radiance picture (it has no header of one); export it again, or as PNG or JPEG")
+    height, width = int(size[1]), int(size[2])
+    _check_claim(width, height, 12 * width * height, os.path.getsize(name))
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong is said below
+    try:
+        found = cv2.imread(name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if found is None or found.dtype != np.float32:
+        raise ImageError("cannot be decoded; it is corrupt or truncated: fetch or export it again")
+    return np.nan_to_num(found[..., ::-1], nan=0.0, posinf=float(np.finfo(np.float32).max), neginf=0.0)
+
+
+def tone_mapped(radiance: np.ndarray) -> np.ndarray:
+    """Linear radiance ``(H, W, 3)``, of any unit, as sRGB uint8.
+
+    Reinhard, Stark, Shirley and Ferwerda, "Photographic tone reproduction for digital images" (2002), equation 4: the
+    logarithmic mean becomes middle grey, the brightest half per cent white.
+    """
+    found = np.maximum(np.asarray(radiance, dtype=np.float64), 0.0)
+    light = found @ np.array([0.2126, 0.7152, 0.0722])
+    bright = light[light > 0]
+    if not bright.size:
+        return np.zeros(found.shape, dtype=np.uint8)
+    scaled = light * (MIDDLE / np.exp(np.log(bright).mean()))
+    white = max(float(np.quantile(scaled, 0.995)), MIDDLE)
+    shown = scaled * (1 + scaled / white**2) / (1 + scaled)
+    share = np.divide(shown, light, out=np.zeros_like(light), where=light > 0)
+    return np.rint(255 * to_coded(found * share[..., None])).astype(np.uint8)
 
 
 def read_image(
@@ -118,10 +173,14 @@ def _decoded(
     file: str | IO[bytes], size: int, turned: Callable[[Image.Image], Image.Image]
 ) -> tuple[np.ndarray, np.ndarray | None]:
     with opened(file) as image:
-        if decoded_bytes(image) > max(_SMALL, _DENSEST * size):
-            raise ImageError(f"claims {image.width} x {image.height} pixels in {size} bytes; it is corrupt, or blank")
+        _check_claim(image.width, image.height, decoded_bytes(image), size)
         image.load()
         return _seen_of(turned(image))
+
+
+def _check_claim(width: int, height: int, decoded: int, size: int) -> None:
+    if decoded > max(_SMALL, _DENSEST * size):
+        raise ImageError(f"claims {width} x {height} pixels in {size} bytes; it is corrupt, or blank")
 
 
 def opened(file: str | os.PathLike[str] | IO[bytes]) -> Image.Image:
@@ -340,6 +399,10 @@ def read_photograph(path: str | os.PathLike[str], warn: bool = True, force: bool
     says that it is not equirectangular, or (unless `force`) an area that does not add up.
     """
     image, unseen = _read(name := os.fspath(path))
+    if _is_hdr(name):
+        if warn:
+            _warn(name, image)
+        return Picture(image, facts=(TONE_MAPPED,))
     with opened(name) as file:
         found, count = _placed_by_file(image, unseen, file, name, force), 1
         with suppress(Exception):  # Pillow may raise anything for a damaged file; an MPO has one that counts
