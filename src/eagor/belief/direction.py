@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, constant, frozen, namespace, private, to_library, to_numpy
+from eagor._arrays import Array, as_float, constant, frozen, namespace, to_library, to_numpy
 from eagor.belief.posterior import Field, Readable
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
@@ -138,6 +138,15 @@ def _nearest(basis: RealHarmonics, grid: ErpGrid, values: Array, weight: Array) 
     return found
 
 
+def _private(values: Array) -> Array:
+    """A copy of `values`, read-only in NumPy; gradients pass through it."""
+    if isinstance(values, np.ndarray):
+        return frozen(np.array(values))
+    if hasattr(values, "clone"):  # torch: its asarray would cut the gradient
+        return values.clone()
+    return namespace(values).asarray(values, copy=True)
+
+
 @dataclass(frozen=True, eq=False)
 class Belief(Readable):
     """A belief over directions: `coefficients` ``(..., (degree + 1)^2)`` of the log-posterior in the body frame.
@@ -157,7 +166,7 @@ class Belief(Readable):
         size = self.coefficients.shape[-1] if len(self.coefficients.shape) else 0
         if size < 4 or math.isqrt(size) ** 2 != size:
             raise EagorError(f"coefficients have shape {tuple(self.coefficients.shape)}; wanted (..., (degree + 1)^2)")
-        object.__setattr__(self, "coefficients", private(self.coefficients))
+        object.__setattr__(self, "coefficients", _private(self.coefficients))
 
     def __repr__(self) -> str:
         return f"Belief(degree {self.degree}, {self._told()})"
@@ -196,11 +205,6 @@ class Belief(Readable):
     def direction_belief(self) -> Belief:
         """Itself; a `RangedBelief` gives its marginal over directions."""
         return self
-
-    @property
-    def agreed(self) -> Array:
-        """The coefficients ``(..., size)``; of a `RangedBelief`, the mean over its shells."""
-        return self.coefficients
 
     def plus(self, log_ratios: Array) -> Belief:
         """With log ratios added, given as coefficients ``(..., size)``; they are converted to this belief's arrays."""

@@ -157,12 +157,6 @@ class RangedBelief(Readable):
         ranges = f"{len(self.ranges)} ranges {self.ranges[0]:.3g} to {self.ranges[-1]:.3g} m"
         return f"RangedBelief(degree {self.degree}, {ranges}, {self._told()})"
 
-    @property
-    def agreed(self) -> Array:
-        """The mean of the shells ``(..., size)``."""
-        shares = table_like(self._shares, self.shells)
-        return namespace(self.shells).sum(shares[:, None] * self.shells, axis=-2)
-
     def between(self, logs: np.ndarray) -> np.ndarray:
         """The shells ``(n, size)`` at these logarithms ``(n,)`` of ranges, by cubic splines."""
         return _between(tuple(self.ranges.tolist()))(logs) @ self.shells
