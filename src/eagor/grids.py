@@ -51,6 +51,15 @@ def _centres(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     return np.arange(width) + 0.5, (np.arange(height) + 0.5)[:, None]
 
 
+@lru_cache(maxsize=32)
+def beyond_edges(height: int, width: int, margin: int) -> np.ndarray:
+    """The flat index of each cell ``(H + 2 margin, W + 2 margin)`` of a panorama; it goes on across seam and poles."""
+    rows, columns = np.arange(-margin, height + margin)[:, None], np.arange(-margin, width + margin)
+    over = (rows < 0) | (rows >= height)  # beyond a pole: the opposite meridian
+    rows = np.where(rows < 0, -1 - rows, np.where(rows >= height, 2 * height - 1 - rows, rows))
+    return rows * width + (columns + over * (width // 2)) % width
+
+
 class _Cells:
     """What all grids share, beside `unproject` of a camera."""
 

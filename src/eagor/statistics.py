@@ -109,15 +109,12 @@ def bootstrap_interval(
     members = _members(groups, len(values))
     if resamples < 1:
         raise EagorError(f"got {resamples} resamples; wanted at least 1, usually 2000")
-    if statistic is np.mean:  # all resamples at once: a mean needs only each group's sum and size
+    choice = rng.integers(len(members), size=(resamples, len(members)))
+    if statistic is np.mean:  # all at once: a mean needs only each group's sum and size
         sums, sizes = np.array([values[m].sum() for m in members]), np.array([len(m) for m in members])
-        choice = rng.integers(len(members), size=(resamples, len(members)))
         drawn = sums[choice].sum(axis=1) / sizes[choice].sum(axis=1)
     else:
-        drawn = np.empty(resamples)
-        for k in range(resamples):
-            choice = rng.integers(len(members), size=len(members))
-            drawn[k] = statistic(values[np.concatenate([members[i] for i in choice])])
+        drawn = [statistic(values[np.concatenate([members[i] for i in row])]) for row in choice]
     low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2])
     return Interval(float(low), float(high), level)
 

@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import Array, frozen, recent
-from eagor.grids import ErpGrid, FisheyeGrid, Grid, PatchGrid, PerspectiveGrid, forward_view, view_key
+from eagor.grids import ErpGrid, FisheyeGrid, Grid, PatchGrid, PerspectiveGrid, beyond_edges, forward_view, view_key
 from eagor.harmonics import RealHarmonics
 
 PENALTY = 1000.0
@@ -119,10 +119,10 @@ def _beside(marked: np.ndarray, grid: Grid, beyond: bool = False) -> np.ndarray:
 
     A panorama continues across the seam and the poles.
     """
-    padded = np.pad(marked, 1, constant_values=beyond)
     if isinstance(grid, ErpGrid | PatchGrid):
-        padded[[0, -1], 1:-1] = np.roll(marked[[0, -1]], marked.shape[1] // 2, axis=1)
-        padded[:, 0], padded[:, -1] = padded[:, -2], padded[:, 1]
+        padded = marked.reshape(-1)[beyond_edges(*marked.shape, 1)]
+    else:
+        padded = np.pad(marked, 1, constant_values=beyond)
     across = padded[:-2] | padded[1:-1] | padded[2:]
     return across[:, :-2] | across[:, 1:-1] | across[:, 2:]
 
