@@ -256,8 +256,7 @@ def plane_directions(count: int, frame: np.ndarray, half: np.ndarray, bend: np.n
 def plane_weights(count: int, half: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """Solid angles ``(count, count)`` of such nodes: du dv / (1 + u^2 + v^2)^(3/2), half of it at a border."""
     share = np.full(count, 2 / (count - 1))
-    share[0] /= 2
-    share[-1] /= 2
+    share[[0, -1]] /= 2
     (u, v), (du, dv) = bent(even(count), half, bend)
     return (share * du)[:, None] * (share * dv) * (1 + (u * u)[:, None] + v * v) ** -1.5
 
@@ -358,8 +357,6 @@ class SphereField:
     @lazy
     def logs(self) -> np.ndarray:
         """Values ``(n,)`` of the cells in no patch and the nodes of patches, in the order of the `layout`."""
-        if not self.patches:
-            return self.values.reshape(-1)
         cells = self.values.reshape(-1).take(self.layout.free)
         return np.concatenate([cells, *(patch.values.reshape(-1) for patch in self.patches)])
 
@@ -434,16 +431,12 @@ class Layout:
     def weights(self) -> np.ndarray:
         """Solid angles ``(n,)`` of the cells in no patch and the nodes of patches."""
         cells = self.grid.weights.reshape(-1)
-        if not self.patches:
-            return cells
         return np.concatenate([cells.take(self.free), *(share.reshape(-1) for share in self.shares)])
 
     @lazy
     def directions(self) -> np.ndarray:
         """Directions ``(n, 3)`` of the same."""
         cells = self.grid.directions.reshape(-1, 3)
-        if not self.patches:
-            return cells
         return np.concatenate([cells.take(self.free, axis=0), *(p.directions.reshape(-1, 3) for p in self.patches)])
 
     @lazy
