@@ -48,8 +48,7 @@ def to_library(values: Array, reference: Array) -> Array:
     if isinstance(values, np.ndarray) and isinstance(reference, np.ndarray):
         return values
     if hasattr(values, "shape") and namespace(values) is namespace(reference) is not np:
-        place = device(reference)
-        return values if device(values) == place else to_device(values, place)
+        return to_device(values, device(reference))
     return table_like(to_numpy(values), reference)
 
 

@@ -202,15 +202,11 @@ def reliability(stated: ArrayLike, happened: ArrayLike, bins: int = 10) -> tuple
 
 def calibration_error(table: Sequence[ReliabilityBin]) -> float:
     """Expected calibration error of a `reliability` table: mean gap between stated and observed, weighted by cases."""
-    gaps = [
-        (row.n, abs(row.stated - row.frequency))
-        for row in table
-        if row.stated is not None and row.frequency is not None
-    ]
-    total = sum(n for n, _ in gaps)
-    if total == 0:
+    said = [row for row in table if row.n]
+    if not said:
         raise EagorError("the table holds no statements; pass what `reliability` returned")
-    return sum(n * gap for n, gap in gaps) / total
+    gaps = [abs((row.stated or 0.0) - (row.frequency or 0.0)) for row in said]
+    return float(np.average(gaps, weights=[row.n for row in said]))
 
 
 def _vector(values: ArrayLike, name: str) -> np.ndarray:
