@@ -32,12 +32,10 @@ Region = tuple[str, int, int, "float | tuple[float, ...]", bytes]
 def region(grid: Grid, mask: np.ndarray | None) -> Region | None:
     """The region that was looked at, None for the whole sphere; `mask` ``(H, W)`` is True there."""
     packed = b"" if mask is None or mask.all() else np.packbits(mask).tobytes()
-    if isinstance(grid, PerspectiveGrid | FisheyeGrid):
-        if grid.depth_inside() is None and not packed:
-            return None
-        return *view_key(grid), packed
-    if not packed:
+    if not packed and grid.depth_inside() is None:
         return None
+    if isinstance(grid, PerspectiveGrid | FisheyeGrid):
+        return *view_key(grid), packed
     return "pixels" if isinstance(grid, ErpGrid) else "patches", *grid.shape, 0.0, packed
 
 
@@ -54,12 +52,8 @@ def confine(degree: int, coefficients: Array, where: Region) -> Array:
 
 
 def _forward_grid(where: Region) -> PerspectiveGrid | FisheyeGrid | ErpGrid | PatchGrid:
-    kind, height, width, optics, _ = where
-    if kind == "pixels":
-        return ErpGrid(height, width)
-    if kind == "patches":
-        return PatchGrid(height, width)
-    return forward_view((kind, height, width, optics))
+    whole = {"pixels": ErpGrid, "patches": PatchGrid}
+    return whole[where[0]](*where[1:3]) if where[0] in whole else forward_view(where[:4])
 
 
 @lru_cache(maxsize=32)
