@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eagor._arrays import frozen
 from eagor._values import altered, inherited, known, lazy
 from eagor.grids import ErpGrid, ErpWindow, PatchGrid, beyond_edges
 
@@ -201,9 +202,7 @@ def cells_of(grid: ErpGrid | PatchGrid, directions: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=16)
 def even(count: int) -> np.ndarray:
     """`count` numbers from -1 to 1."""
-    found = np.linspace(-1, 1, count)
-    found.setflags(write=False)
-    return found
+    return frozen(np.linspace(-1, 1, count))
 
 
 def bent(at: np.ndarray, half: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

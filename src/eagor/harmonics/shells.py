@@ -18,7 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, constant, namespace, table_like
+from eagor._arrays import Array, constant, frozen, namespace, table_like
 from eagor.harmonics.legendre import coefficient_of, entry_of, latitude_functions
 from eagor.harmonics.rotation import rotate
 
@@ -75,14 +75,9 @@ def _warp(degree: int, ranges: tuple[float, ...], distance: float) -> tuple[np.n
     before = np.sqrt(radius**2 + distance**2 + 2 * radius * distance * z)
     sines = ((radius * z + distance) / before).ravel()
     nearest, weights = _cubic(np.interp(np.log(before).ravel(), np.log(ranges), np.arange(count)), count)
-    found = (
-        latitude_functions(degree, sines).transpose(1, 2, 0),
-        (np.arange(sines.size) * count + nearest).ravel(),
-        np.repeat(weights, 2, axis=1),
-    )
-    for part in found:
-        part.setflags(write=False)
-    return found
+    seen = latitude_functions(degree, sines).transpose(1, 2, 0)
+    where = (np.arange(sines.size) * count + nearest).ravel()
+    return frozen(seen), frozen(where), frozen(np.repeat(weights, 2, axis=1))
 
 
 def _cubic(position: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
