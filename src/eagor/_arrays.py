@@ -40,14 +40,6 @@ def as_float(values: Array) -> Array:
     return values if xp.isdtype(values.dtype, "real floating") else xp.astype(values, xp.float32)
 
 
-def common(a: Array, b: Array) -> tuple[Array, Array]:
-    """Both as floating arrays of one library: if one is a tensor, the other becomes one too."""
-    a, b = as_float(a), as_float(b)
-    if isinstance(a, np.ndarray) == isinstance(b, np.ndarray):
-        return a, b
-    return (table_like(a, b), b) if isinstance(a, np.ndarray) else (a, table_like(b, a))
-
-
 def to_library(values: Array, reference: Array) -> Array:
     """`values` as an array of the library of `reference`, on its device.
 
@@ -56,18 +48,8 @@ def to_library(values: Array, reference: Array) -> Array:
     if isinstance(values, np.ndarray) and isinstance(reference, np.ndarray):
         return values
     if hasattr(values, "shape") and namespace(values) is namespace(reference) is not np:
-        place = device(reference)
-        return values if device(values) == place else to_device(values, place)
+        return to_device(values, device(reference))
     return table_like(to_numpy(values), reference)
-
-
-def private(values: Array) -> Array:
-    """A copy of `values`, read-only in NumPy; gradients pass through it."""
-    if isinstance(values, np.ndarray):
-        return frozen(np.array(values))
-    if hasattr(values, "clone"):  # torch: its asarray would cut the gradient
-        return values.clone()
-    return namespace(values).asarray(values, copy=True)
 
 
 def frozen(values: Array) -> Array:

@@ -49,12 +49,6 @@ def whole(value: Any, lowest: float, highest: float = math.inf) -> bool:
     return isinstance(value, Integral) and within(value, lowest, highest)
 
 
-def stretch(value: Any, lowest: float, highest: float = math.inf) -> bool:
-    """Whether `value` is a pair (from, to) of numbers `within` these bounds, the first not above the second."""
-    pair = isinstance(value, tuple | list) and len(value) == 2 and all(within(end, lowest, highest) for end in value)
-    return pair and value[0] <= value[1]
-
-
 def checked_stamp(stamp: float) -> float:
     """`stamp` as a float, seconds. Raises `TimeError` unless it is finite, and within `LATEST`."""
     try:

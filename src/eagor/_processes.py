@@ -17,20 +17,7 @@ from eagor.errors import EagorError
 
 __all__ = ["Worker", "WorkerEnded", "WorkerSilent"]
 
-THREADS = (
-    "OPENBLAS_NUM_THREADS",
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
-
-
-def usable_cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
+THREADS = *(f"{name}_NUM_THREADS" for name in ("OPENBLAS", "OMP", "MKL", "NUMEXPR")), "VECLIB_MAXIMUM_THREADS"
 _START = threading.Lock()  # the environment is that of all threads
 
 

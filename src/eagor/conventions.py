@@ -40,19 +40,9 @@ def rotation_from_xyzw(quaternion: np.ndarray) -> np.ndarray:
 def wxyz_from_rotation(matrix: np.ndarray) -> np.ndarray:
     """Unit quaternions ``(..., 4)``, scalar first and not negative, from rotation matrices ``(..., 3, 3)``."""
     matrix = np.asarray(check_rotation(matrix, "matrix"))
-    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(matrix, (-2, -1), (0, 1))
-    # Four times the products of two parts each: the row of the largest part is free of cancellation (Shepperd,
-    # Journal of Guidance and Control 1(3), 1978).
-    rows = np.array(
-        [
-            [1 + a + e + i, h - f, c - g, d - b],
-            [h - f, 1 + a - e - i, b + d, c + g],
-            [c - g, b + d, 1 - a + e - i, f + h],
-            [d - b, c + g, f + h, 1 - a - e + i],
-        ]
-    ).reshape(4, 4, -1)
-    found = rows[np.einsum("iin->in", rows).argmax(axis=0), :, np.arange(rows.shape[2])]
-    found *= np.where(found[:, :1] < 0, -1, 1) / np.linalg.norm(found, axis=1, keepdims=True)
+    from scipy.spatial.transform import Rotation
+
+    found = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
     return found.reshape(*matrix.shape[:-2], 4)
 
 

@@ -27,8 +27,8 @@ from eagor.errors import GridError
 from eagor.sphere import checked_pose, direction, world_R_body
 
 __all__ = [
-    "OVERLAP", "ErpGrid", "ErpWindow", "FisheyeGrid", "Grid", "PatchGrid", "PerspectiveGrid", "ViewKey", "check_fields",
-    "depth_inside", "forward_view", "tangent_views", "view_key",
+    "OVERLAP", "ErpGrid", "ErpWindow", "FisheyeGrid", "Grid", "PatchGrid", "PerspectiveGrid", "ViewKey", "depth_inside",
+    "forward_view", "tangent_views", "view_key",
 ]  # fmt: skip
 
 _EDGE = 1e-12  # radians by which rounding may put what lies on the edge of a view outside
@@ -49,6 +49,15 @@ def fejer_weights(count: int) -> np.ndarray:
 def _centres(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
     """Pixel-centre coordinates (x, y), broadcastable to (height, width)."""
     return np.arange(width) + 0.5, (np.arange(height) + 0.5)[:, None]
+
+
+@lru_cache(maxsize=32)
+def beyond_edges(height: int, width: int, margin: int) -> np.ndarray:
+    """The flat index of each cell ``(H + 2 margin, W + 2 margin)`` of a panorama; it goes on across seam and poles."""
+    rows, columns = np.arange(-margin, height + margin)[:, None], np.arange(-margin, width + margin)
+    over = (rows < 0) | (rows >= height)  # beyond a pole: the opposite meridian
+    rows = np.where(rows < 0, -1 - rows, np.where(rows >= height, 2 * height - 1 - rows, rows))
+    return rows * width + (columns + over * (width // 2)) % width
 
 
 class _Cells:
@@ -376,19 +385,14 @@ def tangent_views(
     cube, for 100 degrees with 10 of overlap. Raises `GridError` if the views are too narrow for the overlap, or wider
     than a plane can show.
     """
-    check_fields(hfov, overlap, reach)
-    poses = _poses(round((hfov - overlap) / 2, 9), round(reach, 9))
-    return tuple(PerspectiveGrid(size, size, hfov, world_R_body(yaw, -pitch)) for yaw, pitch in poses)
-
-
-def check_fields(hfov: float, overlap: float, reach: float) -> None:
-    """Raise `GridError` where `tangent_views` would, for these angles (radians)."""
     least = math.radians(30) - 1e-9  # 40 degrees less 10 are 30, whatever is rounded on the way to radians
     if not (0 <= overlap < hfov <= math.radians(150) and hfov - overlap >= least and 0 < reach <= math.pi / 2):
         raise GridError(
             f"views of {math.degrees(hfov):g} degrees with {math.degrees(overlap):g} of overlap up to elevation "
             f"{math.degrees(reach):g}; wanted fields up to 150, at least 30 wider than the overlap, and 0 < reach <= 90"
         )
+    poses = _poses(round((hfov - overlap) / 2, 9), round(reach, 9))
+    return tuple(PerspectiveGrid(size, size, hfov, world_R_body(yaw, -pitch)) for yaw, pitch in poses)
 
 
 @lru_cache(maxsize=16)

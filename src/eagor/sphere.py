@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, common, namespace, to_numpy
+from eagor._arrays import Array, as_float, namespace, to_library, to_numpy
 from eagor.errors import DirectionError, RotationError
 
 __all__ = [
@@ -43,7 +43,7 @@ def direction(azimuth: Array, elevation: Array) -> Array:
     >>> left.round(3).tolist()
     [0.0, 1.0, 0.0]
     """
-    azimuth, elevation = common(azimuth, elevation)
+    azimuth, elevation = _common(azimuth, elevation)
     xp = namespace(azimuth, elevation)
     steep = xp.abs(elevation) > _TURN / 4 + 0.01  # rounding passes
     if bool(xp.any(steep)):
@@ -85,7 +85,7 @@ def angular_distance(a: Array, b: Array) -> Array:
         >>> round(math.degrees(angle))
         45
     """
-    a, b = common(a, b)
+    a, b = _common(a, b)
     check_directions(a)
     check_directions(b)
     xp = namespace(a, b)
@@ -93,6 +93,12 @@ def angular_distance(a: Array, b: Array) -> Array:
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     across = xp.hypot(xp.hypot(ay * bz - az * by, az * bx - ax * bz), ax * by - ay * bx)
     return xp.atan2(across, ax * bx + ay * by + az * bz)
+
+
+def _common(a: Array, b: Array) -> tuple[Array, Array]:
+    """Both as floating arrays of one library: if one is a tensor, the other becomes one too."""
+    a, b = as_float(a), as_float(b)
+    return (to_library(a, b), b) if isinstance(a, np.ndarray) else (a, to_library(b, a))
 
 
 def unit(vectors: Array) -> Array:

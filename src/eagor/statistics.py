@@ -109,15 +109,12 @@ def bootstrap_interval(
     members = _members(groups, len(values))
     if resamples < 1:
         raise EagorError(f"got {resamples} resamples; wanted at least 1, usually 2000")
-    if statistic is np.mean:  # all resamples at once: a mean needs only each group's sum and size
+    choice = rng.integers(len(members), size=(resamples, len(members)))
+    if statistic is np.mean:  # all at once: a mean needs only each group's sum and size
         sums, sizes = np.array([values[m].sum() for m in members]), np.array([len(m) for m in members])
-        choice = rng.integers(len(members), size=(resamples, len(members)))
         drawn = sums[choice].sum(axis=1) / sizes[choice].sum(axis=1)
     else:
-        drawn = np.empty(resamples)
-        for k in range(resamples):
-            choice = rng.integers(len(members), size=len(members))
-            drawn[k] = statistic(values[np.concatenate([members[i] for i in choice])])
+        drawn = [statistic(values[np.concatenate([members[i] for i in row])]) for row in choice]
     low, high = np.quantile(drawn, [(1 - level) / 2, (1 + level) / 2])
     return Interval(float(low), float(high), level)
 
@@ -205,15 +202,11 @@ def reliability(stated: ArrayLike, happened: ArrayLike, bins: int = 10) -> tuple
 
 def calibration_error(table: Sequence[ReliabilityBin]) -> float:
     """Expected calibration error of a `reliability` table: mean gap between stated and observed, weighted by cases."""
-    gaps = [
-        (row.n, abs(row.stated - row.frequency))
-        for row in table
-        if row.stated is not None and row.frequency is not None
-    ]
-    total = sum(n for n, _ in gaps)
-    if total == 0:
+    said = [row for row in table if row.n]
+    if not said:
         raise EagorError("the table holds no statements; pass what `reliability` returned")
-    return sum(n * gap for n, gap in gaps) / total
+    gaps = [abs((row.stated or 0.0) - (row.frequency or 0.0)) for row in said]
+    return float(np.average(gaps, weights=[row.n for row in said]))
 
 
 def _vector(values: ArrayLike, name: str) -> np.ndarray:

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from msgspec import toml
 from PIL import Image
 
 from eagor import __version__, perception
-from eagor._toml import tomllib
 from eagor.drawing.video import Movie
 from eagor.lab import worlds
 from eagor.lab.tasks import task
@@ -27,7 +27,7 @@ from eagor.media.panorama import turn
 from eagor.sphere import world_R_body
 
 ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT = toml.decode((ROOT / "pyproject.toml").read_bytes())
 PIP = (sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--disable-pip-version-check")
 
 

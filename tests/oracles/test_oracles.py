@@ -186,8 +186,8 @@ def test_beliefs_of_other_arrays(kind, grid):
     assert close(theirs.diffuse(0.05).coefficients, ours.diffuse(0.05).coefficients, 1e3 * tolerance)
 
 
-@pytest.mark.parametrize("of", [Belief, RangedBelief])
-def test_evidence_of_another_kind_is_brought_to_the_belief(kind, of):
+@pytest.mark.parametrize(("of", "values"), [(Belief, "coefficients"), (RangedBelief, "shells")])
+def test_evidence_of_another_kind_is_brought_to_the_belief(kind, of, values):
     make, tolerance = kind
     grid, response = PatchGrid(12, 24), np.random.default_rng(0).random((12, 24))
     plain, foreign = Evidence.from_response(response, grid), Evidence.from_response(make(response), grid)
@@ -195,9 +195,10 @@ def test_evidence_of_another_kind_is_brought_to_the_belief(kind, of):
     expected = of.uniform(7).update(plain)
     for start, look in [(of.uniform(7), foreign), (of.uniform(7, like=make([0.0])), plain)]:
         for found in (start.update(look), start.plus(look.coefficients(7))):
-            assert type(found.agreed) is type(start.agreed)
-            assert found.agreed.dtype == start.agreed.dtype, "float64 stays float64, float32 stays float32"
-            assert close(found.agreed, expected.agreed, 20 * tolerance)
+            sums, before, wanted = (getattr(each, values) for each in (found, start, expected))
+            assert type(sums) is type(before)
+            assert sums.dtype == before.dtype, "float64 stays float64, float32 stays float32"
+            assert close(sums, wanted, 20 * tolerance)
         if isinstance(start, RangedBelief):
             each = start.update([look, plain] + 6 * [foreign, plain])
             assert type(each.shells) is type(start.shells)

@@ -1,6 +1,5 @@
 """What is believed, from one process to another and from one day to the next."""
 
-import hashlib
 import json
 import multiprocessing
 import pickle
@@ -16,7 +15,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
 from eagor.sphere import world_R_body
-from eagor.tracking.checkpoint import VERSION
+from eagor.tracking.checkpoint import STRUCTURE
 from eagor.tracking.config import MotionModel, TrackerConfig
 from eagor.tracking.tracker import DirectionTracker
 
@@ -121,56 +120,53 @@ def test_everything_travels_to_another_process_after_it_was_read():
 
 def test_files_that_are_no_whole_tracker_of_this_version_are_refused(tmp_path):
     good = go_on(DirectionTracker(CONFIGS["paper"]), 0, 5).save(tmp_path / "good").read_bytes()
-    head, _, body = good.partition(b"\n")
-    newer = json.dumps(json.loads(head) | {"version": VERSION + 1}).encode() + b"\n" + body
     damaged = bytearray(good)
-    damaged[-7] ^= 1
-    wrong = {
-        "is not a saved tracker": [b"", b"{}", b"[1]\n", b"PK\x03\x04", pickle.dumps(print), good[:20], b"{" * 5000],
-        f"is of version {VERSION + 1}; wanted {VERSION}": [newer],
-        "is damaged": [good[:-1], good[: len(good) // 2], head + b"\n", good + b"x", bytes(damaged)],
-    }
+    damaged[len(good) // 2] ^= 1
+    old = b'{"format": "eagor tracker", "version": 7, "bytes": 2, "sha256": ""}\n{}'
+    wrong = [b"", b"{}", old, b"PK\x03\x04", pickle.dumps(print), good[:20], good[: len(good) // 2], good[:-1]]
     path = tmp_path / "bad"
-    for says, contents in wrong.items():
-        for content in contents:
-            path.write_bytes(content)
-            with pytest.raises(FormatError, match=says):
-                DirectionTracker.load(path)
+    for content in [*wrong, bytes(damaged), good.replace(STRUCTURE.encode(), b"eagor 7")]:
+        path.write_bytes(content)
+        with pytest.raises(FormatError, match="not a whole tracker of this version"):
+            DirectionTracker.load(path)
+    np.savez(path.with_suffix(".npz"), foreign=np.eye(3))
+    with pytest.raises(FormatError, match="not a whole tracker of this version"):
+        DirectionTracker.load(path.with_suffix(".npz"))
     for place in (tmp_path, tmp_path / "nothing"):
         with pytest.raises(FormatError, match="cannot be read"):
             DirectionTracker.load(place)
 
 
-def crafted(place, nodes, state):
-    """A whole file with its right digest that holds this."""
-    body = json.dumps({"arrays": [], "nodes": nodes, "state": state}).encode() + b"\n"
-    digest = hashlib.sha256(body).hexdigest()
-    head = {"format": "eagor tracker", "version": VERSION, "bytes": len(body), "sha256": digest}
-    place.write_bytes(json.dumps(head).encode() + b"\n" + body)
+def crafted(place, structure, *arrays):
+    """A whole file that holds this."""
+    with place.open("wb") as file:
+        np.savez(file, *arrays, **{STRUCTURE: np.frombuffer(json.dumps(structure).encode(), np.uint8)})
     return place
 
 
 def test_what_a_file_names_is_made_only_of_what_trackers_are_made_of(tmp_path):
-    nodes = (
-        ["os", "system", {}],
-        ["eagor.tracking.nothing", "State", {}],
-        ["eagor.evidences", "Evidence", {}],
-        ["eagor.belief.direction", "math", {}],
-        ["eagor.belief.direction", "Belief", {"more": 1}],
+    new = (
+        ["os", "system", {"dict": []}],
+        ["eagor.tracking.nothing", "State", {"dict": []}],
+        ["eagor.evidences", "Evidence", {"dict": []}],
+        ["eagor.belief.direction", "math", {"dict": []}],
+        ["eagor.belief.direction", "Belief", {"dict": [["coefficients", {"array": 0}], ["more", 1]]}],
     )
-    for node in nodes:
-        with pytest.raises(FormatError, match="another version"):
-            DirectionTracker.load(crafted(tmp_path / "made", [node], ["node", 0]))
+    for each in new:
+        with pytest.raises(FormatError, match="not a whole tracker of this version"):
+            DirectionTracker.load(crafted(tmp_path / "made", {"new": each}, np.zeros(4)))
+    with pytest.raises(FormatError, match="Object arrays"):
+        DirectionTracker.load(crafted(tmp_path / "made", {"array": 0}, np.array([print])))
 
 
 def test_a_tracker_is_loaded_only_from_the_parts_of_one(tmp_path):
-    place = DirectionTracker().save(tmp_path / "saved")
-    whole = json.loads(place.read_bytes().split(b"\n")[1])
-    _, parts = whole["state"]
+    with np.load(DirectionTracker().save(tmp_path / "saved")) as file:
+        parts = json.loads(file[STRUCTURE].tobytes())["dict"]
+        arrays = [file[name] for name in file.files if name != STRUCTURE]
     for number in range(len(parts)):
         wrong = [[key, True if at == number else value] for at, (key, value) in enumerate(parts)]
         with pytest.raises(FormatError, match="holds no tracker"):
-            DirectionTracker.load(crafted(tmp_path / "made", whole["nodes"], ["dict", wrong]))
-    parts[2][1] = ["dict", [["target", 1]]]
+            DirectionTracker.load(crafted(tmp_path / "made", {"dict": wrong}, *arrays))
+    parts[2][1] = {"dict": [["target", 1]]}
     with pytest.raises(FormatError, match="holds no tracker"):
-        DirectionTracker.load(crafted(tmp_path / "made", whole["nodes"], ["dict", parts]))
+        DirectionTracker.load(crafted(tmp_path / "made", {"dict": parts}, *arrays))

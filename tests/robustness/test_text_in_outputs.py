@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eagor._files import as_csv
 from eagor.cli import main
+from eagor.cli.answers import as_csv
 from eagor.drawing.still import draw_errors
 from eagor.lab.eval import log
 from eagor.lab.eval.page import Cell, Row, Table, markdown

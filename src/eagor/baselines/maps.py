@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor.belief.posterior import log_integral
+from eagor.belief.field import SphereField
+from eagor.belief.reading import log_integral
 from eagor.errors import ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -61,19 +62,13 @@ def sample(values: np.ndarray, grid: Grid, directions: np.ndarray) -> np.ndarray
     A panorama continues across the seam and over the poles; a view keeps the value of its outermost cells up to its
     border.
     """
-    height, width = grid.shape
-    x, y, inside = grid.project(directions)
-    padded = np.pad(values, 1, mode="edge")
     if not hasattr(grid, "body_R_view"):
-        padded[[0, -1], 1:-1] = np.roll(values[[0, -1]], width // 2, axis=1)
-        padded[:, 0], padded[:, -1] = padded[:, -2], padded[:, 1]
-    right, column = np.modf(np.where(inside, np.clip(x + 0.5, 0, width + 1), 0.0))
-    down, row = np.modf(np.where(inside, np.clip(y + 0.5, 0, height + 1), 0.0))
-    flat, stride = padded.reshape(-1), width + 2
-    first = np.minimum(row.astype(np.intp), height) * stride + np.minimum(column.astype(np.intp), width)
-    upper = flat[first] * (1 - right) + flat[first + 1] * right
-    lower = flat[first + stride] * (1 - right) + flat[first + stride + 1] * right
-    return np.where(inside, upper * (1 - down) + lower * down, 0.0)
+        return SphereField(ErpGrid(*grid.shape), values).smooth(directions, 1)
+    from scipy.ndimage import map_coordinates
+
+    x, y, inside = grid.project(directions)
+    places = np.where(inside, np.stack([y, x]) - 0.5, 0.0).reshape(2, -1)
+    return np.where(inside, map_coordinates(values, places, order=1, mode="nearest").reshape(x.shape), 0.0)
 
 
 def log_density(log_map: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from eagor.belief.field import LARGEST, SphereField, cells_of
 from eagor.evidence.detections import LOWEST
+from eagor.grids import beyond_edges
 
 # Nats from a peak down to the saddle at which it counts as one of its own. It is Rayleigh's criterion, by which the eye
 # sees two points of light apart: the light between them falls to 0.735 of that of the points.
@@ -28,11 +29,7 @@ def basins(field: np.ndarray, prominence: float) -> np.ndarray:
 def _neighbours(values: np.ndarray) -> list[np.ndarray]:
     """`values` ``(H, W)`` of each cell's right, lower-left, lower and lower-right neighbours, then the opposites."""
     height, width = values.shape
-    around = np.empty((height + 2, width + 2), values.dtype)
-    around[1:-1, 1:-1] = values
-    for row, edge in ((0, values[0]), (-1, values[-1])):  # beyond a pole: the opposite meridian
-        around[row, 1:-1] = _opposite(edge)
-    around[:, 0], around[:, -1] = around[:, -2], around[:, 1]
+    around = values.reshape(-1).take(beyond_edges(height, width, 1))
     places = [(1, 2), (2, 0), (2, 1), (2, 2), (1, 0), (0, 2), (0, 1), (0, 0)]
     return [around[row : row + height, column : column + width] for row, column in places]
 
@@ -150,9 +147,9 @@ class Places:
         return cls(count, cells, cells.reshape(-1)[cells_of(grid, np.array(tops).reshape(-1, 3))])
 
 
-def labelled(values: np.ndarray) -> tuple[int, np.ndarray]:
-    """The number of basins of a field ``(H, W)``, and that of each cell ``(H, W)``: each climbs to its peak."""
-    label = climbed(values).reshape(-1)
+def labelled(values: np.ndarray, prominence: float = 0.0) -> tuple[int, np.ndarray]:
+    """The number of basins of a field ``(H, W)``, and that of each cell ``(H, W)``; shallow ones join a neighbour."""
+    label = basins(values, prominence).reshape(-1) if prominence else climbed(values).reshape(-1)
     there = np.zeros(len(label), dtype=bool)
     there[label] = True
     return int(there.sum()), (np.cumsum(there) - 1)[label].reshape(values.shape)

@@ -29,14 +29,14 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, constant, frozen, namespace, private, to_library, to_numpy
+from eagor._arrays import Array, as_float, frozen, namespace, table_like, to_library, to_numpy
 from eagor.belief.posterior import Field, Readable
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, Grid
 from eagor.harmonics import RealHarmonics, rotation
-from eagor.harmonics.peaks import FLAT, decoding_grid, derivatives, forward_vector, peak
-from eagor.sphere import check_rotation
+from eagor.harmonics.peaks import FLAT, decoding_grid, derivatives, peak
+from eagor.sphere import FORWARD, check_rotation
 
 __all__ = ["Belief"]
 
@@ -77,12 +77,8 @@ def _diffused(degree: int, coefficients: Array, sigma: float) -> Array:
         f = xp.where(risen, f / tempering, found)
         left = left - variance
     lost = before - _log_integral(f, grid)
-    return coefficients + constant(_flat, degree, like=coefficients) * lost[..., 0]
-
-
-def _flat(degree: int) -> np.ndarray:
-    """The field that is 1 everywhere ``(size,)``."""
-    return np.eye(1, (degree + 1) ** 2)[0] * math.sqrt(4 * math.pi)
+    even = np.eye(1, basis.size)[0] * math.sqrt(4 * math.pi)  # the field that is 1 everywhere
+    return coefficients + table_like(even, coefficients) * lost[..., 0]
 
 
 def _gained(f: Array, top: Array, grid: ErpGrid, left: Array, sigma: float) -> tuple[Array, Array, Array]:
@@ -111,12 +107,7 @@ def _log_integral(f: Array, grid: ErpGrid) -> Array:
     """log of the integral of exp(f) over the sphere ``(..., 1, 1)``, for fields ``(..., H, W)`` on `grid`."""
     xp = namespace(f)
     top = xp.max(f, axis=(-2, -1), keepdims=True)
-    weights = constant(_weights, grid, like=f)
-    return top + xp.log(xp.sum(xp.exp(f - top) * weights, axis=(-2, -1), keepdims=True))
-
-
-def _weights(grid: ErpGrid) -> np.ndarray:
-    return grid.weights
+    return top + xp.log(xp.sum(xp.exp(f - top) * table_like(grid.weights, f), axis=(-2, -1), keepdims=True))
 
 
 def _nearest(basis: RealHarmonics, grid: ErpGrid, values: Array, weight: Array) -> Array:
@@ -138,6 +129,15 @@ def _nearest(basis: RealHarmonics, grid: ErpGrid, values: Array, weight: Array) 
     return found
 
 
+def _private(values: Array) -> Array:
+    """A copy of `values`, read-only in NumPy; gradients pass through it."""
+    if isinstance(values, np.ndarray):
+        return frozen(np.array(values))
+    if hasattr(values, "clone"):  # torch: its asarray would cut the gradient
+        return values.clone()
+    return namespace(values).asarray(values, copy=True)
+
+
 @dataclass(frozen=True, eq=False)
 class Belief(Readable):
     """A belief over directions: `coefficients` ``(..., (degree + 1)^2)`` of the log-posterior in the body frame.
@@ -157,7 +157,7 @@ class Belief(Readable):
         size = self.coefficients.shape[-1] if len(self.coefficients.shape) else 0
         if size < 4 or math.isqrt(size) ** 2 != size:
             raise EagorError(f"coefficients have shape {tuple(self.coefficients.shape)}; wanted (..., (degree + 1)^2)")
-        object.__setattr__(self, "coefficients", private(self.coefficients))
+        object.__setattr__(self, "coefficients", _private(self.coefficients))
 
     def __repr__(self) -> str:
         return f"Belief(degree {self.degree}, {self._told()})"
@@ -196,11 +196,6 @@ class Belief(Readable):
     def direction_belief(self) -> Belief:
         """Itself; a `RangedBelief` gives its marginal over directions."""
         return self
-
-    @property
-    def agreed(self) -> Array:
-        """The coefficients ``(..., size)``; of a `RangedBelief`, the mean over its shells."""
-        return self.coefficients
 
     def plus(self, log_ratios: Array) -> Belief:
         """With log ratios added, given as coefficients ``(..., size)``; they are converted to this belief's arrays."""
@@ -257,7 +252,7 @@ class Belief(Readable):
         moment = self._moment()
         xp = namespace(moment)
         length = xp.sqrt(xp.sum(moment * moment, axis=-1, keepdims=True))
-        forward = constant(forward_vector, like=moment) + xp.zeros_like(moment)
+        forward = table_like(np.array(FORWARD), moment) + xp.zeros_like(moment)
         known = length > FLAT * xp.clip(xp.abs(self.coefficients[..., :1]), 1.0, math.inf)
         return xp.where(known, moment / xp.where(known, length, xp.ones_like(length)), forward)
 

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eagor._arrays import frozen
 from eagor._values import altered, inherited, known, lazy
-from eagor.grids import ErpGrid, ErpWindow, PatchGrid
+from eagor.grids import ErpGrid, ErpWindow, PatchGrid, beyond_edges
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -201,9 +202,7 @@ def cells_of(grid: ErpGrid | PatchGrid, directions: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=16)
 def even(count: int) -> np.ndarray:
     """`count` numbers from -1 to 1."""
-    found = np.linspace(-1, 1, count)
-    found.setflags(write=False)
-    return found
+    return frozen(np.linspace(-1, 1, count))
 
 
 def bent(at: np.ndarray, half: np.ndarray, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -256,8 +255,7 @@ def plane_directions(count: int, frame: np.ndarray, half: np.ndarray, bend: np.n
 def plane_weights(count: int, half: np.ndarray, bend: np.ndarray) -> np.ndarray:
     """Solid angles ``(count, count)`` of such nodes: du dv / (1 + u^2 + v^2)^(3/2), half of it at a border."""
     share = np.full(count, 2 / (count - 1))
-    share[0] /= 2
-    share[-1] /= 2
+    share[[0, -1]] /= 2
     (u, v), (du, dv) = bent(even(count), half, bend)
     return (share * du)[:, None] * (share * dv) * (1 + (u * u)[:, None] + v * v) ** -1.5
 
@@ -308,7 +306,7 @@ class SphereField:
         """The coefficients of the cubic spline through the cells, with `MARGIN` around the grid."""
         from scipy.ndimage import spline_filter
 
-        return spline_filter(self.values.reshape(-1)[_padded(self.grid)], 3, mode="mirror")
+        return spline_filter(self.values.reshape(-1)[beyond_edges(*self.grid.shape, MARGIN)], 3, mode="mirror")
 
     def smooth(self, where: ErpGrid | ErpWindow | np.ndarray, order: int = 3) -> np.ndarray:
         """The values of the grid alone, by cubic splines (order 3), or linear (1), which is several times as fast."""
@@ -330,7 +328,7 @@ class SphereField:
         y, x = y + (MARGIN - 0.5), x + (MARGIN - 0.5)
         if order > 1:
             return map_coordinates(self._spline, np.stack([y, x]), order=3, mode="mirror", prefilter=False)
-        flat, around = self.values.reshape(-1), _padded(self.grid)
+        flat, around = self.values.reshape(-1), beyond_edges(*self.grid.shape, MARGIN)
         top, left = y.astype(np.intp), x.astype(np.intp)
         start, high, wide = top * around.shape[1] + left, 1 - (y - top), 1 - (x - left)
         low, beside = 1 - high, 1 - wide
@@ -358,8 +356,6 @@ class SphereField:
     @lazy
     def logs(self) -> np.ndarray:
         """Values ``(n,)`` of the cells in no patch and the nodes of patches, in the order of the `layout`."""
-        if not self.patches:
-            return self.values.reshape(-1)
         cells = self.values.reshape(-1).take(self.layout.free)
         return np.concatenate([cells, *(patch.values.reshape(-1) for patch in self.patches)])
 
@@ -384,11 +380,7 @@ class SphereField:
     def log_mean(self) -> float:
         """log of the mean of exp(field) over the sphere."""
         top = float(self.logs.max())
-        mass, weights, total, start = np.exp(self.logs - top), self.layout.weights, 0.0, 0
-        for part in (len(mass) - sum(p.values.size for p in self.patches), *(p.values.size for p in self.patches)):
-            total += float(mass[start : start + part] @ weights[start : start + part])
-            start += part
-        return top + math.log(total / (4 * math.pi))
+        return top + math.log(float(np.exp(self.logs - top) @ self.layout.weights) / (4 * math.pi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -438,16 +430,12 @@ class Layout:
     def weights(self) -> np.ndarray:
         """Solid angles ``(n,)`` of the cells in no patch and the nodes of patches."""
         cells = self.grid.weights.reshape(-1)
-        if not self.patches:
-            return cells
         return np.concatenate([cells.take(self.free), *(share.reshape(-1) for share in self.shares)])
 
     @lazy
     def directions(self) -> np.ndarray:
         """Directions ``(n, 3)`` of the same."""
         cells = self.grid.directions.reshape(-1, 3)
-        if not self.patches:
-            return cells
         return np.concatenate([cells.take(self.free, axis=0), *(p.directions.reshape(-1, 3) for p in self.patches)])
 
     @lazy
@@ -465,13 +453,3 @@ class Layout:
             directions = directions.take(counts, axis=0)
             found.append((counts, shares[counts], directions, cells_of(self.grid, directions)))
         return found
-
-
-@lru_cache(maxsize=16)
-def _padded(grid: ErpGrid) -> np.ndarray:
-    """The flat index of each cell ``(H + 2 MARGIN, W + 2 MARGIN)`` of a grid that goes on across the seam and poles."""
-    height, width = grid.shape
-    rows, columns = np.arange(-MARGIN, height + MARGIN)[:, None], np.arange(-MARGIN, width + MARGIN)
-    over = (rows < 0) | (rows >= height)  # beyond a pole: the opposite meridian
-    rows = np.where(rows < 0, -1 - rows, np.where(rows >= height, 2 * height - 1 - rows, rows))
-    return rows * width + (columns + over * (width // 2)) % width

@@ -16,6 +16,7 @@ import numpy as np
 from eagor._arrays import Array, to_numpy
 from eagor._values import lazy, where, wide
 from eagor.belief.basins import PROMINENCE, basins
+from eagor.belief.reading import Masses
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, ErpWindow
 from eagor.harmonics import RealHarmonics
@@ -32,12 +33,6 @@ MIN_WEIGHT = 0.02  # of the belief: what holds so much is a mode
 RIVAL = 0.6  # of the best mode's height over a typical direction: what rises so high is a mode too
 CLEAR = 9.0  # nats: the most that counts as that height, so that one very sure mode does not hide the others
 RIPPLE = 0.1  # of the best mode's height: less is ringing (the first sidelobe of a truncated peak has 0.07)
-
-
-def log_integral(values: np.ndarray, weights: np.ndarray) -> float:
-    """log of the integral of exp(values) over cells of these solid angles, without overflow."""
-    top = float(values.max())
-    return top + math.log(float(np.sum(np.exp(values - top) * weights)))
 
 
 def typical(values: np.ndarray, weights: np.ndarray) -> float:
@@ -119,7 +114,7 @@ class _Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class Posterior(Masses):
     """exp(f), sampled finely enough for its sharpest peak. One belief, no batch.
 
     `evaluate` gives f on a grid. `coarse` ``(H, W)`` is f on `rows` rows, which resolve f itself: peaks and basins are
@@ -176,58 +171,24 @@ class Posterior:
         return np.concatenate([read(part)[part.used] for part in self._parts])
 
     @lazy
-    def values(self) -> np.ndarray:
+    def values(self) -> np.ndarray:  # type: ignore[override]
         """f of all cells ``(n,)``."""
         return self._all(lambda part: part.field)
 
     @lazy
-    def weights(self) -> np.ndarray:
+    def weights(self) -> np.ndarray:  # type: ignore[override]
         """Solid angles of all cells ``(n,)``."""
         return self._all(lambda part: part.cells.weights)
 
-    @lazy
-    def log_total(self) -> float:
-        """log of the integral of exp(f) over the sphere."""
-        return log_integral(self.values, self.weights)
-
-    @lazy
-    def probability(self) -> np.ndarray:
-        """Probability of each cell ``(n,)``; sums to 1."""
-        return np.exp(self.values - self.log_total) * self.weights
-
     @property
-    def gain(self) -> float:
-        """Log density of the best direction above a uniform belief, nats."""
-        return float(self.values.max()) - self.log_total + math.log(4 * math.pi)
+    def directions(self) -> np.ndarray:  # type: ignore[override]
+        """The middles of all cells ``(n, 3)``."""
+        return self._all(lambda part: part.cells.directions)
 
     @lazy
     def mode(self) -> np.ndarray:
         """The direction of highest density ``(3,)``."""
         return peak_on_grid(self.grid, self.coarse)
-
-    def mass_above(self, value: float) -> float:
-        """The probability of all directions where f exceeds `value`."""
-        return float(self.probability[self.values > value].sum())
-
-    def entropy(self) -> float:
-        """Differential entropy in nats; log(4 pi) = 2.53 for the uniform belief."""
-        return self.log_total - float(np.sum(self.probability * self.values))
-
-    def cone(self, mass: float, about: np.ndarray | None = None) -> float:
-        """Half-angle (radians) of the cone that is centred on the mode, or on `about`, and holds `mass`."""
-        cosine, probability = self._cosines(about), self.probability
-        order = np.argsort(-cosine)
-        cosine, probability = cosine[order], probability[order]
-        reached = np.cumsum(probability) - probability / 2
-        return math.acos(min(1.0, float(np.interp(mass, reached, cosine))))
-
-    def within(self, angle: float, about: np.ndarray | None = None) -> float:
-        """The probability of the cone of half-angle `angle` (radians) about the mode, or `about` a direction."""
-        return float(self.probability[self._cosines(about) >= math.cos(angle)].sum())
-
-    def _cosines(self, about: np.ndarray | None) -> np.ndarray:
-        """Cosines ``(n,)`` of the angles between all cells and a direction, or the mode."""
-        return self._all(lambda part: part.cells.directions) @ (self.mode if about is None else about)
 
     def level(self, mass: float) -> tuple[float, float]:
         """The value of f above which `mass` lies, and the solid angle above it.
@@ -236,7 +197,7 @@ class Posterior:
         """
         spread, bend = self._all(lambda part: part.spread), self._all(lambda part: part.bend)
         # Correct the midpoint rule by the second differences of exp(f).
-        p, v, top = self.probability * (1 + np.clip(bend / 24, -0.5, 0.5)), self.values, float(self.values.max())
+        p, v, top = self.mass * (1 + np.clip(bend / 24, -0.5, 0.5)), self.values, float(self.values.max())
         p /= p.sum()
         low, high = float(v.min()) - 1, top + 1
         whole = -np.expm1(-spread)
@@ -250,8 +211,8 @@ class Posterior:
                 high = middle
         return low, float(np.sum(self.weights * np.clip(0.5 + (v - low) / spread, 0, 1)))
 
-    def modes(self, count: int, prominence: float, min_weight: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Directions ``(n, 3)``, weights ``(n,)`` and heights ``(n,)`` of at most `count` modes, highest density first.
+    def modes(self, count: int, prominence: float, min_weight: float) -> tuple[np.ndarray, np.ndarray]:
+        """Directions ``(n, 3)`` and weights ``(n,)`` of at most `count` modes, highest density first.
 
         Each cell climbs to its peak; basins whose peak stands less than `prominence` nats above the saddle to a higher
         one join that one.
@@ -266,9 +227,9 @@ class Posterior:
         label = basins(self.coarse, prominence)
         peaks, inverse = np.unique(label, return_inverse=True)
         if len(peaks) == 1:
-            return self.mode[None], np.ones(1), np.ones(1)
+            return self.mode[None], np.ones(1)
         middle = typical(self.coarse, self.grid.weights)
-        excess = np.maximum(self.probability - np.exp(middle - self.log_total) * self.weights, 0.0)
+        excess = np.maximum(self.mass - np.exp(middle - self.log_total) * self.weights, 0.0)
         basin = inverse.reshape(-1)[self._all(lambda part: part.home)]
         weight = np.bincount(basin, excess, minlength=len(peaks))
         weight = weight / weight.sum()
@@ -277,7 +238,7 @@ class Posterior:
         stands = height / min(best, CLEAR)
         kept = (height >= RIPPLE * best) & ((weight >= min_weight) | (stands >= RIVAL))
         order = [i for i in np.argsort(-flat[peaks]) if kept[i]][:count]
-        return np.array([refine(self.grid, flat, int(peaks[i]))[0] for i in order]), weight[order], stands[order]
+        return np.array([refine(self.grid, flat, int(peaks[i]))[0] for i in order]), weight[order]
 
 
 class Readable:
@@ -327,7 +288,7 @@ class Readable:
         if float(np.ptp(posterior.coarse)) < FLAT:
             return "nothing known"
         azimuth, elevation = (float(angle) for angle in azimuth_elevation(posterior.mode))
-        return f"{where(azimuth, elevation)}, 90 % within {wide(posterior.cone(0.9))}"
+        return f"{where(azimuth, elevation)}, 90 % within {wide(posterior.cone(0.9, posterior.mode))}"
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks; text only for a batch or values that are not finite."""
@@ -359,7 +320,7 @@ class Readable:
         as high as the best. n is the largest number in the batch; beliefs with fewer modes are filled up with weight 0
         and the first direction.
         """
-        found = [p.modes(k, prominence, min_weight)[:2] for p in self.posteriors.reshape(-1)]
+        found = [p.modes(k, prominence, min_weight) for p in self.posteriors.reshape(-1)]
         most = max((len(weights) for _, weights in found), default=0)
         directions = [np.concatenate([d, np.repeat(d[:1], most - len(d), axis=0)]) for d, _ in found]
         weights = [np.concatenate([w, np.zeros(most - len(w))]) for _, w in found]
@@ -368,7 +329,7 @@ class Readable:
 
     def credible_angle(self, mass: float = 0.9) -> Any:
         """Half-angle (radians, ``(...)``) of the cone that is centred on the mode and holds `mass` of the belief."""
-        return self._each(lambda p: p.cone(checked_mass(mass)))
+        return self._each(lambda p: p.cone(checked_mass(mass), p.mode))
 
     def credible_region(self, mass: float = 0.9) -> CredibleRegion:
         """The smallest region that holds `mass` of the belief (highest density). One belief at a time."""
@@ -379,7 +340,7 @@ class Readable:
             mass=mass,
             threshold=level - posterior.log_total,
             area=area,
-            angle=posterior.cone(mass),
+            angle=posterior.cone(mass, posterior.mode),
             mode=posterior.mode,
             log_density=self.log_density,
         )
@@ -391,7 +352,7 @@ class Readable:
         uniform in [0, 1].
         """
         density = float(to_numpy(self.log_density(np.asarray(direction, dtype=np.float64))))
-        return self.posterior.mass_above(density + self.posterior.log_total)
+        return self.posterior.mass_over(density + self.posterior.log_total)
 
     def entropy(self) -> Any:
         """Differential entropy ``(...)`` in nats: log(4 pi) = 2.53 for a uniform belief, negative for a sharp one."""
@@ -403,12 +364,12 @@ class Readable:
         prior Z / (prior Z + 1 - prior), where Z = (1 / 4 pi) integral of exp(f) is the likelihood ratio of all evidence
         so far, averaged over directions.
         """
+        from scipy.special import expit, logit
+
         if not 0 <= prior <= 1:
             raise EagorError(f"prior = {prior!r}; wanted a probability in [0, 1]")
-        if prior in (0.0, 1.0):
-            return self._each(lambda p: prior)
-        odds = math.log(prior) - math.log1p(-prior)
-        return self._each(lambda p: 1 / (1 + math.exp(-_clip(odds + p.log_total - math.log(4 * math.pi)))))
+        odds = logit(prior) - math.log(4 * math.pi)  # infinite for 0 and 1
+        return self._each(lambda p: expit(odds + p.log_total))
 
     def log_density(self, directions: Array) -> Array:
         """log p per steradian at unit vectors ``(n..., 3)``: ``(..., n...)``; integrates to 1."""
@@ -422,10 +383,6 @@ class Readable:
     def _each(self, read: Callable[[Posterior], float]) -> Any:
         values = [read(p) for p in self.posteriors.reshape(-1)]
         return np.reshape(values, self.batch_shape) if self.batch_shape else float(values[0])
-
-
-def _clip(exponent: float) -> float:
-    return max(-700.0, min(700.0, exponent))
 
 
 def checked_mass(mass: float) -> float:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._arrays import Array, as_float, namespace, table_like, to_library, to_numpy
+from eagor._arrays import Array, as_float, frozen, namespace, table_like, to_library, to_numpy
 from eagor._values import lazy
 from eagor.belief.direction import Belief
 from eagor.belief.posterior import Field, Readable
@@ -73,8 +73,7 @@ class RangedBelief(Readable):
         Belief(self.shells)  # raises if the number of coefficients fits no degree
         if self.prior is not None and tuple(self.prior.shape) != tuple(self.shells.shape[-2:]):
             raise EagorError(f"the prior has shape {tuple(self.prior.shape)}; wanted {tuple(self.shells.shape[-2:])}")
-        ranges.setflags(write=False)
-        object.__setattr__(self, "ranges", ranges)
+        object.__setattr__(self, "ranges", frozen(ranges))
 
     @classmethod
     def uniform(
@@ -157,12 +156,6 @@ class RangedBelief(Readable):
         ranges = f"{len(self.ranges)} ranges {self.ranges[0]:.3g} to {self.ranges[-1]:.3g} m"
         return f"RangedBelief(degree {self.degree}, {ranges}, {self._told()})"
 
-    @property
-    def agreed(self) -> Array:
-        """The mean of the shells ``(..., size)``."""
-        shares = table_like(self._shares, self.shells)
-        return namespace(self.shells).sum(shares[:, None] * self.shells, axis=-2)
-
     def between(self, logs: np.ndarray) -> np.ndarray:
         """The shells ``(n, size)`` at these logarithms ``(n,)`` of ranges, by cubic splines."""
         return _between(tuple(self.ranges.tolist()))(logs) @ self.shells
@@ -216,8 +209,7 @@ class RangedBelief(Readable):
             field = self.basis.synthesise(coefficients[index], cells)[..., counts]
             mass = np.exp(field - field.max()) @ weights[counts] * self._shares
             found[index] = mass / mass.sum()
-        found.setflags(write=False)
-        return found
+        return frozen(found)
 
     def distance(self, about: np.ndarray | None = None) -> Any:
         """Posterior mean of the range ``(...)``, metres; `about` as for `range_probabilities`."""
@@ -363,6 +355,4 @@ def log_heights(belief: RangedBelief, camera: float, rise: np.ndarray) -> np.nda
 
 @lru_cache(maxsize=64)
 def _prior(degree: int, ranges: tuple[float, ...], camera: float) -> np.ndarray:
-    found = height_prior(degree, np.array(ranges), camera)
-    found.setflags(write=False)
-    return found
+    return frozen(height_prior(degree, np.array(ranges), camera))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eagor._values import lazy
-from eagor.belief.basins import PROMINENCE, basins
+from eagor.belief.basins import PROMINENCE, labelled
 from eagor.belief.field import FINER, Patch, SphereField
 from eagor.evidence.detections import tangent_frames
 from eagor.sphere import unit
@@ -25,8 +25,65 @@ _BEND = np.column_stack([(STENCIL**2 - 2 / 3), STENCIL[:, :1] * STENCIL[:, 1:] /
 DEEP = 12.0  # nats below the highest peak: deeper values are clipped
 
 
+def log_integral(values: np.ndarray, weights: np.ndarray) -> float:
+    """log of the integral of exp(values) over cells of these solid angles, without overflow."""
+    top = float(values.max())
+    return top + math.log(float(np.sum(np.exp(values - top) * weights)))
+
+
+class Masses:
+    """What is read of exp(f) from small cells that cover the sphere.
+
+    `values` ``(n,)`` of f, solid angles `weights` ``(n,)``, `directions` ``(n, 3)``.
+    """
+
+    values: np.ndarray
+    weights: np.ndarray
+    directions: np.ndarray
+
+    @lazy
+    def log_total(self) -> float:
+        """log of the integral of exp(f) over the sphere."""
+        return log_integral(self.values, self.weights)
+
+    @lazy
+    def mass(self) -> np.ndarray:
+        """Probability ``(n,)`` of each cell; they sum to 1."""
+        return np.exp(self.values - self.log_total) * self.weights
+
+    def entropy(self) -> float:
+        """Differential entropy in nats; log(4 pi) = 2.53 for a uniform belief."""
+        return self.log_total - float(self.mass @ self.values)
+
+    def mass_over(self, value: float) -> float:
+        """The probability of all directions where f exceeds `value`."""
+        return float(self.mass[self.values > value].sum())
+
+    def within(self, angle: float, about: np.ndarray) -> float:
+        """The probability of the cone of half-angle `angle` (radians) about a direction ``(3,)``."""
+        return float(self.mass[self.directions @ about >= math.cos(min(angle, math.pi))].sum())
+
+    def cosine(self, about: np.ndarray) -> float:
+        """The expected cosine of the angle to a direction ``(3,)``: -1 to 1."""
+        return float(self.mass @ (self.directions @ about))
+
+    def cone(self, mass: float, about: np.ndarray) -> float:
+        """Half-angle (radians) of the cone that is centred on a direction ``(3,)`` and holds `mass`."""
+        cosine = self.directions @ about
+        near = cosine > math.cos(NEAR)  # mostly, what is farther away does not count, and sorting it takes long
+        for kept in (near, np.ones_like(near)):
+            probability = self.mass[kept]
+            order = np.argsort(-cosine[kept])
+            probability = probability[order]
+            reached = np.cumsum(probability) - probability / 2
+            if len(reached) and reached[-1] >= mass:
+                break
+        cosine = cosine[kept][order]
+        return math.acos(max(-1.0, min(1.0, float(np.interp(mass, reached, cosine)))))
+
+
 @dataclass(frozen=True, eq=False)
-class Reading:
+class Reading(Masses):
     """Reads a field: log of (density / uniform density), up to a constant. Directions are in the field's axes.
 
     Below `least` it has no peaks.
@@ -35,9 +92,13 @@ class Reading:
     field: SphereField
     least: float = -math.inf
 
+    values = property(lambda self: self._parts[0])  # type: ignore[assignment]
+    weights = property(lambda self: self._parts[1])  # type: ignore[assignment]
+    directions = property(lambda self: self._parts[2])  # type: ignore[assignment]
+
     @property
     def parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Values ``(n,)``, solid angles ``(n,)`` and directions ``(n, 3)`` of small cells that cover the sphere."""
+        """The values, solid angles and directions of the cells."""
         return self._parts[:3]
 
     @lazy
@@ -69,56 +130,17 @@ class Reading:
         values, weights, directions, homes = (np.concatenate(column) for column in zip(*found, strict=True))
         return values, weights, directions, homes, len(light)
 
-    @lazy
-    def log_total(self) -> float:
-        """log of the integral of exp(field) over the sphere."""
-        values, weights, _ = self.parts
-        top = float(values.max())
-        return top + math.log(float(np.exp(values - top) @ weights))
-
-    @lazy
-    def mass(self) -> np.ndarray:
-        """Probability ``(n,)`` of each of the `parts`; they sum to 1."""
-        values, weights, _ = self.parts
-        return np.exp(values - self.log_total) * weights
-
-    def within(self, angle: float, about: np.ndarray) -> float:
-        """The probability of the cone of half-angle `angle` (radians) about a direction ``(3,)``."""
-        return float(self.mass[self.parts[2] @ about >= math.cos(min(angle, math.pi))].sum())
-
-    def cosine(self, about: np.ndarray) -> float:
-        """The expected cosine of the angle to a direction ``(3,)``: -1 to 1."""
-        return float(self.mass @ (self.parts[2] @ about))
-
-    def cone(self, mass: float, about: np.ndarray) -> float:
-        """Half-angle (radians) of the cone that is centred on a direction ``(3,)`` and holds `mass`."""
-        cosine = self.parts[2] @ about
-        near = cosine > math.cos(NEAR)  # mostly, what is farther away does not count, and sorting it takes long
-        for kept in (near, np.ones_like(near)):
-            probability = self.mass[kept]
-            order = np.argsort(-cosine[kept])
-            probability = probability[order]
-            reached = np.cumsum(probability) - probability / 2
-            if len(reached) and reached[-1] >= mass:
-                break
-        cosine = cosine[kept][order]
-        return math.acos(max(-1.0, min(1.0, float(np.interp(mass, reached, cosine)))))
-
     def mass_above(self, direction: np.ndarray) -> float:
         """The mass of the smallest region of highest density that reaches `direction` ``(3,)``."""
-        return float(self.mass[self.parts[0] > float(self.field(direction[None])[0])].sum())
+        return self.mass_over(float(self.field(direction[None])[0]))
 
     def region(self, mass: float) -> tuple[float, float]:
         """The log density (per steradian) at the border of the smallest region that holds `mass`, and its area."""
-        values, weights, _ = self.parts
+        values = self.values
         order = np.argsort(-values, kind="stable")
         reached = np.cumsum(self.mass[order]) - self.mass[order] / 2
         place = min(int(np.searchsorted(reached, mass)), len(order) - 1)
-        return float(values[order[place]]) - self.log_total, float(weights[order[: place + 1]].sum())
-
-    def entropy(self) -> float:
-        """Differential entropy in nats."""
-        return self.log_total - float(self.mass @ self.parts[0])
+        return float(values[order[place]]) - self.log_total, float(self.weights[order[: place + 1]].sum())
 
     @lazy
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -188,11 +210,8 @@ class Reading:
                 cells = self.field.values.reshape(-1)[lost]
                 tops[lost] = self.field.with_patches(cells, grid.directions.reshape(-1, 3).take(lost, axis=0))
         tops = np.maximum(tops, max(tops.max() - DEEP, min(self.least, tops.max() - 1)))
-        label = basins(tops.reshape(grid.shape), PROMINENCE).reshape(-1)
-        there = np.zeros(len(label), dtype=bool)
-        there[label] = True
-        of_part = (np.cumsum(there) - 1).take(label.take(home))
-        count = int(np.count_nonzero(there))
+        count, cells = labelled(tops.reshape(grid.shape), PROMINENCE)
+        of_part = cells.reshape(-1).take(home)
         highest = np.full(count, -np.inf)
         np.maximum.at(highest, of_part, values)
         tied = (values == highest.take(of_part)).nonzero()[0]
@@ -214,7 +233,7 @@ class Reading:
         """
         masses, tops, _ = self._basins
         kept = max(1, min(count, int((masses >= least).sum())))
-        return self._refined(self.parts[2][tops[:kept]]), masses[:kept]
+        return self._refined(self.directions[tops[:kept]]), masses[:kept]
 
 
 def _top_of_patch(patch: Patch, places: np.ndarray) -> np.ndarray:

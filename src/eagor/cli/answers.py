@@ -5,17 +5,18 @@ And what `eagor look` has seen (``eagor track LOOKS.jsonl``): no detector runs, 
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eagor._files import append_all, as_csv, redacted, written
+from eagor._files import append_all, redacted, written
 from eagor.cli import terminal
 from eagor.cli.options import Answering, Footage, given
 from eagor.cli.terminal import UsageError
@@ -171,10 +172,28 @@ def table(path: Path, rivals: Sequence[str] = ()) -> Iterator[Callable[[Entry], 
             flat = {**entry, "modes": len(entry["modes"]), "problem": entry.get("problem", "")}
             for name, found in entry.get("methods", {}).items():
                 flat |= {f"{name}_{angle}": value for angle, value in found.items()}
-            file.add(as_csv([*head, [flat.get(name) for name in columns]], "\r\n"))
+            file.add(as_csv([*head, [flat.get(name) for name in columns]]))
             head.clear()
 
         yield write
+
+
+def as_csv(rows: Iterable[Sequence[Any]]) -> str:
+    """`rows` as CSV. Text that a spreadsheet would take for a formula gets an apostrophe before it."""
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows(map(_cell, row) for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    value = value.replace("\r", "\n")  # the writer does not always quote \r, which would start a new row
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}" if value.startswith(("=", "+", "-", "@", "\t", "\n")) else value
+    return value
 
 
 # --- in pictures ------------------------------------------------------------------------------------------------------

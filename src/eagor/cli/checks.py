@@ -153,14 +153,14 @@ def perception_for(queries: Sequence[str], spec: str | None) -> str:
 
 def make_perception(spec: str, busy: bool = False) -> Perception:
     """The perception that ``--perception`` names. `busy`: nothing else runs meanwhile, so it may take all cores."""
-    from eagor._processes import usable_cores
     from eagor.perception import load
 
     name, _, text = spec.partition(":")
     if name == "replay" and not text:
         raise UsageError("--perception replay needs the file that the detector wrote: replay:FILE.jsonl")
     if busy and name in SHARED and not re.search(r"\b(together|threads)=", text):
-        return load(spec, together=usable_cores())
+        usable = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
+        return load(spec, together=len(usable))
     return load(spec)
 
 

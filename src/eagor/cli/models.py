@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from eagor._extras import EXTRAS, how_to_install, is_older
+from eagor._extras import extras, how_to_install, is_older
 from eagor._version import __version__
 from eagor.cli import terminal
 from eagor.cli.options import Common, grouped
@@ -119,21 +119,21 @@ def doctor(options: Doctor) -> int:
     """Run the command; exit code 1 if a required package is missing."""
     from eagor import plugins
 
-    names = dict.fromkeys([*PACKAGES, *(name for packages in EXTRAS.values() for name in packages)])
+    names = dict.fromkeys([*PACKAGES, *(name for extra in USES for name in extras().get(extra, ()))])
     packages = {name: version_of(name) for name in names}
     states, left_out = _plugins()
     left_out += plugins.unreadable()
-    extras = {extra: _missing(extra) for extra in EXTRAS}
-    extras["ros"] = [] if find_spec("rclpy") else ["rclpy: a ROS 2 installation, or on x86-64 Linux the extra 'ros'"]
+    lacking = {extra: _missing(extra) for extra in USES}
+    lacking["ros"] = [] if find_spec("rclpy") else ["rclpy: a ROS 2 installation, or on x86-64 Linux the extra 'ros'"]
     missing = [name for name in PACKAGES if packages[name] is None]
     about = {"eagor": __version__, "python": platform.python_version(), "platform": platform.platform()}
     works = {"commands": "locate and track, with one of these perceptions"}
     works |= {kind: ", ".join(name for name, why in found.items() if why == READY) for kind, found in states.items()}
     wants = {f"{kind[:-1]} {name}": why for kind, each in states.items() for name, why in each.items() if why != READY}
-    for extra, lacks in extras.items():
+    for extra, lacks in lacking.items():
         (wants if lacks else works)[f"extra {extra}"] = ": ".join([USES[extra], *lacks])
     if options.json:
-        found = {"packages": packages, **states, "extras": extras, "left_out": left_out, "healthy": not missing}
+        found = {"packages": packages, **states, "extras": lacking, "left_out": left_out, "healthy": not missing}
         terminal.emit(about | found)
         return terminal.FAILED if missing else terminal.OK
     terminal.say("eagor {eagor}, Python {python} on {platform}".format(**about))
@@ -188,11 +188,13 @@ def _missing(extra: str) -> list[str]:
     """What of an extra is absent or too old here, and how to install it; nothing if it is there."""
     if extra == "npm" and shutil.which("npm"):
         return []
-    short = []
-    for name, least in EXTRAS[extra].items():
+    short, packages = [], extras().get(extra, {})
+    for name, least in packages.items():
         number = version_of(name)
         if number is None or is_older(number, least):
             short.append(name if number is None else f"{name} {least} or newer (there is {number})")
+    if not packages:
+        short = ["its packages (eagor runs without its metadata)"]
     first = "without a GPU first PyTorch's build for CPUs (pytorch.org); " if "torch" in short else ""
     return [f"{', '.join(short)}: {first}{how_to_install(extra)}"] if short else []
 

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -69,29 +68,20 @@ def _laid_out(values: Array, lens: ViewKey, degree: int) -> Array:
     rows, columns = _blocks(lens, degree)
     sums = pool(pool(values * constant(lens_weights, lens, like=values), rows, -2), columns, -1)
     sums = xp.reshape(sums, (*sums.shape[:-2], -1))
-    parts = xp.take(sums, recent(_part, lens, degree, "block_of", like=values), axis=-1)
-    parts = pool(parts * recent(_part, lens, degree, "share", like=values), _plan(lens, degree).edges, -1)
+    block, share, place = (recent(_part, lens, degree, index, like=values) for index in range(3))
+    parts = pool(xp.take(sums, block, axis=-1) * share, _plan(lens, degree)[3], -1)
     cells = xp.concat([parts, xp.zeros_like(parts[..., :1])], axis=-1)
-    cells = xp.take(cells, recent(_part, lens, degree, "place", like=values), axis=-1)
+    cells = xp.take(cells, place, axis=-1)
     return xp.reshape(cells, (*values.shape[:-2], *_panorama(degree).shape))
 
 
-@dataclass(frozen=True, eq=False)
-class _Plan:
-    """How the blocks of a view are shared among the cells of the panorama.
-
-    The n-th part goes from `block_of` it, `share` of it per steradian, to a cell; the parts of one cell stand between
-    two `edges`. `place` is the number of each cell of the panorama among those that get something, the last for none.
-    """
-
-    block_of: np.ndarray
-    share: np.ndarray
-    edges: tuple[int, ...]
-    place: np.ndarray
-
-
 @lru_cache(maxsize=4)
-def _plan(lens: ViewKey, degree: int) -> _Plan:
+def _plan(lens: ViewKey, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, ...]]:
+    """How the blocks of a view are shared among the cells of the panorama, in parts.
+
+    The block of each part, and its share of that block per steradian; the number of each cell of the panorama among
+    those that get something, the last for none; and the edges between which the parts of one cell stand.
+    """
     from scipy.sparse import csr_array
 
     panorama, view = _panorama(degree), forward_view(lens)
@@ -111,7 +101,7 @@ def _plan(lens: ViewKey, degree: int) -> _Plan:
     place[given] = np.arange(len(given))
     density = table.data / np.repeat(panorama.weights.reshape(-1)[given], counts[given])
     edges = (0, *np.cumsum(counts[given]).tolist())
-    return _Plan(table.indices.astype(np.intp), density, edges, place)
+    return table.indices.astype(np.intp), density, place, edges
 
 
 def _four(panorama: ErpGrid, u: np.ndarray, v: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -163,5 +153,5 @@ def _half_cell(degree: int) -> float:
     return math.pi / _panorama(degree).height / 2
 
 
-def _part(lens: ViewKey, degree: int, name: str) -> np.ndarray:
-    return getattr(_plan(lens, degree), name)
+def _part(lens: ViewKey, degree: int, index: int) -> np.ndarray:
+    return np.asarray(_plan(lens, degree)[index])

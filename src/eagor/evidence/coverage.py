@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import Array, frozen, recent
-from eagor.grids import ErpGrid, FisheyeGrid, Grid, PatchGrid, PerspectiveGrid, forward_view, view_key
+from eagor.grids import ErpGrid, FisheyeGrid, Grid, PatchGrid, PerspectiveGrid, beyond_edges, forward_view, view_key
 from eagor.harmonics import RealHarmonics
 
 PENALTY = 1000.0
@@ -32,12 +32,10 @@ Region = tuple[str, int, int, "float | tuple[float, ...]", bytes]
 def region(grid: Grid, mask: np.ndarray | None) -> Region | None:
     """The region that was looked at, None for the whole sphere; `mask` ``(H, W)`` is True there."""
     packed = b"" if mask is None or mask.all() else np.packbits(mask).tobytes()
-    if isinstance(grid, PerspectiveGrid | FisheyeGrid):
-        if grid.depth_inside() is None and not packed:
-            return None
-        return *view_key(grid), packed
-    if not packed:
+    if not packed and grid.depth_inside() is None:
         return None
+    if isinstance(grid, PerspectiveGrid | FisheyeGrid):
+        return *view_key(grid), packed
     return "pixels" if isinstance(grid, ErpGrid) else "patches", *grid.shape, 0.0, packed
 
 
@@ -54,12 +52,8 @@ def confine(degree: int, coefficients: Array, where: Region) -> Array:
 
 
 def _forward_grid(where: Region) -> PerspectiveGrid | FisheyeGrid | ErpGrid | PatchGrid:
-    kind, height, width, optics, _ = where
-    if kind == "pixels":
-        return ErpGrid(height, width)
-    if kind == "patches":
-        return PatchGrid(height, width)
-    return forward_view((kind, height, width, optics))
+    whole = {"pixels": ErpGrid, "patches": PatchGrid}
+    return whole[where[0]](*where[1:3]) if where[0] in whole else forward_view(where[:4])
 
 
 @lru_cache(maxsize=32)
@@ -119,10 +113,10 @@ def _beside(marked: np.ndarray, grid: Grid, beyond: bool = False) -> np.ndarray:
 
     A panorama continues across the seam and the poles.
     """
-    padded = np.pad(marked, 1, constant_values=beyond)
     if isinstance(grid, ErpGrid | PatchGrid):
-        padded[[0, -1], 1:-1] = np.roll(marked[[0, -1]], marked.shape[1] // 2, axis=1)
-        padded[:, 0], padded[:, -1] = padded[:, -2], padded[:, 1]
+        padded = marked.reshape(-1)[beyond_edges(*marked.shape, 1)]
+    else:
+        padded = np.pad(marked, 1, constant_values=beyond)
     across = padded[:-2] | padded[1:-1] | padded[2:]
     return across[:, :-2] | across[:, 1:-1] | across[:, 2:]
 

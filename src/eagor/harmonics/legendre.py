@@ -32,6 +32,21 @@ def degrees(degree: int) -> np.ndarray:
 
 
 @lru_cache(maxsize=64)
+def entry_of(degree: int) -> np.ndarray:
+    """The index of each coefficient in a flattened table (m >= 0, cosine or sine, l)."""
+    m = orders(degree)
+    return (2 * np.abs(m) + (m < 0)) * (degree + 1) + degrees(degree)
+
+
+@lru_cache(maxsize=64)
+def coefficient_of(degree: int) -> np.ndarray:
+    """For each entry of that table, its coefficient; an arbitrary one (the first) where there is none."""
+    found = np.zeros(2 * (degree + 1) ** 2, dtype=np.intp)
+    found[entry_of(degree)] = np.arange((degree + 1) ** 2)
+    return found
+
+
+@lru_cache(maxsize=64)
 def _recursion(degree: int) -> tuple[list[float], list[list[float]], list[list[float]]]:
     """Starting values Q_mm (sqrt 2 of the real basis included), and a_lm, b_lm of the three-term recursion in l."""
     start = [1 / math.sqrt(4 * math.pi)]

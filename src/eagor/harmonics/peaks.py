@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, constant, namespace
+from eagor._arrays import Array, constant, namespace, table_like
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.sphere import FORWARD
@@ -40,7 +40,7 @@ def peak_on_grid(grid: ErpGrid, values: Array) -> Array:
         top = float(flat[best])
         rounding = FLAT * max(1.0, abs(top))
         if top - float(flat[0]) <= rounding and top - float(flat.min()) <= rounding:
-            return forward_vector()
+            return np.array(FORWARD)
         return refine(grid, flat, best)[0]
     xp = namespace(values)
     flat = xp.reshape(values, (*values.shape[:-2], -1))
@@ -65,9 +65,7 @@ def peak_on_grid(grid: ErpGrid, values: Array) -> Array:
     moved = moved / xp.sqrt(xp.sum(moved * moved, axis=-1, keepdims=True))
     top = xp.max(flat, axis=-1)
     flatland = top - xp.min(flat, axis=-1) <= FLAT * xp.clip(xp.abs(top), 1.0, math.inf)
-    forward = xp.zeros_like(moved)
-    forward = forward + constant(forward_vector, like=values)
-    return xp.where(flatland[..., None], forward, moved)
+    return xp.where(flatland[..., None], table_like(np.array(FORWARD), values), moved)
 
 
 def derivatives(grid: ErpGrid, values: Array) -> tuple[Array, Array, Array, Array, Array]:
@@ -82,11 +80,6 @@ def derivatives(grid: ErpGrid, values: Array) -> tuple[Array, Array, Array, Arra
 
 def _dot(a: Array, b: Array) -> Array:
     return namespace(a).sum(a * b, axis=-1)
-
-
-def forward_vector() -> np.ndarray:
-    """The direction ``(3,)`` of a constant field."""
-    return np.array(FORWARD)
 
 
 def refine(grid: ErpGrid, flat: np.ndarray, best: int) -> tuple[np.ndarray, float]:

@@ -35,7 +35,7 @@ from eagor.grids import (
     forward_view,
     view_key,
 )
-from eagor.harmonics.legendre import degrees, evaluate, latitude_functions, longitude_table, orders
+from eagor.harmonics.legendre import coefficient_of, entry_of, evaluate, latitude_functions, longitude_table
 from eagor.harmonics.rotation import rotate
 from eagor.sphere import check_directions
 
@@ -57,7 +57,7 @@ def analyse(degree: int, values: Array, grid: Grid) -> Array:
     rings = xp.permute_dims(xp.reshape(rings, (-1, height, count, 2)), (2, 3, 1, 0))
     packed = _by_order(operator.matmul, degree, height, type(grid), rings)
     packed = xp.reshape(packed, (2 * count**2, -1))
-    return xp.reshape(xp.take(packed, constant(_place, degree, like=rings), axis=0).T, (*batch, count**2))
+    return xp.reshape(xp.take(packed, constant(entry_of, degree, like=rings), axis=0).T, (*batch, count**2))
 
 
 def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array) -> Array:
@@ -65,7 +65,7 @@ def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array
     xp, batch = namespace(coefficients), coefficients.shape[:-1]
     if isinstance(where, ErpGrid | PatchGrid | ErpWindow):
         whole, count = where.whole if isinstance(where, ErpWindow) else where, degree + 1
-        packed = xp.take(coefficients, constant(_coefficient, degree, like=coefficients), axis=-1)
+        packed = xp.take(coefficients, constant(coefficient_of, degree, like=coefficients), axis=-1)
         packed = xp.permute_dims(xp.reshape(packed, (-1, count, 2, count)), (1, 2, 0, 3))
         over_columns = constant(_longitude_values, degree, whole.width, like=coefficients)
         rows = slice(None)
@@ -139,21 +139,6 @@ def _latitude_plan(degree: int, height: int, over: type | None, first: int, last
     area = half_row * weights * np.cos(latitudes)
     table = latitude_functions(degree, np.sin(latitudes).ravel(), first, last)
     return np.einsum("lmhc,hc->mlh", table.reshape(*table.shape[:2], *area.shape), area)[:, None]
-
-
-@lru_cache(maxsize=64)
-def _place(degree: int) -> np.ndarray:
-    """The index of each coefficient in a flattened table (m >= 0, cosine or sine, l)."""
-    m = orders(degree)
-    return (2 * np.abs(m) + (m < 0)) * (degree + 1) + degrees(degree)
-
-
-@lru_cache(maxsize=64)
-def _coefficient(degree: int) -> np.ndarray:
-    """For each entry of that table, its coefficient; an arbitrary one (the first) where there is none."""
-    found = np.zeros(2 * (degree + 1) ** 2, dtype=np.intp)
-    found[_place(degree)] = np.arange((degree + 1) ** 2)
-    return found
 
 
 def _analyse_view(degree: int, values: Array, grid: Grid) -> Array:

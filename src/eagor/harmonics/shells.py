@@ -18,8 +18,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from eagor._arrays import Array, constant, namespace, table_like
-from eagor.harmonics.legendre import latitude_functions
+from eagor._arrays import Array, constant, frozen, namespace, table_like
+from eagor.harmonics.legendre import coefficient_of, entry_of, latitude_functions
 from eagor.harmonics.rotation import rotate
 
 _DIGITS = 9  # of a step in metres, so that steps of equal length share their tables despite rounding
@@ -45,7 +45,7 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     points = count * nodes
     table, where, weights = (table_like(part, shells) for part in _warp(degree, tuple(ranges.tolist()), distance))
     batch = tuple(shells.shape[:-2])
-    packed = xp.take(shells, constant(_by_order, degree, like=shells), axis=-1)
+    packed = xp.take(shells, constant(coefficient_of, degree, like=shells), axis=-1)
     packed = xp.reshape(packed, (*batch, count, degree + 1, 2, degree + 1))
     packed = xp.permute_dims(
         packed, (*range(len(batch)), -3 + packed.ndim, -1 + packed.ndim, -4 + packed.ndim, -2 + packed.ndim)
@@ -61,7 +61,7 @@ def _along_pole(degree: int, shells: Array, ranges: np.ndarray, distance: float)
     found = xp.reshape(found, (*batch, degree + 1, count, 2, degree + 1))
     found = xp.permute_dims(found, (*range(len(batch)), len(batch) + 1, len(batch), len(batch) + 2, len(batch) + 3))
     found = xp.reshape(found, (*batch, count, -1))
-    return xp.take(found, constant(_from_order, degree, like=shells), axis=-1)
+    return xp.take(found, constant(entry_of, degree, like=shells), axis=-1)
 
 
 @lru_cache(maxsize=8)  # a robot's steps are often of equal length
@@ -75,14 +75,9 @@ def _warp(degree: int, ranges: tuple[float, ...], distance: float) -> tuple[np.n
     before = np.sqrt(radius**2 + distance**2 + 2 * radius * distance * z)
     sines = ((radius * z + distance) / before).ravel()
     nearest, weights = _cubic(np.interp(np.log(before).ravel(), np.log(ranges), np.arange(count)), count)
-    found = (
-        latitude_functions(degree, sines).transpose(1, 2, 0),
-        (np.arange(sines.size) * count + nearest).ravel(),
-        np.repeat(weights, 2, axis=1),
-    )
-    for part in found:
-        part.setflags(write=False)
-    return found
+    seen = latitude_functions(degree, sines).transpose(1, 2, 0)
+    where = (np.arange(sines.size) * count + nearest).ravel()
+    return frozen(seen), frozen(where), frozen(np.repeat(weights, 2, axis=1))
 
 
 def _cubic(position: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -113,23 +108,6 @@ def _gauss_plan(degree: int) -> np.ndarray:
     table[0] *= 2 * math.pi
     table[1:] *= math.pi
     return table.transpose(0, 2, 1)
-
-
-def _by_order(degree: int) -> np.ndarray:
-    """Coefficient of each (m, cosine or sine, l); an arbitrary one where l < m, since the tables are zero there."""
-    l, m = np.arange(degree + 1), np.arange(degree + 1)[:, None]
-    cosine = np.where(l >= m, l * l + l + m, 0)
-    sine = np.where((l >= m) & (m > 0), l * l + l - m, 0)
-    return np.stack([cosine, sine], axis=1).ravel()
-
-
-def _from_order(degree: int) -> np.ndarray:
-    """Index of each coefficient in the (m, cosine or sine, l) table."""
-    place = np.zeros((degree + 1) ** 2, dtype=np.intp)
-    for l in range(degree + 1):
-        for m in range(-l, l + 1):
-            place[l * l + l + m] = (abs(m) * 2 + (m < 0)) * (degree + 1) + l
-    return place
 
 
 def _to_pole(axis: np.ndarray) -> np.ndarray:

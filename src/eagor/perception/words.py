@@ -15,8 +15,9 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
+from msgspec import toml
+
 from eagor._extras import how_to_install
-from eagor._toml import tomllib
 from eagor.errors import QueryError
 from eagor.evidence import Evidence
 from eagor.perception.colour import COLOURS as SHADES
@@ -28,7 +29,7 @@ __all__ = [
     "same_name", "singular",
 ]  # fmt: skip
 
-_TABLES = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+_TABLES = toml.decode(Path(__file__).with_name("words.toml").read_bytes())
 
 
 def _names(text: str) -> tuple[str, ...]:

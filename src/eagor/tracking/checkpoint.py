@@ -1,18 +1,15 @@
-"""Saving dataclasses with arrays to a file, without pickle: loading a file never runs code.
+"""Saving dataclasses with arrays to a file of NumPy (npz), without pickle: loading a file never runs code.
 
-A file has three parts: a line of JSON with kind, version, length and digest; a line of JSON with the structure, in
-which arrays and dataclasses are numbers; and the bytes of the arrays. Only dataclasses of the packages named here can
-be saved. Loading calls their constructors, which check the fields, and sets their `given` values. An object in two
-places is saved once.
+One entry is JSON, in which {"tuple": [...]} stands for a tuple and {"array": 3} for the entry arr_3, the fourth array.
+Only dataclasses of the packages named here can be saved. Loading calls their constructors, which check the fields, and
+sets their `given` values. An object in two places is saved once.
 """
 
 from __future__ import annotations
 
-import hashlib
+import io
 import json
-import math
-import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -21,161 +18,99 @@ from typing import Any
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._files import open_regular, written
+from eagor._files import read_file, written
 from eagor._values import state_of
 from eagor.errors import FormatError
 
-VERSION = 7
-FORMAT = "eagor tracker"
-LONGEST = 1000  # bytes of the first line
-# Only dataclasses of these, and of their modules, may be in a file.
-PACKAGES = ("eagor.belief", "eagor.evidence", "eagor.cameras", "eagor.grids", "eagor.tracking")
+STRUCTURE = "eagor 8"  # the name of that entry, a new one when the same names mean something else
+PACKAGES = ("eagor.belief.", "eagor.evidence.", "eagor.cameras.", "eagor.grids.", "eagor.tracking.")
 
 
 def packed(value: Any) -> bytes:
     """`value` as bytes, exactly; `unpacked` gives it back. Raises `FormatError` for what cannot be saved."""
-    writer = _Writer()
-    found = writer.put(value)
-    kinds = [{"dtype": array.dtype.str, "shape": array.shape} for array in writer.arrays]
-    text = json.dumps({"arrays": kinds, "nodes": writer.nodes, "state": found}, separators=(",", ":"))
-    return b"".join([text.encode(), b"\n", *(array.tobytes() for array in writer.arrays)])
+    arrays: list[np.ndarray] = []
+    places: dict[int, dict[str, int]] = {}  # of dataclasses and arrays
+
+    def put(each: Any) -> Any:
+        each = each.item() if isinstance(each, np.generic) else each
+        if each is None or isinstance(each, bool | int | float | str):
+            return each
+        if isinstance(each, list):
+            return [put(one) for one in each]
+        if isinstance(each, tuple):
+            return {"tuple": put([*each])}
+        if isinstance(each, Mapping):
+            return {"dict": put([[*item] for item in each.items()])}
+        if isinstance(each, bytes):
+            return {"bytes": each.hex()}
+        if id(each) in places:
+            return places[id(each)]
+        kind = type(each)
+        if is_dataclass(each) and f"{kind.__module__}.".startswith(PACKAGES):
+            names = [field.name for field in fields(each)]
+            values = state_of(each) if hasattr(each, "__dict__") else {name: getattr(each, name) for name in names}
+            new = {"new": [kind.__module__, kind.__qualname__, put(values)]}
+            places[id(each)] = {"made": len(places) - len(arrays)}
+            return new
+        array = to_numpy(each) if hasattr(each, "shape") else np.array(None)
+        if array.dtype.kind not in "biufc":
+            raise FormatError(f"a {kind.__module__}.{kind.__qualname__} cannot be saved; wanted numbers, text, arrays")
+        places[id(each)] = {"array": len(arrays)}
+        arrays.append(array)
+        return places[id(each)]
+
+    structure = np.frombuffer(json.dumps(put(value)).encode(), np.uint8)
+    file = io.BytesIO()
+    np.savez(file, *arrays, **{STRUCTURE: structure})  # type: ignore[arg-type]
+    return file.getvalue()
 
 
 def unpacked(content: bytes) -> Any:
     """The value that `packed` turned into bytes; no code in them is run. Raises `FormatError`."""
-    text, _, data = content.partition(b"\n")
+    made: list[Any] = []
+
+    def get(found: dict[str, Any]) -> Any:
+        ((kind, inner),) = found.items()
+        if kind != "new":
+            return kinds[kind](inner)
+        made.append(_made(*inner))
+        return made[-1]
+
     try:
-        return _Reader(json.loads(text), data).state
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, ImportError, RecursionError) as error:
+        if not content.startswith(b"PK"):
+            raise ValueError("they are no npz file")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = [file[f"arr_{number}"] for number in range(len(file.files) - 1)]
+            kinds: dict[str, Callable[[Any], Any]] = {"tuple": tuple, "dict": dict, "bytes": bytes.fromhex}
+            kinds |= {"array": arrays.__getitem__, "made": made.__getitem__}
+            return json.loads(file[STRUCTURE].tobytes(), object_hook=get)
+    except Exception as error:  # of zipfile, zlib, NumPy or JSON, or of a constructor
         raise FormatError(f"these bytes were packed by another version of eagor, or are damaged: {error}") from error
+
+
+def _made(module: str, name: str, values: dict[str, Any]) -> Any:
+    kind: Any = getattr(import_module(module), name) if f"{module}.".startswith(PACKAGES) else None
+    made = kind(**{each.name: values.pop(each.name) for each in fields(kind)})  # an error for all but dataclasses
+    if not all(hasattr(kind, key) for key in values):
+        raise ValueError(f"{module}.{name} has other fields")
+    if values:
+        made.__dict__.update(values)
+    return made
 
 
 def save(path: Path, state: Any) -> Path:
     """Write `state` to `path`, whole or not at all. Raises `FormatError` for what cannot be saved, `StorageError`."""
-    body = packed(state)
-    head = {"format": FORMAT, "version": VERSION, "bytes": len(body), "sha256": hashlib.sha256(body).hexdigest()}
-    return written(path, json.dumps(head).encode() + b"\n" + body)
+    return written(path, packed(state))
 
 
 def load(path: Path) -> Any:
     """What `save` wrote to `path`. Raises `FormatError` for any other file, one of another version, or a torn one."""
     try:
-        with os.fdopen(open_regular(path), "rb") as file:
-            first = file.readline(LONGEST)
-            body = file.read() if first.startswith(b"{") else b""
+        return unpacked(read_file(path))
     except OSError as error:
-        raise FormatError(
-            f"{path} cannot be read ({error.strerror or error}); wanted a file of tracker.save"
-        ) from error
-    try:
-        head = json.loads(first)
-        known = head["format"] == FORMAT
-        version = head["version"]
-    except (ValueError, TypeError, KeyError, RecursionError):
-        head, known, version = {}, False, None
-    if not known:
-        raise FormatError(f"{path} is not a saved tracker; wanted a file of tracker.save")
-    if version != VERSION:
-        raise FormatError(f"{path} is of version {version!r}; wanted {VERSION}: load it with the eagor that saved it")
-    if head.get("bytes") != len(body) or head.get("sha256") != hashlib.sha256(body).hexdigest():
-        raise FormatError(f"{path} is damaged: {len(body)} bytes, not the ones that were saved. Save it again")
-    try:
-        return unpacked(body)
+        raise FormatError(f"{path} cannot be read ({error.strerror}); wanted a file of tracker.save") from error
     except FormatError as error:
-        why = error.__cause__
-        raise FormatError(f"{path} was saved by another version of eagor: {why}. Load it with that one") from error
-
-
-def _is_ours(module: str) -> bool:
-    return any(f"{module}.".startswith(f"{package}.") for package in PACKAGES)
-
-
-class _Writer:
-    """Turns values into JSON, arrays and dataclasses into places in lists."""
-
-    def __init__(self) -> None:
-        self.arrays: list[np.ndarray] = []
-        self.nodes: list[list[Any]] = []
-        self._places: dict[int, list[Any]] = {}
-
-    def put(self, value: Any) -> Any:
-        """`value` as JSON: itself, or its kind and content."""
-        if isinstance(value, np.generic):
-            value = value.item()
-        if value is None or isinstance(value, bool | int | float | str):
-            return value
-        if isinstance(value, bytes):
-            return ["bytes", value.hex()]
-        if isinstance(value, tuple | list):
-            return ["tuple" if isinstance(value, tuple) else "list", [self.put(each) for each in value]]
-        if isinstance(value, Mapping):
-            return ["dict", [[self.put(key), self.put(each)] for key, each in value.items()]]
-        if id(value) not in self._places:
-            self._places[id(value)] = self._added(value)
-        return self._places[id(value)]
-
-    def _added(self, value: Any) -> list[Any]:
-        kind = type(value)
-        if is_dataclass(value) and _is_ours(kind.__module__):
-            found = {each.name: getattr(value, each.name) for each in fields(value)}
-            found |= state_of(value) if hasattr(value, "__dict__") else {}
-            self.nodes.append(
-                [kind.__module__, kind.__qualname__, {key: self.put(each) for key, each in found.items()}]
-            )
-            return ["node", len(self.nodes) - 1]
-        array = to_numpy(value) if hasattr(value, "shape") else np.empty(0, dtype=object)
-        if array.dtype.kind not in "biufc":
-            raise FormatError(
-                f"a {kind.__module__}.{kind.__qualname__} cannot be saved; wanted numbers, text or arrays"
-            )
-        self.arrays.append(array)
-        return ["array", len(self.arrays) - 1]
-
-
-class _Reader:
-    """Turns the JSON back into values."""
-
-    def __init__(self, found: dict[str, Any], data: bytes) -> None:
-        self.arrays: list[np.ndarray] = []
-        start = 0
-        for each in found["arrays"]:
-            dtype, shape = np.dtype(each["dtype"]), tuple(each["shape"])
-            if dtype.kind not in "biufc":
-                raise ValueError(f"an array of {dtype}")
-            count = math.prod(shape)
-            self.arrays.append(np.frombuffer(data, dtype, count, start).reshape(shape).copy())
-            start += count * dtype.itemsize
-        self.nodes: list[Any] = []
-        for module, name, values in found["nodes"]:
-            self.nodes.append(self._made(module, name, {key: self.get(each) for key, each in values.items()}))
-        self.state = self.get(found["state"])
-
-    def get(self, value: Any) -> Any:
-        """The value that the JSON `value` stands for."""
-        if not isinstance(value, list):
-            return value
-        kind, inner = value
-        if kind in ("array", "node"):
-            return (self.arrays if kind == "array" else self.nodes)[inner]
-        if kind == "bytes":
-            return bytes.fromhex(inner)
-        if kind == "dict":
-            return {self.get(key): self.get(each) for key, each in inner}
-        found = [self.get(each) for each in inner]
-        return tuple(found) if kind == "tuple" else found
-
-    @staticmethod
-    def _made(module: str, name: str, values: dict[str, Any]) -> Any:
-        if not _is_ours(module):
-            raise ValueError(f"{module} is not saved")
-        kind = getattr(import_module(module), name)
-        if not is_dataclass(kind) or not isinstance(kind, type):
-            raise ValueError(f"{module}.{name} is not saved")
-        names = {each.name for each in fields(kind)}
-        more = {key: values.pop(key) for key in [*values] if key not in names}
-        if names != values.keys() or not all(hasattr(kind, key) for key in more):
-            raise ValueError(f"{module}.{name} has other fields")
-        made = kind(**values)
-        if more:
-            made.__dict__.update(more)
-        return made
+        raise FormatError(
+            f"{path} is not a whole tracker of this version of eagor ({error.__cause__}); wanted a file of "
+            "tracker.save. Load it with the version that saved it, or save it again"
+        ) from error

@@ -12,6 +12,7 @@ import fcntl
 import json
 import math
 import os
+import stat
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +23,7 @@ import numpy as np
 
 import eagor
 from eagor._checks import parsed
-from eagor._files import append_all, open_regular, redacted, written
+from eagor._files import append_all, redacted, written
 from eagor.errors import EagorError, FormatError, StorageError
 
 RUN, RECORDS = "run.json", "records.jsonl"
@@ -57,7 +58,7 @@ class Log:
         self.folder, self.path, self._file = Path(folder), Path(folder) / RECORDS, -1
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._file = open_regular(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
+            self._file = _regular(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
             try:
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -210,10 +211,26 @@ def as_plain(value: Any, place: str) -> Any:
     )
 
 
+def _regular(path: Path, flags: int = os.O_RDONLY) -> int:
+    """A descriptor of the regular file at `path`, without following links. Raises `OSError` for anything else."""
+    careful = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    refused = OSError(errno.EINVAL, f"{path.name} is a link, a pipe, a device or a folder; wanted a regular file")
+    try:
+        file = os.open(path, flags | careful, 0o644)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENXIO, errno.EISDIR):
+            raise refused from error
+        raise
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise refused
+    return file
+
+
 def _content(path: Path, advice: str) -> bytes | None:
     """All of a file of a run, None where there is none. Raises `FormatError` where it cannot be read."""
     try:
-        with open(open_regular(path), "rb") as file:
+        with open(_regular(path), "rb") as file:
             return file.read()
     except FileNotFoundError:
         return None

@@ -9,13 +9,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from eagor._toml import tomllib
+from msgspec import toml
+
 from eagor.lab.eval import episodes
 from eagor.lab.eval.page import NOTHING, Cell, Row, Table, cell, number, span
 from eagor.lab.eval.results import OURS, Result, Run, Summary, is_rival, is_variant
 from eagor.lab.tasks.task import Metric, Task, finished
 
-_PRINTED = tomllib.loads(files("eagor.lab.eval").joinpath("published.toml").read_text(encoding="utf-8"))
+_PRINTED = toml.decode(files("eagor.lab.eval").joinpath("published.toml").read_bytes())
 PUBLISHED: dict[str, dict[str, dict[str, float]]] = {
     task: {name: dict(zip(rows["columns"], row, strict=False)) for name, row in rows.items() if name != "columns"}
     for task, rows in _PRINTED["figures"].items()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 
-from eagor._extras import EXTRAS, how_to_install, is_older, need
+from eagor._extras import extras, how_to_install, is_older, need
 from eagor.errors import EagorError
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
@@ -182,7 +182,7 @@ def read_config(name: str, revision: str | None = None) -> Any:
     need(name, "vlm", "torch", "transformers")
     import transformers
 
-    if is_older(transformers.__version__, least := EXTRAS["vlm"]["transformers"]):
+    if is_older(transformers.__version__, least := extras().get("vlm", {}).get("transformers", "0")):
         raise EagorError(
             f"{name} needs transformers {least} or newer; this is {transformers.__version__}: {how_to_install('vlm')}"
         )
