@@ -10,9 +10,8 @@ from onnx_files import onnx_file, seeing_file
 
 from eagor.errors import EagorError, FormatError, ImageError, ResponseError
 from eagor.perception import load
-from eagor.perception.onnx import LAYOUTS, OnnxDetector, from_text
+from eagor.perception.onnx import LAYOUTS, Network, OnnxDetector, from_text
 from eagor.perception.onnx.layouts import names_of
-from eagor.perception.onnx.network import Network
 from eagor.perception.views import Detector
 
 SIDE = 64
