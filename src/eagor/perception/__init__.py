@@ -296,9 +296,8 @@ def check_perception(
     need(finite, "gives evidence that is not finite", "finite log ratios: make it with Evidence.from_response")
     again = perception(panorama, query, stamp=stamp).grid
     came = f"answers on a {type(grid).__name__} of {grid.shape}, then on a {type(again).__name__} of {again.shape}"
-    need(
-        (type(grid), grid.shape) == (type(again), again.shape), came, "the same: a call must not change the perception"
-    )
+    same = (type(grid), grid.shape) == (type(again), again.shape)
+    need(same, came, "the same grid: a call must not change the perception")
     if roll is None:
         return
     columns, rest = divmod(roll * response.shape[1], panorama.shape[1])
