@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from eagor._checks import whole, within
+from eagor._checks import checked_picture, whole, within
 from eagor._extras import need
-from eagor.errors import EagorError, ImageError, ResponseError
+from eagor.errors import EagorError, ResponseError
 from eagor.evidence.shapes import are_fractions
 from eagor.perception.onnx.layouts import LAYOUTS, Labels, choose_layout, literal, names_of
 
@@ -127,9 +127,7 @@ class OnnxDetector:
         Raises `ImageError` for what is no such picture, `ResponseError` for an answer that no network of this layout
         gives: numbers that are not finite, scores outside [0, 1], corners in the wrong order, boxes far outside.
         """
-        picture = np.asarray(picture)
-        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or not picture.size:
-            raise ImageError(f"the picture is {picture.dtype} of shape {picture.shape}; wanted uint8 RGB (h, w, 3)")
+        picture = checked_picture(picture, "the picture")
         canvas, scale, offset = letterbox(picture, self.size, self.fit)
         outputs = self._network.run(canvas, self.values, self.order)
         boxes, scores, classes = self._detections([outputs[name] for name in self._outputs])

@@ -180,11 +180,8 @@ def plan_panorama(panorama: np.ndarray, size: tuple[int, int], cells: tuple[int,
         return InferencePlan((Crop(picture, grid),), grid, lambda maps: maps[0])
     roll = shift / grid.cols
     rolled = Crop(np.roll(picture, shift * (size[1] // grid.cols), axis=1), grid, roll)
-
-    def combine(maps: Sequence[np.ndarray]) -> np.ndarray:
-        return merge_seam(maps[0], np.roll(maps[1], -shift, axis=-1), roll)
-
-    return InferencePlan((Crop(picture, grid), rolled), grid, combine)
+    return InferencePlan((Crop(picture, grid), rolled), grid,
+                         lambda maps: merge_seam(maps[0], np.roll(maps[1], -shift, axis=-1), roll))  # fmt: skip
 
 
 def plan_views(panorama: np.ndarray, side: int, rows: int) -> InferencePlan:
