@@ -247,7 +247,7 @@ def test_only_our_errors_escape_from_any_answer(text):
 
 
 def test_deep_and_long_answers_take_no_forever():
-    for text in ("[" * 50_000, "{'a':" * 20_000, "[1," * 20_000, '"' * 50_000, "((1,2)" * 5000):
+    for text in ("[" * 50_000, "{'a':" * 20_000, "[1," * 20_000, '"' * 50_000, "((1,2)" * 5000, "1" * 90_000 + "px"):
         with pytest.raises(AnswerError):
             parse_boxes(text, "thousand", SIZE)
 

@@ -43,12 +43,13 @@ _ANSWER = re.compile(
 )
 _LONGEST = 200_000  # characters of an answer: thousands of boxes
 _MOST_THOUGHTS = 1_000_000  # characters, with the answer
+_LONGEST_ENTRY = 1000  # characters behind a box in which its score is looked for
 _LEAST = 1e-6  # of the image's sides: anything smaller has no area
 _POINT = 0.01  # of the image's sides: half of what a point without a size stands for
 _PAST = 1.1  # coordinates beyond this many image sides are in another frame, not just inaccurate
 
 # Numbers; lists of two to five; what is between two corners; what comes before and around them.
-_N = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?:\s?%)?"
+_N = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?(?:\s?%)?"
 _SEP = r"(?:\s*,\s*|\s+)"
 _NUMBER = re.compile(_N)
 _LIST = re.compile(rf"[\[(;]\s*({_N}(?:{_SEP}{_N}){{1,4}})(?=\s*,?\s*([\]);]|,\Z))")
@@ -255,8 +256,8 @@ def _entry(text: str, start: int, stop: int, end: int) -> tuple[tuple[int, int],
     entry = start if entry < text.rfind("}", end, start) or entry < 0 else entry
     before = text[end:entry]
     decided = entry - len(before[len(before.rstrip(" \t\r\n,[({")) :].lstrip()), entry + 1
-    close = text.find("}", stop)
-    for part in (text[max(entry, end) : start], text[stop : close if close >= 0 else len(text)]):
+    close = text.find("}", stop, stop + _LONGEST_ENTRY)
+    for part in (text[max(entry, end) : start], text[stop : close if close >= 0 else stop + _LONGEST_ENTRY]):
         if written := _SCORE.search(part):
             score = float(written[1].rstrip("% "))
             return decided, None if not 0 <= score <= 100 else score if score <= 1 else score / 100
