@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from eagor.perception.vlm.projection import merge_seam
+from eagor.perception.vlm.perception import merge_seam
 
 
 def seamless(respond: Callable[[np.ndarray], np.ndarray], panorama: np.ndarray, cells: int) -> np.ndarray:

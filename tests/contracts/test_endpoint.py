@@ -107,7 +107,7 @@ def test_pictures_have_the_exact_size_and_orientation(server, family):
     shifts = [shift for shift in range(width) if np.array_equal(np.roll(straight[top], shift, axis=0), rolled[top])]
     (shift,) = shifts
     np.testing.assert_array_equal(np.roll(straight, shift, axis=1), rolled)
-    cell = asking(server, FAMILIES[family]).model.style.cell
+    cell = asking(server, FAMILIES[family]).family.cell
     assert shift % cell == 0
     assert abs(shift - width / 2) <= cell / 2
 

@@ -10,9 +10,8 @@ from onnx_files import onnx_file, seeing_file
 
 from eagor.errors import EagorError, FormatError, ImageError, ResponseError
 from eagor.perception import load
-from eagor.perception.onnx import LAYOUTS, OnnxDetector, from_text
+from eagor.perception.onnx import LAYOUTS, Network, OnnxDetector, from_text
 from eagor.perception.onnx.layouts import names_of
-from eagor.perception.onnx.network import Network
 from eagor.perception.views import Detector
 
 SIDE = 64
@@ -398,7 +397,7 @@ def test_options_that_make_no_sense(options, tmp_path):
 @pytest.mark.parametrize("picture", [np.zeros((64, 64)), SQUARE[..., 0], SQUARE.astype(float), SQUARE[:0]])
 def test_pictures_that_are_none(picture, tmp_path):
     detect = OnnxDetector(onnx_file(tmp_path / "d.onnx", yolov8()), THREE, layout="yolov8")
-    with pytest.raises(ImageError, match=r"wanted uint8 RGB \(h, w, 3\)"):
+    with pytest.raises(ImageError, match=r"wanted uint8 sRGB \(H, W, 3\)"):
         detect(picture, "chair")
 
 

@@ -1,6 +1,5 @@
 """Every perception keeps the contract; what people write wrong is refused with a text that helps."""
 
-import contextlib
 import io
 import json
 import math
@@ -9,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from eagor import plugins
 from eagor.cli import main
@@ -197,15 +194,6 @@ def test_load_lists_what_it_knows(spec):
         load(spec)
 
 
-def test_load_refuses_arguments_that_do_not_fit():
-    with pytest.raises(EagorError, match="calibration"):
-        load("colour:red")
-    with pytest.raises(EagorError, match="path"):
-        load("replay")
-    with pytest.raises(EagorError, match="shade"):
-        load("colour", shade=3)
-
-
 # --- colour ----------------------------------------------------------------------------------------------------------
 
 
@@ -253,7 +241,6 @@ def test_a_ball_of_each_colour_is_found_and_no_other(name):
 def test_colour_words_mean_what_people_mean(query, rgb):
     plain = np.full((4, 8, 3), rgb, dtype=np.uint8)
     assert ColourPerception().respond(plain, query).min() > 0.8
-    assert ColourPerception().respond(plain / 255.0, query).min() > 0.8
 
 
 @pytest.mark.parametrize(
@@ -318,9 +305,7 @@ def test_every_colour_word_is_understood():
         np.zeros((8, 16, 4), np.uint8),
         np.zeros((0, 16, 3), np.uint8),
         np.zeros((8, 16, 3), np.int32),
-        np.full((8, 16, 3), 1.5),
-        np.full((8, 16, 3), np.nan),
-        np.full((8, 16, 3), -0.1),
+        np.full((8, 16, 3), 0.5),
         None,
     ],
 )
@@ -504,22 +489,6 @@ def test_a_query_that_the_file_is_not_about(tmp_path):
     assert ReplayPerception(path)(None, "The  red chair", stamp=0).stamp == 0
 
 
-@pytest.mark.parametrize(
-    ("label", "query", "counts"),
-    [
-        ("chair", "the red chair", True),
-        ("Red Chair", "the red chair", True),
-        ("armchair", "the red chair", False),
-        ("red sofa", "the red chair", False),
-        ("chair", "Chair!", True),
-        (None, "the red chair", True),
-    ],
-)
-def test_labels_are_matched_by_their_words(label, query, counts):
-    line = json.dumps({"stamp": 0, "image": PANORAMA, "boxes": [{"box": [500, 250, 520, 260], "label": label}]})
-    assert (np.asarray(parse_record(line).evidence(query).response).max() > 0.5) == counts
-
-
 def test_labels_do_not_matter_where_the_line_has_a_query():
     line = json.dumps(
         {"stamp": 0, "query": "seat", "points": [{"azimuth_deg": 0, "elevation_deg": 0, "label": "chair"}]}
@@ -638,14 +607,6 @@ def test_a_torn_last_line_is_told_apart(tmp_path):
     assert len(read_records(path)) == 2
 
 
-@pytest.mark.parametrize("content", [b"", b"\n \n", b"\xff\xfe{}", b"\x00", b"\x89PNG\r\n\x1a\n"])
-def test_a_file_of_another_kind_is_a_format_error(tmp_path, content):
-    path = tmp_path / "other.jsonl"
-    path.write_bytes(content)
-    with pytest.raises(FormatError, match=r"other\.jsonl"):
-        read_records(path)
-
-
 def test_a_missing_file_and_a_bad_tolerance(tmp_path, replay_file):
     for path in (tmp_path / "no.jsonl", tmp_path, "a\0b"):
         with pytest.raises(FormatError, match="cannot be read"):
@@ -681,70 +642,6 @@ def test_writing_checks_first():
     assert file.getvalue() == ""
     write_record(file, np.float64(1), query="chair", points=[{"azimuth_deg": np.float32(10), "elevation_deg": 0}])
     assert parse_record(file.getvalue()).values == pytest.approx(np.radians([[10, 0, np.nan]]), nan_ok=True)
-
-
-SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
-JSON = st.recursive(
-    SCALARS,
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
-    max_leaves=8,
-)
-COORDINATES = st.lists(st.integers(-50, 1100) | st.floats(-50, 1100), min_size=4, max_size=4)
-ITEM = st.fixed_dictionaries(
-    {},
-    optional={
-        "box": COORDINATES | JSON,
-        "azimuth_deg": st.floats(-400, 400) | JSON,
-        "elevation_deg": st.floats(-95, 95) | JSON,
-        "spread_deg": st.floats(0, 200) | JSON,
-        "score": st.floats(-0.1, 1.1) | JSON,
-        "label": st.text(max_size=6) | JSON,
-    },
-)
-IMAGE = st.fixed_dictionaries(
-    {},
-    optional={
-        "width": st.integers(0, 2000) | JSON,
-        "height": st.integers(0, 2000) | JSON,
-        "projection": st.sampled_from(["equirectangular", "perspective"]) | JSON,
-        "hfov_deg": st.floats(0, 180) | JSON,
-        "yaw_left_deg": st.floats(-400, 400) | JSON,
-        "pitch_up_deg": st.floats(-100, 100) | JSON,
-    },
-)
-VALUES = st.lists(st.floats(0, 1) | st.floats(), min_size=1, max_size=6)
-RESPONSE = VALUES.map(lambda v: {"rows": 1, "cols": len(v), "values": v}) | JSON
-ENTRY = st.fixed_dictionaries(
-    {"stamp": st.floats(-10, 10) | JSON},
-    optional={
-        "query": st.text(max_size=8) | JSON,
-        "image": IMAGE | JSON,
-        "boxes": st.lists(ITEM, max_size=3) | JSON,
-        "points": st.lists(ITEM, max_size=3) | JSON,
-        "response": RESPONSE,
-    },
-)
-
-
-@given(ENTRY)
-@settings(max_examples=400, deadline=None)
-def test_only_our_errors_escape_from_any_entry(entry):
-    try:
-        record = parse_record(json.dumps(entry))
-        evidence = record.evidence("the red chair")
-    except EagorError:
-        return
-    assert np.isfinite(np.asarray(evidence.log_ratio)).all()
-
-
-@given(st.binary(max_size=60) | st.text(max_size=60).map(str.encode), st.integers(0, 200))
-@settings(max_examples=200, deadline=None)
-def test_only_our_errors_escape_from_any_bytes(junk, place):
-    good = line().encode()
-    with pytest.raises(FormatError):  # junk as a line is no record
-        parse_record(junk)
-    with contextlib.suppress(EagorError):
-        parse_record(good[:place] + junk + good[place:])
 
 
 def test_a_box_around_everything_names_no_direction():

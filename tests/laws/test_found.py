@@ -13,8 +13,7 @@ from eagor.evidence.shapes import moments_of
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.things import blobs
 from eagor.perception.vlm.answers import Box
-from eagor.perception.vlm.perception import ModelPerception
-from eagor.perception.vlm.projection import Crop, InferencePlan, box_detections, fuse_detections
+from eagor.perception.vlm.perception import Crop, InferencePlan, ModelPerception, box_detections, fuse_detections
 from eagor.sphere import angular_distance, direction, world_R_body
 
 WHOLE = PatchGrid(18, 36)

@@ -171,7 +171,7 @@ def test_a_mask_from_a_file(tmp_path):
         (np.full((64, 64), 255), "is 64 x 64; wanted a panorama twice as wide as high"),
         (np.zeros((64, 128)), "black everywhere"),
         (np.tile(np.arange(128) * 2, (64, 1)), "is grey in .* % of its pixels; wanted black and white"),
-        (None, "cannot be read"),
+        (None, "there is no file"),
     ],
 )
 def test_what_is_no_mask_is_refused(tmp_path, picture, says):

@@ -53,7 +53,7 @@ from eagor.odometry.axes import AXES, settled  # noqa: E402
 from eagor.odometry.files import interpolated, pair, read_poses, usable  # noqa: E402
 from eagor.perception.endpoint import EndpointPerception  # noqa: E402
 from eagor.perception.vlm.answers import parse_boxes, parse_presence  # noqa: E402
-from eagor.perception.vlm.projection import box_detections  # noqa: E402
+from eagor.perception.vlm.perception import box_detections  # noqa: E402
 
 SECONDS, MEMORY = 5.0, 3 << 30  # of CPU for one input; bytes above what the samples take
 ODD = [b"0", b"-1", b"1", b"-0.0", b"0.5", b"360", b"1e308", b"-1e308", b"1e-320", b"1e400", b"nan", b"inf", b"-inf",

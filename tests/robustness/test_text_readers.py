@@ -35,14 +35,8 @@ RECORDS = [
     {"stamp": 3.5, "points": [{"azimuth_deg": 30, "elevation_deg": -5, "spread_deg": 4, "score": 0.9}]},
     {"stamp": 4, "response": {"rows": 2, "cols": 4, "values": [0, 0.1, 0.2, 0.3, 1, 0, 0, 0.5]}},
     {"stamp": 5, "image": VIEW | {"yaw_left_deg": 30, "pitch_up_deg": 10}, "points": []},
-    {
-        "stamp": 6,
-        "image": VIEW | {"roll_right_deg": 8},
-        "look": "a",
-        "scores": "logit",
-        "boxes": [{"box": [1, 1, 9, 9]}],
-    },
-    {"stamp": 6.1, "image": VIEW | {"qw": 1, "qx": 0, "qy": 0, "qz": 0}, "look": "a", "_note": 1, "boxes": []},
+    {"stamp": 6, "image": VIEW | {"roll_right_deg": 8}, "boxes": [{"box": [1, 1, 9, 9]}]},
+    {"stamp": 6.1, "image": VIEW | {"qw": 1, "qx": 0, "qy": 0, "qz": 0}, "_note": 1, "boxes": []},
 ]
 CALIBRATION = {
     "perception": "scout",

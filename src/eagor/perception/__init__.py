@@ -285,34 +285,26 @@ def check_perception(
     evidence = perception(panorama, query, stamp=stamp)
     need(isinstance(evidence, Evidence), f"returned {type(evidence).__name__}", "eagor.Evidence")
     need(np.array_equal(before, panorama), "changed the panorama", "it unchanged: work on a copy")
-    carries = f"was given stamp={stamp}, and its evidence carries {evidence.stamp}"
-    need(evidence.stamp == stamp, carries, "the same: pass stamp=stamp on to what makes the evidence")
-    response, shape = np.asarray(evidence.response), tuple(evidence.grid.shape)
-    gives = f"gives a response of shape {response.shape} on a grid of {shape}"
-    need(response.shape == shape, gives, "the grid that the response was computed on")
-    ends = f"gives responses from {response.min():g} to {response.max():g}"
-    need(((response >= 0) & (response <= 1)).all(), ends, "[0, 1]: logits want a sigmoid")
-    finite = bool(np.isfinite(np.asarray(evidence.log_ratio)).all())
-    need(
-        finite and bool(np.isfinite(evidence.coefficients(3)).all()),
-        "gives evidence that is not finite",
-        "finite log ratios: make it with Evidence.from_response",
-    )
-    again = perception(panorama, query, stamp=stamp)
-    first, second = (f"a {type(each.grid).__name__} of {tuple(each.grid.shape)}" for each in (evidence, again))
-    twice = f"answers on {first}, then for the same panorama on {second}"
-    need(first == second, twice, "the same grid: a call must not change the perception")
+    came = f"was given stamp={stamp}, and its evidence carries {evidence.stamp}"
+    need(evidence.stamp == stamp, came, "the same: pass stamp=stamp on to what makes the evidence")
+    response, grid = np.asarray(evidence.response), evidence.grid
+    came = f"gives a response of shape {response.shape} on a grid of {grid.shape}"
+    need(response.shape == tuple(grid.shape), came, "the grid that the response was computed on")
+    came = f"gives responses from {response.min():g} to {response.max():g}"
+    need(((response >= 0) & (response <= 1)).all(), came, "[0, 1]: logits want a sigmoid")
+    finite = np.isfinite(np.asarray(evidence.log_ratio)).all() and np.isfinite(evidence.coefficients(3)).all()
+    need(finite, "gives evidence that is not finite", "finite log ratios: make it with Evidence.from_response")
+    again = perception(panorama, query, stamp=stamp).grid
+    came = f"answers on a {type(grid).__name__} of {grid.shape}, then on a {type(again).__name__} of {again.shape}"
+    same = (type(grid), grid.shape) == (type(again), again.shape)
+    need(same, came, "the same grid: a call must not change the perception")
     if roll is None:
         return
     columns, rest = divmod(roll * response.shape[1], panorama.shape[1])
     need(not rest, f"answers with {response.shape[1]} columns, which roll={roll} shifts by a part", "another roll")
     rolled = np.asarray(perception(np.roll(panorama, roll, axis=1), query, stamp=stamp).response)
-    other = f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}"
-    need(rolled.shape == response.shape, other, "the same grid for every panorama of one size")
+    came = f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}"
+    need(rolled.shape == response.shape, came, "the same grid for every panorama of one size")
     worst = float(np.abs(rolled - np.roll(response, columns, axis=1)).max())
-    differs = (
-        f"answers a panorama rolled by {roll} columns with a response that differs from the rolled one by {worst:.3g}"
-    )
-    need(
-        worst <= tolerance, differs, f"at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out"
-    )
+    came = f"answers a panorama rolled by {roll} columns otherwise than the rolled answer by {worst:.3g}"
+    need(worst <= tolerance, came, f"at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out")

@@ -88,11 +88,8 @@ def from_json(stored: Any, source: str) -> Calibrated:
                 raise EagorError(f"{name} sets {shown(', '.join(unknown))}; known are {', '.join(keys)}")
         if isinstance(reading := parts.get("calibration"), dict) and (lacking := sorted({*READING} - reading.keys())):
             raise EagorError(f"calibration lacks {', '.join(lacking)}")
-        if isinstance(rates := parts.get("forgetting"), dict) and "wander" in rates:
-            wander = rates["wander"] if isinstance(rates["wander"], list | tuple) else [rates["wander"]]
-            parts["forgetting"] = rates = rates | {"wander": [] if list(wander) == [0] else wander}
         found = checked(parts if isinstance(stored, dict) else stored, Calibrated, "the file")
-        motion = checked(rates, MotionModel, "forgetting")
+        motion = checked(parts.get("forgetting"), MotionModel, "forgetting")
         if found.calibration is None and found.detector is None:
             raise EagorError("it has neither a calibration nor a detector")
     except EagorError as error:

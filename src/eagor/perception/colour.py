@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor._checks import require, warn_unless_whole, whole
 from eagor._srgb import to_linear
-from eagor.errors import ImageError, QueryError
+from eagor.errors import QueryError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
@@ -106,7 +106,7 @@ class ColourPerception:
         require(self, {"rows": (whole(self.rows, 1), "a whole number, 1 or more")})
 
     def __call__(self, panorama: np.ndarray, query: str, *, stamp: float | None = None) -> Evidence:
-        """Evidence for what `query` names in `panorama` ``(H, W, 3)``, uint8 or floating in [0, 1], sRGB.
+        """Evidence for what `query` names in `panorama` ``(H, W, 3)``, uint8, sRGB.
 
         Raises `QueryError` if the query names no known colour, `ImageError` if the panorama is not such an array.
         """
@@ -167,7 +167,7 @@ def is_colour(query: str) -> bool:
 
 
 def share_of(colour: Colour, picture: np.ndarray) -> float:
-    """How much of a picture ``(h, w, 3)``, uint8 or floating in [0, 1], has this colour: the mean likeness."""
+    """How much of a picture ``(h, w, 3)`` uint8 has this colour: the mean likeness."""
     return float(_likeness(_reduced(picture, *picture.shape[:2]), colour, around=False).mean())
 
 
@@ -185,31 +185,14 @@ def _shaded(colour: Colour, shade: str) -> Colour:
 
 def _reduced(panorama: np.ndarray, rows: int, columns: int) -> np.ndarray:
     """The picture in linear light, averaged over blocks down to at most ``(rows, columns, 3)``, float32."""
-    image = np.asarray(panorama)
-    if (
-        image.ndim != 3
-        or image.shape[-1] != 3
-        or image.size == 0
-        or (image.dtype != np.uint8 and image.dtype.kind != "f")
-    ):
-        raise ImageError(
-            f"the panorama is {image.dtype} of shape {image.shape}; wanted (H, W, 3), RGB, uint8, or numbers in "
-            "[0, 1]. Files: eagor.media.panorama.read_panorama"
-        )
-    if image.dtype != np.uint8 and not (image.min() >= 0 and image.max() <= 1):  # NaN fails both comparisons
-        raise ImageError("a floating panorama must lie in [0, 1] and be finite; divide 8-bit values by 255")
-    table = to_linear(np.arange(256, dtype=np.float32) / 255)
-
-    def decode(coded: np.ndarray) -> np.ndarray:
-        return table[coded] if coded.dtype == np.uint8 else to_linear(coded.astype(np.float32))
-
+    image, table = checked_picture(panorama), to_linear(np.arange(256, dtype=np.float32) / 255)
     height, width = image.shape[:2]
     if height <= rows and width <= columns:
-        return decode(image)
+        return table[image]
     # Cells end at the nearest pixel border; rounding down would shift everything by half a pixel, up and to the left.
     tops = np.rint(np.linspace(0, height, min(height, rows) + 1)).astype(int)
     lefts = np.rint(np.linspace(0, width, min(width, columns) + 1)).astype(int)
-    strips = [decode(image[top:end]).mean(axis=0) for top, end in pairwise(tops)]
+    strips = [table[image[top:end]].mean(axis=0) for top, end in pairwise(tops)]
     sums = np.add.reduceat(np.stack(strips), lefts[:-1], axis=1)
     return sums / np.diff(lefts)[:, None].astype(np.float32)
 

@@ -8,25 +8,22 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from dataclasses import replace
-from functools import lru_cache
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-from PIL import Image
 
+from eagor.cameras import Sampler
 from eagor.errors import ImageError
 from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import canvas_of
-from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid, ViewKey, forward_view, view_key
-from eagor.media.panorama import checked_picture
+from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
+from eagor.media.panorama import by_area, checked_picture, read_panorama
 from eagor.perception import Perception, rows_of
-from eagor.perception.vlm.projection import bilinear
 
 BORDER = 0.5  # share of a cell that the picture has to fill for the cell to count as looked at
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM")  # Pillow starts no other program for any of these
-MOST = 1 << 27  # pixels of a mask: 16384 x 8192
 GREY = 0.02  # share of a mask's pixels that may be neither black nor white: smoothed edges
 
 
@@ -74,27 +71,19 @@ def look_at_view(
 
 def pasted(picture: np.ndarray, grid: PerspectiveGrid, rows: int) -> np.ndarray:
     """A panorama ``(rows, 2 rows, 3)`` uint8 with `picture` where `grid` looks, and its mean colour elsewhere."""
-    target = ErpGrid(rows, 2 * rows)
     wide = 2 * rows / math.pi * math.tan(grid.hfov / 2)  # width at which both have the same resolution in the middle
+    lens = PerspectiveGrid.of_lens(grid.lens)
     if grid.width > 1.2 * wide:
-        size = max(1, round(wide)), max(1, round(wide * grid.height / grid.width))
-        picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
-    x, y, inside = grid.project(target.directions)
-    panorama = np.empty((*target.shape, 3), dtype=np.uint8)
-    panorama[:] = np.rint(picture.reshape(-1, 3).mean(axis=0)).astype(np.uint8)
-    pixels = bilinear(np.moveaxis(picture, -1, 0), x[inside] / grid.width, y[inside] / grid.height)
-    panorama[inside] = np.rint(pixels.T).astype(np.uint8)
+        size = max(1, round(wide * grid.height / grid.width)), max(1, round(wide))
+        picture, lens = by_area(picture, *size), lens.resized(*size)
+    sampler = Sampler(lens.lens, ErpGrid(rows, 2 * rows).directions)
+    panorama = sampler(picture)
+    panorama[~sampler.seen] = np.rint(picture.reshape(-1, 3).mean(axis=0))
     return panorama
 
 
 def coverage(rows: int, columns: int, grid: PerspectiveGrid) -> np.ndarray:
     """The fraction of each of `rows` x `columns` cells of a panorama that a view shows (by sample points in each)."""
-    return _coverage(rows, columns, view_key(grid), grid.body_R_view.tobytes())
-
-
-@lru_cache(maxsize=32)
-def _coverage(rows: int, columns: int, lens: ViewKey, pose: bytes) -> np.ndarray:
-    grid = replace(forward_view(lens), body_R_view=np.frombuffer(pose).reshape(3, 3))
     fine = 5 if rows <= 100 else 3
     offsets = (np.arange(fine) + 0.5) / fine
     x = (np.arange(columns)[:, None] + offsets).reshape(-1)
@@ -109,22 +98,13 @@ def read_mask(path: str | os.PathLike[str]) -> BodyMask:
     Any grey from half on counts as white; of a picture with no value above 1, 1 is white. Raises `ImageError`.
     """
     try:
-        with Image.open(path, formats=FORMATS) as image:
-            if image.width * image.height > MOST:
-                raise ImageError(f"has {image.width} x {image.height} pixels; a mask of 1024 x 512 is fine enough")
-            values = np.asarray(image.convert("L"), dtype=np.float64)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of another shape: the mask says it itself
+            values = read_panorama(path).mean(axis=-1)
         values /= 255.0 if values.max() > 1 else 1.0
         if (grey := float(np.mean((values > 0.1) & (values < 0.9)))) > GREY:
-            raise ImageError(
-                f"is grey in {100 * grey:.0f} % of its pixels; wanted black and white: white where the camera sees the "
-                "world, black where it never does"
-            )
+            raise ImageError(f"is grey in {100 * grey:.0f} % of its pixels; wanted black and white")
         return BodyMask(values >= 0.5)
     except ImageError as error:
-        raise ImageError(f"the mask {os.fspath(path)} {str(error).removeprefix('the mask ')}") from error
-    except Exception as error:  # Pillow's decoders may raise anything for damaged files
-        reason: Any = getattr(error, "strerror", None) or error
-        raise ImageError(
-            f"the mask {os.fspath(path)} cannot be read ({reason}); wanted a picture such as PNG, white where the "
-            "camera sees"
-        ) from error
+        told = str(error).removeprefix("the mask ")
+        raise ImageError(f"the mask {os.fspath(path)}: {told}; white is where the camera sees the world") from error

@@ -6,13 +6,12 @@ import json
 import math
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TextIO
 
 import msgspec
 import numpy as np
 from msgspec import Meta
-from scipy.special import expit
 
 from eagor.cameras import Lens
 from eagor.conventions import rotation_from_wxyz
@@ -29,7 +28,6 @@ from eagor.perception.words import fitting, plain, same_name
 from eagor.sphere import direction, world_R_body
 
 KINDS = ("boxes", "points", "response", "views")
-APART = 1.0  # seconds: lines of one look that lie farther apart are taken for a mistake
 LONGEST = 32  # a view this many times longer than wide is taken for a mistake
 UNIT = 1e-3  # by how much the length of a quaternion may differ from 1
 WHOLE = 0.999  # of the sphere: the least that the solid angles of several views of one look come to
@@ -38,6 +36,7 @@ HINTS = {  # for keys that others use, and whose sign or unit may differ
     "yaw_deg": "yaw_left_deg is positive to the LEFT",
     "roll": "roll_right_deg is positive where the camera leans to its RIGHT, in degrees",
     "roll_deg": "roll_right_deg is positive where the camera leans to its RIGHT",
+    "look": "lines with the same stamp are views of one moment",
     "fov": "hfov_deg is the HORIZONTAL field of view, in degrees",
     "bbox": "box is x0, y0, x1, y1, not x, y, width, height",
 }
@@ -50,7 +49,7 @@ _Metres = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _Component = Annotated[float, Meta(ge=-2, le=2)]
 _LENS, _LEAN = ("focal", "centre", "distortion"), ("yaw_left_deg", "pitch_up_deg", "roll_right_deg")
 _TURN = ("qw", "qx", "qy", "qz")
-_SCORE = 'a number from 0 to 1. Of logits, say so: "scores": "logit" in the line; divide percentages by 100'
+_SCORE = "a number from 0 to 1: 1 / (1 + exp(-score)) of logits; divide percentages by 100"
 
 
 class _Part(msgspec.Struct, forbid_unknown_fields=True):
@@ -130,13 +129,12 @@ class _Response(_Part):
     cols: _Pixels
     values: list[Finite]
 
-    def table(self, logits: bool) -> np.ndarray:
+    def table(self) -> np.ndarray:
         count, values = self.rows * self.cols, self.values
         need(len(values) == count, "values", f"{len(values)} values", f"rows * cols = {count} numbers")
-        wrong = [] if logits else [value for value in values if not 0 <= value <= 1]
-        need(not wrong, "values", wrong[:3], 'numbers in [0, 1] (of logits, say "scores": "logit" in the line)')
-        table = np.array(values, dtype=np.float64).reshape(self.rows, self.cols)
-        return (expit(table) if logits else table).astype(np.float32)
+        wrong = [value for value in values if not 0 <= value <= 1]
+        need(not wrong, "values", wrong[:3], "numbers in [0, 1]")
+        return np.array(values, dtype=np.float32).reshape(self.rows, self.cols)
 
 
 class _View(_Part):
@@ -195,12 +193,10 @@ class _Head(_Part):
 class _Line(_Part):
     stamp: Finite
     query: str | None = None
-    look: str | int | None = None
     image: _Image = msgspec.field(default_factory=_Image)
     boxes: list[_Box] | None = None
     points: list[_Point] | None = None
     response: _Response | None = None
-    scores: Literal["probability", "logit"] = "probability"
     views: list[_View] | None = None
     pose: _Pose | None = None
     frame: str | None = None
@@ -216,17 +212,15 @@ class _Line(_Part):
 class Record:
     """One line of the file, checked: `kind` is "boxes", "points", "response", "views", or "pose" without a look.
 
-    `query`: None for any query. `look`: which views are one look; None: those of the same stamp. `grid`: of the image
-    or of the response; None for points anywhere. `values`: boxes ``(n, 4)`` in pixels; points ``(n, 3)`` as azimuth,
-    elevation, spread in radians (NaN if not given); or the response. `scores` ``(n,)`` in [0, 1] and `labels` are empty
-    for a response. `views`: of one camera, with their boxes. `pose` of the camera. `frame`: the name of what was looked
-    at; `lost`: nothing tells how the camera turned since the frame before; `problem`: why the frame could not be used;
-    `unseen`: what the camera never sees.
+    `query`: None for any query. `grid`: of the image or of the response; None for points anywhere. `values`: boxes
+    ``(n, 4)`` in pixels; points ``(n, 3)`` as azimuth, elevation, spread in radians (NaN if not given); or the
+    response. `scores` ``(n,)`` in [0, 1] and `labels` are empty for a response. `views`: of one camera, with their
+    boxes. `pose` of the camera. `frame`: the name of what was looked at; `lost`: nothing tells how the camera turned
+    since the frame before; `problem`: why the frame could not be used; `unseen`: what the camera never sees.
     """
 
     stamp: float
     query: str | None
-    look: str | None
     kind: str
     grid: Grid | None = None
     values: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -284,36 +278,23 @@ class Record:
 
 
 def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
-    """The records of a JSONL file in order of time; `FormatError` names the file and the line of a fault.
-
-    All views of one `look` get the mean of their stamps.
-    """
+    """The records of a JSONL file in order of time; `FormatError` names the file and the line of a fault."""
     return read_looks(path)[1]
 
 
 def read_looks(path: str | os.PathLike[str]) -> tuple[Footage | None, tuple[Record, ...]]:
     """What the first line says of the footage, if it does, and the records as `read_records` gives them."""
-    records, looks, footage = [], dict[str, list[float]](), None
+    records, footage = list[Record](), None
     for found, where in parsed_lines(path, _parse):
         if isinstance(found, Record):
             records.append(found)
-            if found.look is not None:
-                looks.setdefault(found.look, []).append(found.stamp)
         elif footage is not None or records:
             raise FormatError(f"{where}: has footage; wanted that in the first line alone")
         else:
             footage = found
     if not records:
         raise FormatError(f"{os.fspath(path)} holds no records; wanted one JSON object per line, at least one")
-    for look, stamps in looks.items():
-        if max(stamps) - min(stamps) > APART:
-            raise FormatError(
-                f"{os.fspath(path)}: lines of the look {look!r} are {max(stamps) - min(stamps):g} s apart; wanted at "
-                f"most {APART:g} s. A look is the views of one moment: each moment wants an id of its own"
-            )
-    mean = {look: math.fsum(stamps) / len(stamps) for look, stamps in looks.items()}
-    joined = [each if each.look is None else replace(each, stamp=mean[each.look]) for each in records]
-    return footage, tuple(sorted(joined, key=lambda record: record.stamp))
+    return footage, tuple(sorted(records, key=lambda record: record.stamp))
 
 
 def _parse(line: bytes) -> Record | Footage:
@@ -331,13 +312,11 @@ def parse_record(line: str | bytes) -> Record:
 def _record(found: dict[str, Any]) -> Record:
     entry = checked(found, _Line, "a line", noted=True, hints=HINTS)
     need(entry.query is None or plain(entry.query) != "", "query", entry.query, "words, or no such key")
-    need(entry.look != "", "look", entry.look, "text or a whole number, the same for all views of a moment")
     kinds = [kind for kind in KINDS if getattr(entry, kind) is not None]
     if len(kinds) != 1 and (kinds or entry.pose is None):
         raise FormatError(f"has {' and '.join(kinds) or 'none'} of {', '.join(KINDS)}; wanted exactly one, or a pose")
-    look = None if entry.look is None else str(entry.look)
     return Record(
-        entry.stamp, entry.query, look, kinds[0] if kinds else "pose", **_looked(entry), frame=entry.frame,
+        entry.stamp, entry.query, kinds[0] if kinds else "pose", **_looked(entry), frame=entry.frame,
         pose=None if entry.pose is None else entry.pose.at(entry.stamp), lost=entry.lost, problem=entry.problem,
         unseen=None if entry.unseen is None else entry.unseen.mask(),
     )  # fmt: skip
@@ -345,17 +324,17 @@ def _record(found: dict[str, Any]) -> Record:
 
 def _looked(entry: _Line) -> dict[str, Any]:
     """What a line says of a look: the fields `grid`, `values`, `scores`, `labels` and `views` of `Record`."""
-    image, logits = entry.image, entry.scores == "logit"
+    image = entry.image
     if entry.views is not None:
-        views = _views(entry.views, logits)
+        views = _views(entry.views)
         return {"views": views, "labels": tuple(box.label for view in entry.views for box in view.boxes)}
     if entry.response is not None:
-        values = entry.response.table(logits)
+        values = entry.response.table()
         return {"values": values, "grid": image.view(*values.shape) or PatchGrid(*values.shape)}
     items = entry.boxes if entry.boxes is not None else entry.points
     if items is None:
         return {}
-    grid, labels, scores = image.view(), tuple(each.label for each in items), _probabilities(items, logits)
+    grid, labels, scores = image.view(), tuple(each.label for each in items), _scores(items)
     if entry.boxes is not None:
         grid = grid or ErpGrid(*image.size())
         values = _boxes(entry.boxes, grid)
@@ -369,8 +348,7 @@ def write_record(file: TextIO, stamp: float, *, response: np.ndarray | None = No
     """Append one line to an open text file and flush it; the line is checked before anything is written.
 
     Give exactly one of `boxes`, `points` (entries as in the format) and `response` ``(rows, cols)``; besides them what
-    a line may have: `query`, `image`, `look` (the same for all views of one moment), `scores` ("logit" if they are
-    logits), ... Raises `FormatError`.
+    a line may have: `query`, `image`, ... Raises `FormatError`.
     """
     entry = {"stamp": stamp, **entry}
     if response is not None:
@@ -386,7 +364,7 @@ def write_record(file: TextIO, stamp: float, *, response: np.ndarray | None = No
     file.flush()
 
 
-def _views(views: Sequence[_View], logits: bool) -> tuple[Seen, ...]:
+def _views(views: Sequence[_View]) -> tuple[Seen, ...]:
     """The views of one camera, each with its boxes."""
     found = []
     for each in views:
@@ -395,7 +373,7 @@ def _views(views: Sequence[_View], logits: bool) -> tuple[Seen, ...]:
             raise FormatError("projection is 'equirectangular'; wanted \"perspective\" in views")
         labels = [box.label for box in each.boxes if box.label is not None] or None
         need(len(labels or ()) in (0, len(each.boxes)), "label", None, "one for each box of a view, or for none")
-        found.append(Seen(grid, Boxes(_boxes(each.boxes, grid), _probabilities(each.boxes, logits), labels)))
+        found.append(Seen(grid, Boxes(_boxes(each.boxes, grid), _scores(each.boxes), labels)))
     area = sum(float(view.grid.weights.sum()) for view in found)
     if len(found) != 1 and area < 4 * math.pi * WHOLE:
         raise FormatError(
@@ -427,8 +405,8 @@ def _boxes(boxes: Sequence[_Box], grid: ErpGrid | PerspectiveGrid) -> np.ndarray
     return np.array([each.box for each in boxes], dtype=np.float64).reshape(-1, 4)
 
 
-def _probabilities(items: Sequence[_Box] | Sequence[_Point], logits: bool) -> np.ndarray:
+def _scores(items: Sequence[_Box] | Sequence[_Point]) -> np.ndarray:
     """The scores of boxes or points ``(n,)`` in [0, 1]; 1 where there is none."""
     for item in items:
-        need(logits or item.score is None or 0 <= item.score <= 1, "score", item.score, _SCORE)
-    return np.array([1.0 if item.score is None else expit(item.score) if logits else item.score for item in items])
+        need(item.score is None or 0 <= item.score <= 1, "score", item.score, _SCORE)
+    return np.array([1.0 if item.score is None else item.score for item in items])

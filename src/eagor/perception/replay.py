@@ -1,7 +1,6 @@
 """A perception that reads recorded detections or responses by time stamp, one JSON object per line.
 
-Any detector can write the file; docs/replay-format.md describes it. A replay may have several views of one moment:
-`look` gives the evidence of each, and of any other perception the one that there is.
+Any detector can write the file; docs/replay-format.md describes it. A replay may have several views of one moment.
 """
 
 from __future__ import annotations
@@ -20,14 +19,13 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import PerspectiveGrid
-from eagor.perception import Perception
-from eagor.perception import look as one_look
+from eagor.perception import Perception, look
 from eagor.perception.partial import look_at_view
 from eagor.perception.records import Record, parse_record, read_looks, read_records, write_record
 from eagor.perception.words import colour_of, fitting, meant, named
 from eagor.tracking.tracks import SAME_MOMENT
 
-__all__ = ["Record", "ReplayPerception", "look", "look_if_recorded", "parse_record", "read_records", "write_record"]
+__all__ = ["Record", "ReplayPerception", "look_if_recorded", "parse_record", "read_records", "write_record"]
 
 MOST_LABELS = 12  # in a sentence
 
@@ -170,26 +168,6 @@ class ReplayPerception:
         return self._evidence(records, query)[0]
 
 
-def look(
-    perception: Perception,
-    picture: np.ndarray | None,
-    query: str,
-    stamp: float,
-    world_R_body: np.ndarray | None = None,
-    grid: PerspectiveGrid | None = None,
-) -> tuple[Evidence, ...]:
-    """The evidence of `perception`: one, or one per view if a replay has several views of one moment.
-
-    `picture` ``(H, W, 3)`` uint8 is a panorama, or an ordinary one with the pixels of `grid`.
-    """
-    if isinstance(perception, ReplayPerception):
-        return perception.looks(query, stamp)
-    assert picture is not None, "only a replay answers without a picture"
-    if grid is not None:
-        return (look_at_view(perception, picture, grid, query, stamp=stamp),)
-    return (one_look(perception, picture, query, stamp=stamp, world_R_body=world_R_body),)
-
-
 def look_if_recorded(
     perception: Perception,
     picture: np.ndarray | None,
@@ -198,7 +176,13 @@ def look_if_recorded(
     world_R_body: np.ndarray | None = None,
     grid: PerspectiveGrid | None = None,
 ) -> tuple[Evidence, ...]:
-    """As `look`, but empty if a replay has no line for this time."""
+    """The evidence of `perception`: one, of a replay one per view, or none where it has no line for this time.
+
+    `picture` ``(H, W, 3)`` uint8 is a panorama, or an ordinary one with the pixels of `grid`.
+    """
     if isinstance(perception, ReplayPerception):
         return perception.looks_near(query, stamp)
-    return look(perception, picture, query, stamp, world_R_body, grid)
+    assert picture is not None, "only a replay answers without a picture"
+    if grid is not None:
+        return (look_at_view(perception, picture, grid, query, stamp=stamp),)
+    return (look(perception, picture, query, stamp=stamp, world_R_body=world_R_body),)

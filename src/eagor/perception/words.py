@@ -20,9 +20,7 @@ from msgspec import toml
 from eagor._extras import how_to_install
 from eagor.errors import QueryError
 from eagor.evidence import Evidence
-from eagor.perception.colour import COLOURS as SHADES
-from eagor.perception.colour import SYNONYMS, Colour, colour_in, is_colour
-from eagor.queries import COLOURS
+from eagor.perception.colour import COLOURS, SYNONYMS, Colour, colour_in, is_colour
 
 __all__ = [
     "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "meant", "named", "plain",
@@ -46,11 +44,6 @@ IRREGULAR: dict[str, str] = _TABLES["irregular"]
 WIDER: dict[str, tuple[str, ...]] = {wide: _names(kinds) for wide, kinds in _TABLES["wider"].items()} | {
     narrow: (wide,) for wide, words in _TABLES["narrower"].items() for narrow in words.split()
 }
-KIN: dict[str, tuple[str, ...]] = {}  # for errors: classes of the same kind, by words that no class may fit
-for _classes, _, _words in (line.partition(": ") for line in _TABLES["kin"].strip().splitlines()):
-    KIN |= {word: (*KIN.get(word, ()), *_names(_classes)) for word in _words.split()}
-
-_COLOURS = {*COLOURS, *SHADES}
 _PLACES = """
 on in at by near next beside behind under above below between with without to from over inside outside against
 around that which who
@@ -84,13 +77,13 @@ def meant(query: str, classes: Sequence[str], *, described: bool = False, colour
     found, noun, left_out = _looked_up(tuple(words), tuple(classes))
     if found and (not left_out or described or (coloured and is_colour(" ".join(left_out)))):
         return found
-    if _COLOURS.issuperset(words := _asked(words)):
+    if COLOURS.keys() >= {*(words := _asked(words))}:
         raise QueryError(
             f"the query {query!r} names a colour and no thing; this detector does not know colours. It knows "
             f"{_some(classes)}. --perception colour finds what is of a colour; for any words: {for_any_words()}"
         )
     if found:
-        what = "words such as" if _COLOURS.isdisjoint(left_out) else "colours, such as"
+        what = "words such as" if COLOURS.keys().isdisjoint(left_out) else "colours, such as"
         raise QueryError(
             f"the query {query!r}: this detector does not know {what} {' '.join(left_out)!r}; it finds every "
             f"{' or '.join(found)}. Ask for {' '.join(noun)!r} alone. To look for any words: {for_any_words()}"
@@ -211,7 +204,7 @@ def _bare(text: str) -> list[str]:
 def _colours(words: list[str]) -> set[str]:
     """The colours of the thing, each by one name."""
     place = next((at for at, word in enumerate(words) if at and word in RELATIONS), len(words))
-    return {SYNONYMS.get(word, word).rpartition(" ")[2] for word in words[: place - 1]} & SHADES.keys()
+    return {SYNONYMS.get(word, word).rpartition(" ")[2] for word in words[: place - 1]} & COLOURS.keys()
 
 
 def for_any_words() -> str:
@@ -261,7 +254,7 @@ def _noun(words: list[str]) -> tuple[list[str], list[str]]:
             head, rest = singular(words[at - 1]), _asked(words[at + 1 :])
             words = words[:at] if head in _HOLDING else rest if head in _PARTS and rest else words
             break
-    while len(words) > 1 and (words[0] in DESCRIBING or words[0] in _COLOURS):
+    while len(words) > 1 and (words[0] in DESCRIBING or words[0] in COLOURS):
         left_out, words = [*left_out, words[0]], _asked(words[1:])
     return words, left_out
 
@@ -308,15 +301,12 @@ def _other(name: str, classes: Sequence[str]) -> tuple[str, ...]:
 
 
 def nearest(name: str, classes: Sequence[str], most: int = 5) -> tuple[str, ...]:
-    """The classes nearest to `name`: those of the same kind of thing, those spelt alike, those with a word of it."""
+    """The classes nearest to `name`: those spelt alike, by any of their names, and those with its last word."""
     name = singular(plain(name))
-    last = name.rpartition(" ")[2]
     by_way = dict.fromkeys([*_spelt(tuple(classes)), *(other for other in GROUPS if _other(other, classes))])
-    swapped = [way for way in by_way if way[:1] == name[:1] and sorted(way) == sorted(name)]  # "chiar"
-    alike = swapped or difflib.get_close_matches(name, by_way, n=3, cutoff=0.82)  # a lower one takes a wall for a ball
-    ways = [*alike, *(each for way in dict.fromkeys((name, *GROUPS.get(name, ()), last)) for each in KIN.get(way, ()))]
-    found = [each for way in ways for each in _named(way, classes) or _other(way, classes)]
-    found += [each for each in classes if last in plain(each).split()]
+    alike = difflib.get_close_matches(name, by_way, n=3, cutoff=0.8)  # a lower one takes a wall for a ball
+    found = [each for way in alike for each in _named(way, classes) or _other(way, classes)]
+    found += [each for each in classes if name.rpartition(" ")[2] in plain(each).split()]
     return tuple(dict.fromkeys(found))[:most]
 
 

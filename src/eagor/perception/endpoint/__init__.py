@@ -22,10 +22,10 @@ from eagor.perception import parse_options, place_of, vlm
 from eagor.perception.endpoint.server import DEFAULT_SERVER, Amount, ChatClient, Count, ServerOptions, part
 from eagor.perception.json_files import checked
 from eagor.perception.vlm import IMAGE, MAX_TOKENS, ChatReply, Message
-from eagor.perception.vlm.answers import Box, parse_boxes, parse_presence
+from eagor.perception.vlm.answers import parse_presence
 from eagor.perception.vlm.perception import Cost, ModelPerception
 
-__all__ = ["EndpointOptions", "EndpointPerception", "ServedChat", "ServedModel", "chat_from_text", "from_text"]
+__all__ = ["EndpointOptions", "EndpointPerception", "ServedChat", "chat_from_text", "from_text"]
 
 _LIKELIEST = 10  # alternatives per token whose probabilities are requested
 _SECOND_TRY = 0.5  # temperature after an unreadable answer: at 0 the model would repeat it
@@ -46,88 +46,14 @@ class EndpointOptions(ServerOptions, kw_only=True, frozen=True, forbid_unknown_f
     concurrency: Count = 4
 
 
-class ServedModel:
-    """A model on a server for `eagor.perception.vlm.perception.ModelPerception`: asked for boxes, or for yes or no."""
-
-    view_rows = 90
-
-    def __init__(self, client: ChatClient, options: EndpointOptions) -> None:
-        self.client, self.options = client, options
-
-    @property
-    def style(self) -> vlm.Served:
-        """How the model is asked, by its name and the options."""
-        told = {name: given for name in ("cell", "frame", "order") if (given := getattr(self.options, name))}
-        return replace(vlm.style_of(self.client.model()), **told)
-
-    def extractors(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Boxes first for a model that was trained to write them."""
-        return (("boxes", "views") if self.style.grounded else ("views", "boxes")), ("presence", "boxes")
-
-    def sizes(self, aspect: float, view: bool = False) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Of models that take panoramas in their own shape, whole cells of this shape; others get one square."""
-        style = self.style
-        pixels = self.options.pixels or (style.view**2 if view else style.pixels)
-        height, width = vlm.exact_size(style.cell, pixels, aspect if style.aspect == 2.0 else style.aspect)
-        return (height, width), (height // style.cell, width // style.cell)
-
-    def boxes(self, images: Sequence[np.ndarray], queries: Sequence[str]) -> tuple[list[list[list[Box]]], Cost]:
-        """The boxes that it writes per query and image; raises `AnswerError` if they cannot be read."""
-        style, size = self.style, images[0].shape[:2]
-        schema = {"name": "answer", "schema": vlm.boxes_schema(style.frame, style.order), "strict": True}
-        texts = [vlm.ask_boxes(query, style.frame, style.order) for query in queries]
-        return self._asked(
-            images, texts, {"response_format": {"type": "json_schema", "json_schema": schema}},
-            lambda answer: parse_boxes(answer.text, style.frame, size, style.order, answer.tokens),
-        )  # fmt: skip
-
-    def maps(self, images: Sequence[np.ndarray], queries: Sequence[str], wrap: bool) -> tuple[np.ndarray, Cost]:
-        """The probability that the thing is there, as a single cell per query and image."""
-        found, cost = self._asked(
-            images, list(map(vlm.ask_presence, queries)), {"top_logprobs": _LIKELIEST},
-            lambda answer: parse_presence(answer.text, answer.verdict),
-        )  # fmt: skip
-        return np.array(found)[..., None, None], cost
-
-    def _asked(
-        self, images: Sequence[np.ndarray], texts: list[str], more: dict[str, Any], read: Any
-    ) -> tuple[Any, Cost]:
-        """What is read of the answers per text and image; one that cannot be read is asked for once more."""
-        # The picture comes first: servers that cache common prefixes then process it once for all questions.
-        pictures = [part(image, self.options.image_format) for image in images]
-        contents = [[picture, part(text)] for text in texts for picture in pictures]
-        always = {"temperature": 0.0, "max_tokens": self.options.max_tokens, "logprobs": True, **more}
-        bodies = [{"messages": [{"role": "user", "content": each}], **always} for each in contents]
-        answers, readings = self.client.ask(bodies), []
-        for body, answer in zip(bodies, [*answers], strict=True):
-            try:
-                readings.append(read(answer))
-            except AnswerError:
-                answers += self.client.ask([{**body, "temperature": _SECOND_TRY}])
-                readings.append(read(answers[-1]))
-        counts = ([getattr(answer, f"{kind}_tokens") for answer in answers] for kind in ("prompt", "completion"))
-        prompt, written = (None if None in each else sum(each) for each in counts)
-        cost = {
-            "model": self.client.model(),
-            "served_as": ", ".join(sorted({answer.model for answer in answers if answer.model})),
-            "revision": ", ".join(sorted({answer.revision for answer in answers if answer.revision})) or None,
-            "server": self.client.shown,
-            "family": self.style.family,
-            "images": len(images),
-            "requests": sum(answer.requests for answer in answers),
-            "prompt_tokens": prompt,
-            "answer_tokens": written,
-            "probabilities": any(answer.tokens for answer in answers),
-        }
-        return [readings[start : start + len(images)] for start in range(0, len(readings), len(images))], cost
-
-
 class EndpointPerception(ModelPerception):
     """Asks the `model` (its name there, empty for the server's only one) on the server at `address`.
 
     `calibration`: how yes and no in views become evidence; None for the default of `Evidence`. `detector`: error model
     of boxes; None for `DetectorModel()`. `options`: those of `EndpointOptions`. Raises `EagorError` for invalid values.
     """
+
+    view_rows = 90
 
     def __init__(
         self,
@@ -138,10 +64,66 @@ class EndpointPerception(ModelPerception):
         detector: DetectorModel | None = None,
         **options: Any,
     ) -> None:
-        given = checked(options, EndpointOptions, "a served model")
+        self.options = given = checked(options, EndpointOptions, "a served model")
         self.client = ChatClient(model, address, given, given.concurrency)
-        served = ServedModel(self.client, given)
-        super().__init__(served, given.extractor, given.per_view, given.seam, calibration, detector)
+        super().__init__(self, given.extractor, given.per_view, given.seam, calibration, detector)
+
+    @property
+    def family(self) -> vlm.Family:
+        """How the model is asked, by its name and the options."""
+        told = {name: given for name in ("cell", "frame", "order") if (given := getattr(self.options, name))}
+        return replace(vlm.family_of(self.client.model()), **told)
+
+    def extractors(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Boxes first for a model that was trained to write them."""
+        return (("boxes", "views") if self.family.grounded else ("views", "boxes")), ("presence", "boxes")
+
+    def sizes(self, aspect: float, view: bool = False) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Of models that take panoramas in their own shape, whole cells of this shape; others get one square."""
+        family = self.family
+        pixels = self.options.pixels or (family.view**2 if view else family.pixels)
+        height, width = vlm.exact_size(family.cell, pixels, aspect if family.aspect == 2.0 else family.aspect)
+        return (height, width), (height // family.cell, width // family.cell)
+
+    def boxes(self, images: Sequence[np.ndarray], texts: Sequence[str], read: Any) -> tuple[list[Any], Cost]:
+        """What `read` makes of the answers per text and image; raises `AnswerError` if they cannot be read."""
+        schema = {"name": "answer", "schema": vlm.boxes_schema(self.family.frame, self.family.order), "strict": True}
+        how = {"response_format": {"type": "json_schema", "json_schema": schema}}
+        return self._answered(images, texts, how, lambda answer: read(answer.text, answer.tokens))
+
+    def maps(self, images: Sequence[np.ndarray], queries: Sequence[str], wrap: bool) -> tuple[np.ndarray, Cost]:
+        """The probability that the thing is there, as a single cell per query and image."""
+        texts, how = [vlm.ask_presence(query) for query in queries], {"top_logprobs": _LIKELIEST}
+        found, cost = self._answered(images, texts, how, lambda answer: parse_presence(answer.text, answer.verdict))
+        return np.array(found)[..., None, None], cost
+
+    def _answered(
+        self, images: Sequence[np.ndarray], texts: Sequence[str], how: dict[str, Any], read: Any
+    ) -> tuple[Any, Cost]:
+        """What is read of the answers per text and image; one that cannot be read is asked for once more."""
+        # The picture comes first: servers that cache common prefixes then process it once for all questions.
+        pictures = [part(image, self.options.image_format) for image in images]
+        contents = [[picture, part(text)] for text in texts for picture in pictures]
+        always = {"temperature": 0.0, "max_tokens": self.options.max_tokens, "logprobs": True, **how}
+        bodies = [{"messages": [{"role": "user", "content": each}], **always} for each in contents]
+        answers, readings = self.client.ask(bodies), []
+        for body, answer in zip(bodies, [*answers], strict=True):
+            try:
+                readings.append(read(answer))
+            except AnswerError:
+                answers += self.client.ask([{**body, "temperature": _SECOND_TRY}])
+                readings.append(read(answers[-1]))
+        counts = ([getattr(answer, f"{kind}_tokens") for answer in answers] for kind in ("prompt", "completion"))
+        prompt, written = (None if None in each else sum(each) for each in counts)
+        served, revisions = (sorted({name for answer in answers if (name := getattr(answer, kind))})
+                             for kind in ("model", "revision"))  # fmt: skip
+        cost = {
+            "model": self.client.model(), "served_as": ", ".join(served), "revision": ", ".join(revisions) or None,
+            "server": self.client.shown, "family": self.family.name, "images": len(images),
+            "requests": sum(answer.requests for answer in answers), "prompt_tokens": prompt, "answer_tokens": written,
+            "probabilities": any(answer.tokens for answer in answers),
+        }  # fmt: skip
+        return [readings[start : start + len(images)] for start in range(0, len(readings), len(images))], cost
 
     def check(self) -> None:
         """Look at a grey picture, to test the setup before a long run; ignores an unreadable answer."""

@@ -1,25 +1,42 @@
-"""A vision-language model on images of one size: its attention, and the boxes that it writes."""
+"""A vision-language model on images of one size: its attention, and the boxes that it writes.
+
+One pass over the image serves all questions: the image precedes the question and attention is causal, so keys and
+values up to the image are the same for all, and each question runs only its own tokens on a copy of the cache.
+
+The attention of the question's last token is captured on the way. A registered attention function runs scaled
+dot-product attention. In chosen layers it also computes one row: the softmax of the last query over all keys, and keeps
+the image's part. It never builds a whole attention matrix.
+"""
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from threading import RLock
 from typing import Any
 
 import numpy as np
 import torch
+from transformers import AttentionInterface, AttentionMaskInterface
+from transformers.integrations.sdpa_attention import sdpa_attention_forward
+from transformers.masking_utils import sdpa_mask
 
 from eagor.errors import EagorError
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.media.panorama import cut, resized
 from eagor.perception.transformers.heads import SATURATION, Heads, Observed, of_heads, relative, saturated
-from eagor.perception.transformers.inference import NAME, Run, full_layers
 from eagor.perception.transformers.inputs import InputPlan, Prompt, pictures, plan, prompt, typed
-from eagor.perception.vlm import GENERAL, Family, Labelled, ask_boxes, ask_presence
-from eagor.perception.vlm.answers import Box, parse_boxes
+from eagor.perception.vlm import GENERAL, Family, Labelled, ask_presence
 from eagor.sphere import unit
+
+NAME = "eagor_rows"
+_ATTRIBUTE = "_eagor_rows"
+
+Rows = dict[int, torch.Tensor]  # layer to the last token's attention (B, H, n) float32 to the image tokens
+Decoded = list[list[tuple[int, float]]]  # per image the tokens of the answer with their natural log probabilities
 
 
 @dataclass
@@ -84,7 +101,7 @@ class LanguageModel:
 
     def plan(self, aspect: float, view: bool = False) -> InputPlan:
         """How an image of this aspect ratio (width over height), or a view, is fed, resized to its size beforehand."""
-        pixels = self.pixels or (self.family.served.view**2 if view else None)
+        pixels = self.pixels or (self.family.view**2 if view else None)
         return plan(self.family, self.model.config, aspect, pixels)
 
     def sizes(self, aspect: float, view: bool = False) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -111,27 +128,19 @@ class LanguageModel:
         return np.concatenate(found, axis=1), cost
 
     @torch.inference_mode()
-    def boxes(
-        self, images: Sequence[np.ndarray], queries: Sequence[str]
-    ) -> tuple[list[list[list[Box]]], dict[str, Any]]:
-        """The boxes that the model writes per query and image, and the cost.
-
-        Raises `EagorError` if it cannot write boxes, `AnswerError` if they cannot be read.
-        """
-        frame, cost = self.family.frame, self._cost()
-        if frame is None:
-            raise EagorError(f"{self.family.title} was not trained to write boxes; use extractor 'attention'")
-        stops = getattr(self.model.generation_config, "eos_token_id", None)
+    def boxes(self, images: Sequence[np.ndarray], texts: Sequence[str], read: Any) -> tuple[list[Any], dict[str, Any]]:
+        """What `read` makes of the answers per text and image, and the cost."""
+        cost, stops = self._cost(), getattr(self.model.generation_config, "eos_token_id", None)
         stops = np.ravel(self.tokenizer.eos_token_id if stops is None else stops).tolist()
-        found: list[list[list[Box]]] = [[] for _ in queries]
+        found: list[Any] = [[] for _ in texts]
         for run, planned in self._batches(images, cost):
-            for boxes, query in zip(found, queries, strict=True):
-                running, logits, _ = self._ask(run, planned, ask_boxes(query, frame), (), cost)
+            for readings, text in zip(found, texts, strict=True):
+                running, logits, _ = self._ask(run, planned, text, (), cost)
                 for answer in running.decode(logits, self.max_tokens, stops):
                     cost["answer_tokens"] += len(answer)
                     tokens = [(self.tokenizer.decode([token]), log) for token, log in answer]
-                    text = self.tokenizer.decode([token for token, _ in answer], skip_special_tokens=True)
-                    boxes.append(parse_boxes(text, frame, planned.size, tokens=tokens))
+                    said = self.tokenizer.decode([token for token, _ in answer], skip_special_tokens=True)
+                    readings.append(read(said, tokens))
         return found, cost
 
     def _cost(self) -> dict[str, Any]:
@@ -198,3 +207,114 @@ class LanguageModel:
             maps = self._ask(run, planned, ask_presence(example.query), full_layers(self.model), cost)[2]
         alone = {layer: each[0] for layer, each in maps.items()}
         return Observed(alone, grid, unit(np.asarray(example.direction, dtype=float)), example.radius)
+
+
+# --- one pass over the image, and questions that go on from it --------------------------------------------------------
+
+
+@dataclass
+class Run:
+    """Keys and values of a batch of prompts so far.
+
+    `columns`: positions ``(n,)`` of the image tokens. `position`: of the next token; with two-dimensional rotary
+    positions that is not the number of tokens so far. None if the model counts by itself.
+    """
+
+    model: Any
+    batch: int
+    columns: torch.Tensor
+    position: int | None
+    cache: Any
+
+    def branch(self) -> Run:
+        """A run that goes on from here and leaves this one as it is."""
+        return replace(self, cache=copy.deepcopy(self.cache))
+
+    def feed(self, ids: torch.Tensor) -> torch.Tensor:
+        """Run tokens ``(B, T)`` (or ``(1, T)``, the same for all images); logits ``(B, V)`` float32 of the next."""
+        ids, positions = ids.expand(self.batch, -1).to(self.columns.device), {}
+        if self.position is not None:
+            steps = torch.arange(ids.shape[1], device=ids.device) + self.position
+            positions["position_ids"] = steps.expand(3, self.batch, -1)
+            self.position += ids.shape[1]
+        out = self.model(input_ids=ids, cache=self.cache, use_cache=True, logits_to_keep=1, **positions)
+        return out.logits[:, -1].float()
+
+    def ask(self, ids: torch.Tensor, layers: Sequence[int]) -> tuple[torch.Tensor, Rows]:
+        """Feed a question ``(1, T)``: logits of the answer's first token, the last token's attention in `layers`."""
+        with capturing(self.model, layers, self.columns) as rows:
+            return self.feed(ids), rows
+
+    def decode(self, logits: torch.Tensor, most: int, stops: Sequence[int]) -> Decoded:
+        """Greedy decoding of at most `most` tokens, until all images have met one of `stops`, which is left out.
+
+        `logits` are those of the first token, ``(B, V)``.
+        """
+        answers: Decoded = [[] for _ in range(self.batch)]
+        going = [True] * self.batch
+        for step in range(most):
+            best = logits.argmax(dim=-1)
+            logs = logits.log_softmax(dim=-1).gather(-1, best[:, None])[:, 0].tolist()
+            for row, pair in enumerate(zip(best.tolist(), logs, strict=True)):
+                going[row] = going[row] and pair[0] not in stops
+                answers[row] += [pair] * going[row]
+            if not any(going) or step == most - 1:
+                break
+            logits = self.feed(best[:, None])
+        return answers
+
+
+# --- attention of the last token --------------------------------------------------------------------------------------
+
+
+def last_row(
+    query: torch.Tensor, key: torch.Tensor, mask: torch.Tensor | None, scale: float | None, columns: torch.Tensor
+) -> torch.Tensor:
+    """The last query's attention ``(B, H, n)`` to the keys `columns`.
+
+    `query` ``(B, H, T, d)``, `key` ``(B, G, S, d)`` with H a multiple of G.
+    """
+    batch, heads, _, width = query.shape
+    groups, keys = key.shape[1], key.shape[2]
+    last = query[:, :, -1].reshape(batch, groups, heads // groups, width).float()
+    scores = torch.einsum("bgqd,bgkd->bgqk", last, key.float()).reshape(batch, heads, keys)
+    scores = scores * (1 / math.sqrt(width) if scale is None else scale)
+    if mask is not None:
+        row = mask[:, :, -1, :keys]
+        scores = scores.masked_fill(~row, -math.inf) if row.dtype == torch.bool else scores + row.float()
+    return scores.softmax(dim=-1)[..., columns.to(scores.device)]
+
+
+def _attend(
+    module: Any, query: torch.Tensor, key: torch.Tensor, value: torch.Tensor, attention_mask: torch.Tensor | None,
+    **kwargs: Any,
+) -> tuple[torch.Tensor, None]:  # fmt: skip
+    """Scaled dot-product attention that also keeps the row which `capturing` asks for."""
+    rows, columns = getattr(module, _ATTRIBUTE, (None, None))
+    if rows is not None and columns is not None and module.layer_idx not in rows:
+        rows[module.layer_idx] = last_row(query, key, attention_mask, kwargs.get("scaling"), columns)
+    return sdpa_attention_forward(module, query, key, value, attention_mask, **kwargs)
+
+
+AttentionInterface.register(NAME, _attend)
+AttentionMaskInterface.register(NAME, sdpa_mask)
+
+
+def full_layers(model: Any) -> list[int]:
+    """The layers of the language part that see the whole prompt (no sliding window)."""
+    text = model.config.get_text_config()
+    kinds = getattr(text, "layer_types", None) or ["full_attention"] * text.num_hidden_layers
+    return [layer for layer, kind in enumerate(kinds) if kind == "full_attention"]
+
+
+@contextmanager
+def capturing(model: Any, layers: Sequence[int], columns: torch.Tensor) -> Iterator[Rows]:
+    """Within this context, the first pass through each of `layers` records the last token's attention to `columns`."""
+    attentions, rows = [model.model.language_model.layers[layer].self_attn for layer in layers], {}
+    for attention in attentions:
+        setattr(attention, _ATTRIBUTE, (rows, columns))
+    try:
+        yield rows
+    finally:
+        for attention in attentions:
+            delattr(attention, _ATTRIBUTE)

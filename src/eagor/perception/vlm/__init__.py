@@ -22,7 +22,7 @@ from eagor.perception.vlm.answers import Frame, Order
 
 __all__ = [
     "FAMILIES", "GENERAL", "IMAGE", "MAX_TOKENS", "PIXELS", "SERVED", "Chat", "ChatReply", "Extractor", "Family",
-    "Labelled", "Message", "Served", "ask_boxes", "ask_presence", "boxes_schema", "exact_size", "phrase", "style_of",
+    "Labelled", "Message", "ask_boxes", "ask_presence", "boxes_schema", "exact_size", "family_of", "phrase",
 ]  # fmt: skip
 
 Extractor = Literal["attention", "boxes", "views"]
@@ -30,87 +30,69 @@ PIXELS = 700 * 1400  # of a panorama, by default
 
 
 @dataclass(frozen=True)
-class Served:
-    """How a family is asked on a server, which reveals only the model's name.
+class Family:
+    """A family of models, here or on a server, which reveals only the model's name.
 
     - `pattern`: regular expression that finds the family in lower-case names such as ``qwen2.5vl:7b``.
-    - `cell`: side of an image token in pixels; pictures are sent in multiples of it. `view`: side of a square view.
+    - `cell`: side of an image token in pixels; a server is sent pictures in multiples of it. `view`: side of a square
+      view. `pixels`: the most of a picture, if the family leaves a choice.
     - `aspect`: width / height of a panorama as sent. For processors that make everything square, some by cropping,
       the panorama is squeezed beforehand: cells are then twice as wide as high.
-    - `frame`, `order`: of the coordinates to ask for. `grounded`: whether it was trained to write boxes, in the frame
-      of its family; others are better asked yes or no.
-    - `family`: its name. `pixels`: of a panorama, by default. `source`: who says what it writes.
-    """
+    - `frame`, `order`: of the coordinates to ask for. `grounded`: whether it was trained to write boxes; others are
+      better asked yes or no. `source`: who says what it writes.
 
-    pattern: str
-    cell: int
-    view: int
-    aspect: float = 2.0
-    frame: Frame = "thousand"
-    order: Order = "xyxy"
-    family: str = "other"
-    pixels: int = PIXELS
-    grounded: bool = True
-    source: str = ""
+    The rest is of families that also run here:
 
-
-@dataclass(frozen=True)
-class Family:
-    """A family of models; `title` is its common name, `checkpoints` are some published ones.
-
-    - `model_types`: values of ``model_type`` in ``config.json`` that belong to it.
+    - `title` is its common name, `model_types` are values of ``model_type`` in ``config.json``.
     - `fit`: how an image becomes the model's input. ``exact``: resized to whole cells, any aspect; ``squash``: to the
       model's square; ``pad``: into the square with background around it; ``tiles``: cut into squares, followed by the
-      whole image at a smaller scale. `pixels`: the most per image, if the family leaves a choice.
+      whole image at a smaller scale.
     - `extractor`: how directions are read by default: ``attention``, ``boxes`` that it writes, or ``views``: one of
       these, `per_view`, in tangent views that cover the sphere.
-    - `frame`: coordinates of the boxes that it was trained to write; None if it was not.
     - `type_ids`: the input that tells image tokens from text; without it the model runs and answers wrongly.
     - `prompt`: of its training, about a picture, with ``{text}`` for the question; for checkpoints without a chat
       template. `placeholder`: what it has for an image. It is replaced by the `expansion`, in which the `image_token`
       is then repeated.
     - `depth`: the layer whose attention is read by default, as a fraction of all layers. 22 of 28 for Qwen2.5-VL-7B
       and 14 of 32 for LLaVA-1.5-7B are published (Zhang et al., arXiv 2502.17422); the others are not measured.
-    - `served`: how it is asked on a server.
     """
 
-    name: str
-    model_types: tuple[str, ...]
-    title: str
-    fit: Literal["exact", "squash", "pad", "tiles"]
-    extractor: Extractor
-    checkpoints: tuple[str, ...]
-    placeholder: str
-    expansion: str
-    image_token: str
-    prompt: str
-    served: Served
-    per_view: Extractor = "attention"
-    frame: Frame | None = None
-    type_ids: str | None = None
-    depth: float = 0.6
+    name: str = "other"
+    pattern: str = ""
+    cell: int = 28
+    view: int = 560
+    aspect: float = 2.0
+    frame: Frame = "thousand"
+    order: Order = "xyxy"
     pixels: int = PIXELS
+    grounded: bool = True
+    source: str = ""
+    title: str = ""
+    model_types: tuple[str, ...] = ()
+    fit: Literal["exact", "squash", "pad", "tiles"] = "exact"
+    extractor: Extractor = "boxes"
+    per_view: Extractor = "attention"
+    type_ids: str | None = None
+    placeholder: str = ""
+    expansion: str = ""
+    image_token: str = ""
+    prompt: str = ""
+    depth: float = 0.6
 
     def choices(self, heads: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The extractors, and those for each view, the usual first; with localisation `heads` that is attention."""
+        """The extractors here, and those for each view, the usual first; with localisation `heads` it is attention."""
         usual = "attention" if heads and self.extractor == "boxes" else self.extractor
-        known = ("attention", "boxes") if self.frame else ("attention",)
+        known = ("attention", "boxes") if self.grounded else ("attention",)
         return (usual, *known, "views"), (self.per_view, *known)
 
 
-class _Tables(msgspec.Struct):
-    family: tuple[Family, ...]
-    served: tuple[Served, ...]  # on servers only
+SERVED = msgspec.json.decode(Path(__file__).with_name("families.json").read_bytes(), type=tuple[Family, ...])
+FAMILIES = tuple(each for each in SERVED if each.model_types)  # those that also run here
 
 
-_TABLES = msgspec.json.decode(Path(__file__).with_name("families.json").read_bytes(), type=_Tables)
-FAMILIES = _TABLES.family
-SERVED = (*(each.served for each in FAMILIES), *_TABLES.served)
-
-
-def style_of(model: str) -> Served:
+def family_of(model: str) -> Family:
     """How the model of this name is asked: ``Qwen/Qwen2.5-VL-7B-Instruct``, ``qwen2.5vl:7b``; x first for others."""
-    return next((each for each in SERVED if re.search(each.pattern, model.lower())), Served("", 28, 560))
+    return next((each for each in SERVED if re.search(each.pattern, model.lower())), Family())
 
 
 def exact_size(cell: int, pixels: int, aspect: float = 2.0) -> tuple[int, int]:

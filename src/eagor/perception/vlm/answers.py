@@ -16,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from eagor._checks import shown
 from eagor.errors import AnswerError
 
 __all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "parse_presence", "without_thoughts"]
@@ -42,12 +43,13 @@ _ANSWER = re.compile(
 )
 _LONGEST = 200_000  # characters of an answer: thousands of boxes
 _MOST_THOUGHTS = 1_000_000  # characters, with the answer
+_LONGEST_ENTRY = 1000  # characters behind a box in which its score is looked for
 _LEAST = 1e-6  # of the image's sides: anything smaller has no area
 _POINT = 0.01  # of the image's sides: half of what a point without a size stands for
 _PAST = 1.1  # coordinates beyond this many image sides are in another frame, not just inaccurate
 
 # Numbers; lists of two to five; what is between two corners; what comes before and around them.
-_N = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?:\s?%)?"
+_N = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?(?:\s?%)?"
 _SEP = r"(?:\s*,\s*|\s+)"
 _NUMBER = re.compile(_N)
 _LIST = re.compile(rf"[\[(;]\s*({_N}(?:{_SEP}{_N}){{1,4}})(?=\s*,?\s*([\]);]|,\Z))")
@@ -55,7 +57,6 @@ _BETWEEN = re.compile(r"\s*,?\s*[\])][^\[\](){}\d]{0,60}")
 _KEY = re.compile(r"[\"']?([A-Za-z_][\w -]*?)[\"']?\s*[:=]\s*[\"']?[\s\[({]*\Z")
 _POINTS = {"point_2d", "point", "points", "point2d", "xy", "center", "centre"}
 _Y_FIRST = "box_2d"  # Gemini's key, whose boxes are y0 x0 y1 x1 whatever is asked for
-_BRACKET = re.compile(r"[\[\](){}]")
 _CUT = re.compile(r"[^\[({]*[\[({]\D*\d")  # after the last bracket that closes
 _SCORE = re.compile(rf"[\"']?\b(?:score|confidence|probability|prob|conf)[\"']?\s*[:=]\s*[\"']?({_N})", re.IGNORECASE)
 _CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1 y1 x2 y2", "left top right bottom")
@@ -102,7 +103,7 @@ def parse_boxes(
         frame: what its coordinates count. Fractions below 1 are read as fractions in every frame.
         size: (height, width) of the image that the model saw, after any resizing.
         order: of bare numbers; named corners go by their names, Gemini's ``box_2d`` is always y first.
-        tokens: the pieces of the answer with log probabilities, which give the scores (`_confidence`); without them 1.
+        tokens: the pieces of the answer with log probabilities, which give the scores (`_box`); without them 1.
 
     A point becomes a small box. Boxes without area ([0, 0, 0, 0] says that there is none), duplicates, and boxes far
     outside are left out. Raises `AnswerError` if nothing can be read, or if all coordinates lie far outside the frame.
@@ -199,10 +200,9 @@ def _only(text: str, spans: Sequence[tuple[int, int]]) -> str:
     return "".join(parts) + " " * (len(text) - place)
 
 
-def _shortened(text: str, most: int = 200) -> str:
+def _shortened(text: str) -> str:
     """`text` on one line and in quotes, for an error."""
-    line = " ".join(text.split())
-    return repr(line if len(line) <= most else line[: most - 3] + "...")
+    return shown(" ".join(text.split()), 200)
 
 
 # --- where the numbers are --------------------------------------------------------------------------------------------
@@ -227,7 +227,7 @@ def _listed(text: str, order: Order) -> list[_Found]:
             lists.append((match.start(), match.end(), numbers))
     boxes: list[_Found] = []
     points: list[_Found] = []
-    around, end, last, key = _parents(text), 0, 0, None
+    end, last, key = 0, 0, None
     for start, stop, found in lists:
         before = text[max(last, start - 200) : start]
         if key is None or not re.fullmatch(r"[\s,;()\[\]]*", before):  # else one of several values of a key
@@ -239,7 +239,7 @@ def _listed(text: str, order: Order) -> list[_Found]:
         if len(numbers) == 2 or key in _POINTS or not all(0 <= fifth <= 1 for fifth in numbers[4:]):
             continue
         places = _PLACES["yxyx" if key == _Y_FIRST else order]
-        decided, score = _entry(text, around, start, stop, end)
+        decided, score = _entry(text, start, stop, end)
         score, end = (*numbers[4:], score)[0], stop
         boxes.append(
             _Found(tuple(numbers[at] for at in places), tuple(found[at].start() for at in places), decided, score)
@@ -247,38 +247,27 @@ def _listed(text: str, order: Order) -> list[_Found]:
     return boxes or points
 
 
-def _parents(text: str) -> dict[int, int]:
-    """The place of each opening bracket, and of the one around it; -1 for none."""
-    parents, opened = {}, [-1]
-    for bracket in _BRACKET.finditer(text):
-        if bracket[0] in "[({":
-            parents[bracket.start()] = opened[-1]
-            opened.append(bracket.start())
-        elif len(opened) > 1:
-            opened.pop()
-    return parents
+def _entry(text: str, start: int, stop: int, end: int) -> tuple[tuple[int, int], float | None]:
+    """Where the model decided to write the box in [`start`, `stop`), and its written score; `end`: of the last box.
 
-
-def _entry(text: str, parents: dict[int, int], start: int, stop: int, end: int) -> tuple[tuple[int, int], float | None]:
-    """Where the model decided to write the box in [`start`, `stop`), and its written score; `end`: of the last box."""
-    entry, around = start, parents.get(start, -1)
-    if around >= 0 and text[around] == "{":
-        entry, around = around, parents[around]
-    since = around if around >= 0 else entry
-    if since < end:
-        since = max(end, text.rfind("}", end, entry) + 1, text.rfind("]", end, entry) + 1)
-    close = text.find("}", stop)
-    for part in (text[max(entry, end) : start], text[stop : close if close >= 0 else len(text)]):
+    That is where the object with the box opens, or the list itself, and the brackets and commas right before that.
+    """
+    entry = text.rfind("{", end, start)
+    entry = start if entry < text.rfind("}", end, start) or entry < 0 else entry
+    before = text[end:entry]
+    decided = entry - len(before[len(before.rstrip(" \t\r\n,[({")) :].lstrip()), entry + 1
+    close = text.find("}", stop, stop + _LONGEST_ENTRY)
+    for part in (text[max(entry, end) : start], text[stop : close if close >= 0 else stop + _LONGEST_ENTRY]):
         if written := _SCORE.search(part):
             score = float(written[1].rstrip("% "))
-            return (since, entry + 1), None if not 0 <= score <= 100 else score if score <= 1 else score / 100
-    return (since, entry + 1), None
+            return decided, None if not 0 <= score <= 100 else score if score <= 1 else score / 100
+    return decided, None
 
 
 def _named(text: str) -> Iterator[_Found]:
     """The boxes whose corners have names: in objects, in XML, in prose; or one point x, y."""
     fields: dict[str, tuple[float, int]] = {}
-    around, end, count = _parents(text), 0, 0
+    end, count = 0, 0
     for match in _NAMED.finditer(text):
         name, count = match[1].lower(), count + 1
         fields = {} if name in fields else fields
@@ -290,7 +279,7 @@ def _named(text: str) -> Iterator[_Found]:
         if names in _SIDES:
             across, down = x + across, y + down
         opened = text.rfind("{", end, min(places))
-        decided, score = _entry(text, around, opened, match.end(), end) if opened >= 0 else (None, None)
+        decided, score = _entry(text, opened, match.end(), end) if opened >= 0 else (None, None)
         yield _Found((x, y, across, down), places, decided, score)
         fields, end = {}, match.end()
     if not end and count == 2 and {"x", "y"} <= fields.keys():
@@ -336,15 +325,11 @@ def _box(found: _Found, frame: Frame, size: tuple[int, int], trace: Trace | None
     if not (x1 - x0 > _LEAST and y1 - y0 > _LEAST):
         return "empty"
     score = found.score
-    if score is None:
-        score = _confidence(found.places, found.decided, trace) if trace and found.decided else 1.0
-    return Box(x0, y0, x1, y1, score)
-
-
-def _confidence(places: tuple[int, ...], decided: tuple[int, int], trace: Trace) -> float:
-    """The probability of opening the entry times the geometric mean over the first tokens of its numbers."""
-    begun = sum(trace.log_probability(place, place + 1) for place in places) / len(places)
-    return math.exp(trace.log_probability(*decided) + begun)
+    if score is None and trace and found.decided:
+        # The probability of opening the entry, times the geometric mean over the first tokens of its numbers.
+        begun = sum(trace.log_probability(place, place + 1) for place in found.places) / len(found.places)
+        score = math.exp(trace.log_probability(*found.decided) + begun)
+    return Box(x0, y0, x1, y1, 1.0 if score is None else score)
 
 
 class Trace:

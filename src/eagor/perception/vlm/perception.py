@@ -1,35 +1,36 @@
-"""One perception for all vision-language models, local or served: what they are shown, and what is made of it."""
+"""One perception for all vision-language models, local or served: what they are shown, and what is made of it.
+
+Several pictures of one moment overlap: a panorama and the same rolled by half a turn (the seam of one is the middle of
+the other), or tangent views. Things are cut at borders, and models waste attention there; so everywhere the picture
+counts most in which a direction lies farthest inside.
+"""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from eagor.errors import EagorError
+from eagor.errors import EagorError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
-from eagor.evidence.shapes import WHOLE_SPHERE
-from eagor.grids import PatchGrid, PerspectiveGrid, tangent_views
-from eagor.media.panorama import checked_picture
+from eagor.evidence.shapes import ANYWHERE, WHOLE_SPHERE, moments
+from eagor.grids import OVERLAP, Grid, PatchGrid, PerspectiveGrid, depth_inside, tangent_views
+from eagor.media.panorama import checked_picture, cut, resized
 from eagor.perception.things import spread_evidence
-from eagor.perception.vlm import phrase
-from eagor.perception.vlm.answers import Box
-from eagor.perception.vlm.projection import (
-    InferencePlan,
-    box_detections,
-    fuse_detections,
-    plan_panorama,
-    plan_view,
-    plan_views,
-)
+from eagor.perception.vlm import ask_boxes, phrase
+from eagor.perception.vlm.answers import Box, Token, parse_boxes
+from eagor.sphere import angular_distance
 
+SAME = math.radians(5)  # largest distance between two boxes of one small thing; the extent of large things is added
+REACH = math.sqrt(3)  # half the width of a box over its standard deviation
+_SAMPLES = 3  # along each side of a cell that the responses of views are projected to
 Cost = Mapping[str, object]  # tokens, requests and the like, for the source of evidence
 
 
@@ -49,7 +50,8 @@ class ModelPerception:
     - ``extractors()``: what it can be asked for in a panorama, and in each of several views; the usual first.
     - ``sizes(aspect, view=False)``: (height, width) that pictures are resized to, and (rows, cols) of its cells.
     - ``view_rows``: rows of the panorama that responses to views are put together on.
-    - ``boxes(images, queries)``: per query and image what it writes; ``AnswerError`` if that cannot be read.
+    - ``family``: how it is asked, and what its boxes count.
+    - ``boxes(images, texts, read)``: per text and image what `read` makes of the answer and its tokens.
     - ``maps(images, queries, wrap)``: responses ``(Q, B, h, w)`` in [0, 1]; `wrap`: the images are panoramas.
 
     Raises `EagorError` for an extractor that the model does not have.
@@ -111,20 +113,24 @@ class ModelPerception:
         ``views``, the picture is the only view. Errors as for a call.
         """
         began, words = time.perf_counter(), phrase(query)
-        size, cells = self.model.sizes(grid.width / grid.height)
-        if size[0] * cells[1] != size[1] * cells[0]:  # it sees only squares: its cells are square in a square
-            size, cells = self.model.sizes(1.0)
-        return self._infer(plan_view(image, grid, size, cells), [words], stamp, began)[0]
+        plan = plan_view(image, grid, *self.model.sizes(grid.width / grid.height))
+        return self._infer(plan, [words], stamp, began)[0]
 
     def _infer(self, plan: InferencePlan, queries: list[str], stamp: float | None, began: float) -> list[Evidence]:
         each = self.per_view if self.extractor == "views" else self.extractor
         images = [crop.image for crop in plan.crops]
         if each == "boxes":
-            boxes, cost = self.model.boxes(images, queries)
+            family, size = self.model.family, images[0].shape[:2]
+
+            def read(text: str, tokens: Sequence[Token]) -> list[Box]:
+                return parse_boxes(text, family.frame, size, family.order, tokens)
+
+            texts = [ask_boxes(query, family.frame, family.order) for query in queries]
+            boxes, cost = self.model.boxes(images, texts, read)
             found = [self._of_boxes(plan, answers, stamp) for answers in boxes]
         else:
             maps, cost = self.model.maps(images, queries, isinstance(plan.crops[0].grid, PatchGrid))
-            found = [Evidence.from_response(plan.combine(answers), plan.cells, self.calibration, stamp, plan.coverage)
+            found = [Evidence.from_response(plan.combine(answers), plan.cells, self.calibration, stamp)
                      for answers in maps]  # fmt: skip
         how = {"extractor": self.extractor if plan.view is None else each, "per_view": each}
         took = round(1000 * (time.perf_counter() - began), 3)
@@ -136,8 +142,157 @@ class ModelPerception:
             raise EagorError("a calibration came for boxes, which are detections; wanted detector=DetectorModel(...)")
         pictures = zip(answers, plan.crops, strict=True)
         found = fuse_detections(box_detections(boxes, crop.grid, crop.roll) for boxes, crop in pictures)
-        if plan.view is not None:
-            found = [each for each in found if plan.view.project(each.direction)[2]]
         scored = any(each.score != 1 for each in found)  # a model that tells none has 1 everywhere
         return spread_evidence([each[:3] for each in found], self.detector, View(plan.view or WHOLE_SPHERE), stamp,
                                scored)  # fmt: skip
+
+
+# --- what a model is shown --------------------------------------------------------------------------------------------
+
+
+class Crop(NamedTuple):
+    """A picture for the model, with the geometry of `grid`, rolled to the right by the fraction `roll` of its width."""
+
+    image: np.ndarray
+    grid: Grid
+    roll: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class InferencePlan:
+    """What a model is shown of one moment.
+
+    `combine` makes one response on the cells `cells` from those of the crops ``(h, w)``. `view`: the ordinary picture
+    that is looked at, None: a panorama.
+    """
+
+    crops: tuple[Crop, ...]
+    cells: Grid
+    combine: Callable[[Sequence[np.ndarray]], np.ndarray]
+    view: PerspectiveGrid | None = None
+
+
+def plan_panorama(panorama: np.ndarray, size: tuple[int, int], cells: tuple[int, int], seam: bool) -> InferencePlan:
+    """The whole panorama at `size` (height, width), seen in `cells` (rows, cols); with `seam` also rolled by half."""
+    picture, grid = resized(panorama, size, wrap=True), PatchGrid(*cells)
+    shift = grid.cols // 2 if seam else 0
+    if not shift:
+        return InferencePlan((Crop(picture, grid),), grid, lambda maps: maps[0])
+    roll = shift / grid.cols
+    rolled = Crop(np.roll(picture, shift * (size[1] // grid.cols), axis=1), grid, roll)
+    return InferencePlan((Crop(picture, grid), rolled), grid,
+                         lambda maps: merge_seam(maps[0], np.roll(maps[1], -shift, axis=-1), roll))  # fmt: skip
+
+
+def plan_views(panorama: np.ndarray, side: int, rows: int) -> InferencePlan:
+    """Tangent views of `side` pixels that cover the sphere; responses come on a panorama of so many `rows`."""
+    views, grid = tangent_views(side), PatchGrid(rows, 2 * rows)
+    crops = tuple(map(Crop, cut(panorama, *views), views))
+    return InferencePlan(crops, grid, lambda maps: project_to_sphere(maps, views, grid))
+
+
+def plan_view(image: np.ndarray, grid: PerspectiveGrid, size: tuple[int, int], cells: tuple[int, int]) -> InferencePlan:
+    """One ordinary picture with the pixels of `grid`, at `size` (height, width), seen in `cells` (rows, cols).
+
+    What its shape and the size differ by, it is stretched: the lens with it. Raises `ImageError`.
+    """
+    stretched = PerspectiveGrid.of_lens(grid.lens).resized(*size)
+    crop = Crop(resized(checked_picture(image, "the view"), size), stretched)
+    return InferencePlan((crop,), stretched.resized(*cells), lambda maps: np.broadcast_to(maps[0], cells), grid)
+
+
+# --- boxes ------------------------------------------------------------------------------------------------------------
+
+
+class Detection(NamedTuple):
+    """The direction of a box: mean ``(3,)``, covariance ``(2, 2)`` about it (radians^2), and score.
+
+    `depth`: distance from the border of its picture, where things are cut off; larger is farther inside.
+    """
+
+    direction: np.ndarray
+    covariance: np.ndarray
+    score: float
+    depth: float
+
+    def same_object(self, other: Detection) -> bool:
+        """Whether boxes of two pictures probably show one thing, which one of the pictures may cut off."""
+        small, large = sorted(math.sqrt(float(np.trace(each.covariance)) / 2) for each in (self, other))
+        if large > 3 * small + SAME:
+            return False
+        return float(angular_distance(self.direction, other.direction)) < math.hypot(SAME, REACH * large)
+
+
+def box_detections(boxes: Iterable[Box], image: Grid, roll: float = 0.0) -> list[Detection]:
+    """The boxes in a picture with the geometry of `image` as directions in the body frame.
+
+    For a whole panorama, `image` is any grid of the whole sphere; `roll`: the fraction of its width by which it was
+    rolled to the right. A box all around has no direction and counts everywhere.
+    """
+    height, width = image.shape
+    found = []
+    for box in boxes:
+        corners = [(box.x0 - roll) * width, box.y0 * height, (box.x1 - roll) * width, box.y1 * height]
+        try:
+            centre, spread = moments(np.array(corners), image)  # columns continue across the seam
+        except ResponseError:  # all around: every `Box` has some area
+            centre, spread = np.array([1.0, 0.0, 0.0]), ANYWHERE**2 * np.eye(2)
+        view = isinstance(image, PerspectiveGrid)
+        depth = float(centre @ image.body_R_view[:, 0]) if view else 1 - abs(box.x0 + box.x1 - 1)
+        found.append(Detection(centre, spread, box.score, depth))
+    return found
+
+
+def fuse_detections(pictures: Iterable[Sequence[Detection]]) -> list[Detection]:
+    """The things in several pictures, each once: from the picture in which it lies farthest inside."""
+    marked = [(each, index) for index, found in enumerate(pictures) for each in found]
+    kept: list[tuple[Detection, int]] = []
+    for each, index in sorted(marked, key=lambda pair: -pair[0].depth):
+        if not any(index != other and each.same_object(earlier) for earlier, other in kept):
+            kept.append((each, index))
+    return [each for each, _ in kept]
+
+
+# --- responses --------------------------------------------------------------------------------------------------------
+
+
+def merge_seam(first: np.ndarray, second: np.ndarray, roll: float = 0.5) -> np.ndarray:
+    """One response, float32, from two ``(..., h, w)`` to one panorama, both in the panorama's own frame.
+
+    `second` was seen in the panorama rolled to the right by the fraction `roll` of its width (near 1/2); its columns
+    are rolled back already. The weights are sin^2 of half the azimuth from the border; they sum to 1 (after division
+    if `roll` is not 1/2).
+    """
+    fractions = (np.arange(first.shape[-1]) + 0.5) / first.shape[-1]
+    weight, other = np.sin(math.pi * fractions) ** 2, np.sin(math.pi * (fractions + roll)) ** 2
+    share = weight / (weight + other)
+    return (first * share + second * (1 - share)).astype(np.float32)
+
+
+def project_to_sphere(responses: Sequence[np.ndarray], views: Sequence[PerspectiveGrid], grid: PatchGrid) -> np.ndarray:
+    """One response ``(h, w)`` float32 on `grid` from those of views that cover the sphere.
+
+    `responses`: per view the values in [0, 1] of its cells ``(rows, cols)``, which divide the view evenly; a single
+    cell covers the whole view. Where views overlap it is the mean, weighted by sin^2 over a margin at each side.
+    """
+    # Several points per cell: borders of views run through cells, and cells of views may be finer than ours.
+    fine = PatchGrid(grid.rows * _SAMPLES, grid.cols * _SAMPLES)
+    total, weights = np.zeros(fine.shape), np.zeros(fine.shape)
+    for response, view in zip(responses, views, strict=True):
+        depth = depth_inside(fine.directions @ view.body_R_view, view.hfov / 2, view.hfov / 2)
+        inside = depth > 0
+        weight = np.sin(np.clip(depth[inside] / (OVERLAP / 2), 0, 1) * (math.pi / 2)) ** 2
+        x, y, _ = view.project(fine.directions[inside])
+        total[inside] += weight * bilinear(response[None], x / view.width, y / view.height)[0]
+        weights[inside] += weight
+    total, share = ((each * fine.weights).reshape(grid.rows, _SAMPLES, grid.cols, _SAMPLES).sum(axis=(1, 3))
+                    for each in (total, weights))  # fmt: skip
+    return np.clip(total / share, 0, 1).astype(np.float32)
+
+
+def bilinear(layers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """`layers` ``(Q, rows, cols)`` of a view at fractions (x, y) of it; constant beyond the outer centres."""
+    from scipy.ndimage import map_coordinates
+
+    places = np.stack([y * layers.shape[1] - 0.5, x * layers.shape[2] - 0.5])
+    return np.stack([map_coordinates(layer, places, np.float64, order=1, mode="nearest") for layer in layers])
