@@ -116,19 +116,21 @@ def locate(options: Locate) -> int:
 
 def _picture(options: Locate, places: Sequence[Path], rows: int) -> Picture:
     """The photograph, or the frame of a video at ``--stamp`` seconds."""
-    from eagor.media.films import open_video
-    from eagor.media.footage import LEAST_ROWS, FrameCheck, is_video
+    from eagor.media.camera_sources import LEAST_ROWS, FrameCheck, is_video
     from eagor.media.panorama import Picture
+    from eagor.media.video import Video
 
     lens = checks.lens_of(options)
     rig = lens["rig"]
     check = FrameCheck(options.force, terminal.log, lens["camera"], rig)
     if not is_video(places, rig is not None):
         return check.read(*places)
-    video = open_video(places, rig, start=options.stamp or 0.0, rows=max(rows, LEAST_ROWS))
+    how = {"rig": rig, "camera": lens["camera"], "force": options.force}
+    video = Video(*places, **how, start=options.stamp or 0.0, rows=max(rows, LEAST_ROWS))
     say_of_video(places[0].name, video)
     first = next(iter(video))
-    return check(Picture(first.picture, video.unseen, video.level_R_body), first.name, video.hint)
+    found = Picture(first.picture, first.unseen, first.grid, video.level_R_body)
+    return check.look(found, first.name, video.builder, video.hint)
 
 
 def _print(options: Locate, name: str, spec: str, estimate: Estimate) -> None:

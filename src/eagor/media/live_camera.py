@@ -22,8 +22,9 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, ClassVar, cast
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.media import Frame
 from eagor.media.intrinsics import Camera
 from eagor.media.stitching import PanoramaBuilder
-from eagor.media.video import Damage, pictures, to_rgb
+from eagor.media.tracks import Damage, pictures, to_rgb
 from eagor.odometry.clocks import StreamClock
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
 __all__ = [
-    "SCHEMES", "FrameGrabber", "LiveCamera", "RawPipe", "Stream", "TimedFrame", "device", "network", "raw_pipe",
+    "SCHEMES", "FrameGrabber", "LiveCamera", "Stream", "TimedFrame", "device", "network", "raw_pipe",
     "standard_input",
 ]  # fmt: skip
 
@@ -74,7 +75,8 @@ class Stream:
     """How to open a stream: `address` for FFmpeg, `format` ("" if it finds out), `options`; `name` is for texts.
 
     `again`: whether it can be opened once more. `size`: width and height that were asked for, or None. `stamped`:
-    whether its times are those of capture, on this machine's clock (``time.time()``).
+    whether its times are those of capture, on this machine's clock (``time.time()``). `raw`: what reads it without
+    FFmpeg.
     """
 
     address: str
@@ -83,13 +85,17 @@ class Stream:
     options: Mapping[str, str] = field(default_factory=dict)
     again: bool = True
     size: tuple[int, int] | None = None
-    stamped: ClassVar[bool] = False
+    stamped: bool = False
+    raw: Callable[..., Iterator[tuple[float | None, VideoFrame]]] | None = None
 
     def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
         """Time (seconds on the stream's own clock, or None) and picture, as they come, until the stream ends.
 
         `damaged` is called for each picture that is lost. Raises `DeviceError` in words.
         """
+        if self.raw is not None:
+            yield from self.raw(damaged)
+            return
         need(f"reading {self.name}", "photos", "av")
         import av
         from av.error import FFmpegError
@@ -184,53 +190,42 @@ def _why(error: Exception) -> str:
 # --- raw ---
 
 
-@dataclass(frozen=True)
-class RawPipe:
-    """Raw pictures of `kind` (a name of FFmpeg's) with `width` and `height` that `file` brings; see the module."""
+def _raw(
+    damaged: Callable[[], None], *, file: BinaryIO, kind: str, width: int, height: int, stamped: bool
+) -> Iterator[tuple[float | None, VideoFrame]]:
+    """The pictures of a raw pipe, as those of `Stream`."""
+    need("reading raw pictures", "photos", "av")
+    import av
 
-    file: BinaryIO
-    kind: str
-    width: int
-    height: int
-    stamped: bool = False
-    name: str = "standard input"
-    again: bool = False
-
-    def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
-        """As those of `Stream`."""
-        need("reading raw pictures", "photos", "av")
-        import av
-
-        per, head = BYTES[self.kind], STAMP.size if self.stamped else 0
-        rows, planes = (self.height * 3 // 2, ()) if per == 1.5 else (self.height, () if per == 1 else (int(per),))
-        size = head + round(self.width * self.height * per)
-        shape = f"{self.kind}, {self.width} x {self.height}"
-        while True:
-            data, read = memoryview(bytearray(size)), 0
-            while read < size and (part := self.file.readinto(data[read:])):  # type: ignore[attr-defined]
-                read += part
-            if 0 < read < size:
-                damaged()
-                warnings.warn(
-                    f"{self.name} ended in the middle of a picture, after {read} of {size} bytes. Are its pictures "
-                    f"{shape}?",
-                    UserWarning,
-                    stacklevel=2,
-                )
-            if read < size:
-                return
-            told = STAMP.unpack_from(data)[0] if self.stamped else None
-            if told is not None and not (math.isfinite(told) and 0 < told < 1e11):
-                raise DeviceError(
-                    f"{self.name}: the time before a picture is {told:g}; wanted seconds since 1970 as a little-endian "
-                    f"double, then {size - head} bytes ({shape}). Pictures without times: leave out :stamped"
-                )
-            array = np.frombuffer(data, np.uint8, offset=head).reshape(rows, self.width, *planes)
-            yield told, av.VideoFrame.from_ndarray(np.ascontiguousarray(array), format=self.kind)
+    per, head, shape = BYTES[kind], STAMP.size if stamped else 0, f"{kind}, {width} x {height}"
+    rows, planes = (height * 3 // 2, ()) if per == 1.5 else (height, () if per == 1 else (int(per),))
+    size = head + round(width * height * per)
+    while True:
+        data, read = memoryview(bytearray(size)), 0
+        while read < size and (part := file.readinto(data[read:])):  # type: ignore[attr-defined]
+            read += part
+        if 0 < read < size:
+            damaged()
+            warnings.warn(
+                f"standard input ended in the middle of a picture, after {read} of {size} bytes. Are its pictures "
+                f"{shape}?",
+                UserWarning,
+                stacklevel=2,
+            )
+        if read < size:
+            return
+        told = STAMP.unpack_from(data)[0] if stamped else None
+        if told is not None and not (math.isfinite(told) and 0 < told < 1e11):
+            raise DeviceError(
+                f"standard input: the time before a picture is {told:g}; wanted seconds since 1970 as a little-endian "
+                f"double, then {size - head} bytes ({shape}). Pictures without times: leave out :stamped"
+            )
+        array = np.frombuffer(data, np.uint8, offset=head).reshape(rows, width, *planes)
+        yield told, av.VideoFrame.from_ndarray(np.ascontiguousarray(array), format=kind)
 
 
-def raw_pipe(text: str, file: BinaryIO) -> RawPipe:
-    """The pipe that `text` describes, such as ``pipe:rgb24:1920x960``. Raises `DeviceError`."""
+def raw_pipe(text: str, file: BinaryIO) -> Stream:
+    """The pictures that `file` brings as `text` describes, such as ``pipe:rgb24:1920x960``. Raises `DeviceError`."""
     found = _SPEC.fullmatch(text)
     if found is None or found[1] not in BYTES:
         raise DeviceError(
@@ -242,7 +237,9 @@ def raw_pipe(text: str, file: BinaryIO) -> RawPipe:
     if not 0 < width * height <= LARGEST or (halved and (width % 2 or height % 2)):
         even = "even sides, " if halved else ""
         raise DeviceError(f"{text}: wanted {even}at least 1 and at most {LARGEST} pixels")
-    return RawPipe(file, found[1], width, height, bool(found[4]))
+    stamped = bool(found[4])
+    raw = partial(_raw, file=file, kind=found[1], width=width, height=height, stamped=stamped)
+    return Stream(text, "standard input", again=False, stamped=stamped, raw=raw)
 
 
 # --- the newest picture ---
@@ -265,7 +262,7 @@ class FrameGrabber:
     not. Raises `DeviceError` if the stream cannot be opened or no picture comes.
     """
 
-    def __init__(self, stream: Stream | RawPipe, *, latency: float = 0.0, rate: float | None = None) -> None:
+    def __init__(self, stream: Stream, *, latency: float = 0.0, rate: float | None = None) -> None:
         self.stream, self.dropped = stream, 0
         self.newest: TimedFrame | None = None
         self.error: EagorError | None = None
@@ -399,7 +396,7 @@ class LiveCamera:
 
     def __init__(
         self,
-        streams: Sequence[Stream | RawPipe],
+        streams: Sequence[Stream],
         *,
         rig: Rig | None = None,
         rows: int | None = None,

@@ -28,8 +28,7 @@ from eagor.live.events import Answer, Diagnostic, Event, ImageReceived, Observat
 from eagor.live.loop import LOADING, Loop
 from eagor.live.threads import already_open
 from eagor.media import Frame
-from eagor.media.camera_sources import open_source
-from eagor.media.footage import Footage
+from eagor.media.camera_sources import Footage, open_source
 from eagor.media.intrinsics import ShapeError
 from eagor.media.odometry import poses_for
 from eagor.studio.answers import belief_of, evidence_of, lens_of, picture_of, plan_of, scene_of, step_of
@@ -55,7 +54,7 @@ class Played(Footage):
     waits = True
 
     def __init__(self, source: Footage) -> None:
-        super().__init__(source.frames, source.latency, source.rows)
+        vars(self).update(vars(source))
         self._changed = threading.Condition()
         self._paused = self._wanted = False
 
