@@ -13,7 +13,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from io import FileIO
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,7 @@ from eagor.media.bag_sources import BagCamera
 from eagor.media.bags import is_bag, split_bag
 from eagor.media.defects import problems
 from eagor.media.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
-from eagor.media.live_camera import SCHEMES, LiveCamera, device, network, raw_pipe, standard_input
+from eagor.media.live_camera import SCHEMES, STREAMS, LiveCamera
 from eagor.media.panorama import IMAGES, Picture, in_order, pictures_in, read_stored
 from eagor.media.rigs import read_rig
 from eagor.media.stitching import PanoramaBuilder, sizes_of
@@ -50,8 +49,6 @@ SOURCES = (
     "(?size=1920x960&rate=30&format=mjpeg), rtsp://..., rtmp://..., http://..., udp://..., ros:/image_topic, - "
     "(encoded pictures on standard input) or pipe:rgb24:1920x960 (raw ones)"
 )
-_DEVICE = re.compile(r"(?:v4l2:)?(/dev/[^?]+)|v4l2:(\d+)")
-_ADDRESS = re.compile(rf"(?:{'|'.join(SCHEMES)})://", re.IGNORECASE)
 _NAME = re.compile(r"([A-Za-z][\w-]+):(.*)", re.DOTALL)
 
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")  # without a look
@@ -100,8 +97,7 @@ def open_source(
     if kinds[0] == "plugin":
         name, _, rest = text.partition(":")
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
-    streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
-    return LiveCamera(streams, **settings)
+    return LiveCamera([STREAMS[kinds[0]][1](part) for part in parts], **settings)
 
 
 def open_footage(
@@ -143,14 +139,9 @@ def open_footage(
 
 
 def _kind(text: str) -> str:
-    if text in ("-", "pipe:", "pipe:0"):
-        return "input"
-    if text.startswith("pipe:"):
-        return "pipe"
-    if _DEVICE.match(text):
-        return "device"
-    if _ADDRESS.match(text):
-        return "stream"
+    for kind, (form, _) in STREAMS.items():
+        if form.match(text):
+            return kind
     if is_bag(split_bag(text)[0]) or os.path.exists(text):
         return "file"
     if (named := _NAME.fullmatch(text)) is None:
@@ -165,23 +156,6 @@ def _kind(text: str) -> str:
 def _has_topics(text: str) -> bool:
     """Whether commas in a source are those between the topics of a bag or of ROS."""
     return is_bag(split_bag(text)[0]) or text.partition(":")[0] in BUILT_IN
-
-
-def _device(text: str) -> Any:
-    place, _, query = text.partition("?")
-    if (found := _DEVICE.fullmatch(place)) is None:
-        raise DeviceError(f"{text}: wanted a camera such as /dev/video0, or v4l2:0")
-    settings = {key: value for key, _, value in (pair.partition("=") for pair in query.split("&") if pair)}
-    return device(found[1] or f"/dev/video{found[2]}", settings)
-
-
-_STREAMS: dict[str, Callable[[str], Any]] = {
-    "input": lambda _: standard_input(),
-    # Not sys.stdin: a thread that waits for it holds its lock, and Python then aborts at exit.
-    "pipe": lambda text: raw_pipe(text, FileIO(0, closefd=False)),
-    "device": _device,
-    "stream": network,
-}
 
 
 # --- recorded pictures ---
@@ -209,14 +183,15 @@ class FrameCheck:
         stored, name = [read_stored(path) for path in paths], str(paths[0])
         hint = NOTHING if self.camera is None or self.rig is not None else intrinsics_from_exif(paths[0])
         pictures, (_, hidden, projection, facts) = [each.picture for each in stored], stored[0]
-        key = sizes_of(pictures), hint, projection
-        builder = self._builders.get(key)
+        key = sizes_of(pictures), hint
+        builder = self._builders.get(key) if projection is None else None
         if builder is None:
             builder = PanoramaBuilder(
                 key[0], name, rig=self.rig, camera=self.camera, hint=hint, projection=projection, rows=self.rows,
                 force=self.force,
             )  # fmt: skip
-            self._builders[key] = builder
+            if projection is None:  # which may differ from picture to picture
+                self._builders[key] = builder
         if builder.refused or not self._looked:
             builder.check(*pictures, name=name)
         found = Picture(builder.make(*pictures), builder.hidden(hidden), builder.view, builder.level_R_body)

@@ -23,6 +23,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, cast
 
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
 __all__ = [
-    "SCHEMES", "FrameGrabber", "LiveCamera", "Stream", "TimedFrame", "device", "network", "raw_pipe",
+    "SCHEMES", "STREAMS", "FrameGrabber", "LiveCamera", "Stream", "TimedFrame", "device", "network", "raw_pipe",
     "standard_input",
 ]  # fmt: skip
 
@@ -144,11 +145,15 @@ class Stream:
         return "Is the address right, the camera on, and this machine in its network?"
 
 
-def device(path: str, settings: Mapping[str, str]) -> Stream:
-    """A V4L2 camera at `path` (/dev/video0); `settings`: size=WxH, rate=HZ, format=mjpeg.
+def device(text: str) -> Stream:
+    """A V4L2 camera: /dev/video0, v4l2:0, with ?size=WxH&rate=HZ&format=mjpeg.
 
     Raises `DeviceError` if there is none, in words that list those that there are.
     """
+    place, _, query = text.partition("?")
+    path = place.removeprefix("v4l2:")
+    path = f"/dev/video{path}" if path.isdigit() else path
+    settings = {key: value for key, _, value in (pair.partition("=") for pair in query.split("&") if pair)}
     for key in settings:
         if key not in SETTINGS:
             raise DeviceError(f"{path}: there is no setting {key!r}; wanted size=WxH, rate=HZ or format=mjpeg")
@@ -177,7 +182,7 @@ def network(address: str) -> Stream:
     return Stream(address, redacted(address), kind, options)
 
 
-def standard_input() -> Stream:
+def standard_input(_: str = "-") -> Stream:
     """Encoded pictures on standard input: MPEG-TS, Matroska, MJPEG, ..."""
     return Stream("pipe:0", "standard input", "", {**LOW_LATENCY, "protocol_whitelist": "pipe"}, again=False)
 
@@ -224,8 +229,12 @@ def _raw(
         yield told, av.VideoFrame.from_ndarray(np.ascontiguousarray(array), format=kind)
 
 
-def raw_pipe(text: str, file: BinaryIO) -> Stream:
-    """The pictures that `file` brings as `text` describes, such as ``pipe:rgb24:1920x960``. Raises `DeviceError`."""
+def raw_pipe(text: str, file: BinaryIO | None = None) -> Stream:
+    """The pictures that `file` brings as `text` describes, such as ``pipe:rgb24:1920x960``. Raises `DeviceError`.
+
+    None: standard input.
+    """
+    file = file or FileIO(0, closefd=False)  # not sys.stdin: who waits for it holds its lock, and Python aborts at exit
     found = _SPEC.fullmatch(text)
     if found is None or found[1] not in BYTES:
         raise DeviceError(
@@ -240,6 +249,14 @@ def raw_pipe(text: str, file: BinaryIO) -> Stream:
     stamped = bool(found[4])
     raw = partial(_raw, file=file, kind=found[1], width=width, height=height, stamped=stamped)
     return Stream(text, "standard input", again=False, stamped=stamped, raw=raw)
+
+
+STREAMS = {  # what a text has to begin with, or be, and what then opens it
+    "input": (re.compile(r"(-|pipe:0?)$"), standard_input),
+    "pipe": (re.compile("pipe:"), raw_pipe),
+    "device": (re.compile(r"((v4l2:)?/dev/[^?]+|v4l2:\d+)(\?|$)"), device),
+    "stream": (re.compile(rf"({'|'.join(SCHEMES)})://", re.IGNORECASE), network),
+}
 
 
 # --- the newest picture ---

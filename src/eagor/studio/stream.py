@@ -73,13 +73,13 @@ class Played(Footage):
     def _wait(self, until: float) -> bool:
         """Wait until then, on `time.monotonic`, and while paused, unless a picture is wanted; False once closed."""
         with self._changed:
-            while not (self._closed or self._wanted):
+            while not (self.closed or self._wanted):
                 left = math.inf if self._paused else until - time.monotonic()
                 if left <= 0:
                     break
                 self._changed.wait(None if math.isinf(left) else left)
             self._wanted = False
-            return not self._closed
+            return not self.closed
 
     def pause(self, on: bool) -> None:
         """Stand still, or go on, with a picture at once: somebody wants to see."""
@@ -89,7 +89,7 @@ class Played(Footage):
 
     def close(self) -> None:
         with self._changed:
-            self._closed = True
+            self.closed = True
             self._changed.notify_all()
 
 
