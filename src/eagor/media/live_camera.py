@@ -75,9 +75,8 @@ APART = 0.1  # seconds by which the newest pictures of two lenses may differ bef
 class Stream:
     """How to open a stream: `address` for FFmpeg, `format` ("" if it finds out), `options`; `name` is for texts.
 
-    `again`: whether it can be opened once more. `size`: width and height that were asked for, or None. `stamped`:
-    whether its times are those of capture, on this machine's clock (``time.time()``). `raw`: what reads it without
-    FFmpeg.
+    `again`: whether it can be opened once more. `size`: width and height that were asked for, or None. `stamped`: its
+    times are those of capture, on this machine's clock (``time.time()``). `raw`: what reads it in place of FFmpeg.
     """
 
     address: str
