@@ -275,7 +275,7 @@ def test_what_is_no_camera_is_named_with_what_was_wanted(text, kind, says):
 def test_a_file_is_no_device_and_a_rig_has_to_be_one(tmp_path):
     video = clips.clip(tmp_path / "a.mp4")
     with pytest.raises(DeviceError, match="is no device"):
-        device(str(video), {})
+        device(str(video))
     (tmp_path / "rig.yaml").write_text("lens: 3")
     with pytest.raises(FormatError, match="lens, and no camera_matrix"):
         open_source(str(video), rig=tmp_path / "rig.yaml")

@@ -24,9 +24,8 @@ from eagor.cli import main
 from eagor.grids import ErpGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.media import Frame, Pose
-from eagor.media.odometry import GivenPoses
+from eagor.media.odometry import GivenPoses, PosedFrames
 from eagor.media.panorama import turn
-from eagor.media.posed_frames import PosedFrames
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]

@@ -16,8 +16,7 @@ from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.in_turn import ByFrame, answers_in_turn
 from eagor.live.inference import InferenceWorker
 from eagor.media import Frame, Pose
-from eagor.media.camera_sources import open_source
-from eagor.media.footage import FrameCheck, ShapeError
+from eagor.media.camera_sources import FrameCheck, ShapeError, open_source
 from eagor.media.intrinsics import (
     Camera,
     IntrinsicsHint,
@@ -26,8 +25,8 @@ from eagor.media.intrinsics import (
     intrinsics_from_tags,
     ordinary_grid,
 )
-from eagor.media.panorama import Picture, cut, turn
-from eagor.media.posed_frames import PosedFrame
+from eagor.media.odometry import PosedFrame
+from eagor.media.panorama import cut, turn
 from eagor.perception.colour import ColourPerception
 from eagor.perception.things import ViewBox, things
 from eagor.sphere import angular_distance, world_R_body
@@ -202,7 +201,8 @@ def test_a_fisheye_s_calibration_makes_a_part_of_a_panorama(tmp_path):
     )
     said = []
     check = FrameCheck(camera=camera_of(None, tmp_path / "round.yaml"), say=said.append)
-    found = check(Picture(np.full((240, 320, 3), 200, np.uint8)), "a.jpg")
+    Image.fromarray(np.full((240, 320, 3), 200, np.uint8)).save(tmp_path / "a.png")
+    found = check.read(tmp_path / "a.png")
     assert found.grid is None
     assert any("fisheye" in text for text in said)
     grid = ErpGrid(*found.picture.shape[:2])

@@ -63,10 +63,6 @@ def test_all_pictures_come_in_order_with_their_times(tmp_path, name, codec):
     assert [f.stamp for f in video] == [f.stamp for f in frames]  # again
 
 
-def test_insv_is_an_mp4_by_another_name(tmp_path):
-    assert len(list(Video(clips.clip(tmp_path / "a.mp4").rename(tmp_path / "VID_1.insv")))) == 30
-
-
 def test_variable_rates_keep_their_times(tmp_path):
     times = [0, 40, 50, 400, 410, 1000, 1001, 1500, 3000]
     for name in ("a.mp4", "a.mkv"):

@@ -10,17 +10,16 @@ from moving_rooms import PatternRoom
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError, PoseError
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, paint
 from eagor.media.camera_sources import open_footage
-from eagor.media.odometry import GivenPoses, open_poses
+from eagor.media.odometry import GivenPoses, PosedFrames, open_poses
 from eagor.media.panorama import Picture, cut
 from eagor.media.panorama import turn as turned
-from eagor.media.posed_frames import PosedFrames
 from eagor.odometry.axes import AXES, settled, with_axes
-from eagor.odometry.files import FramePose, Poses, read_poses
-from eagor.odometry.times import times_of
+from eagor.odometry.files import FramePose, Poses, read_poses, times_of
 from eagor.sphere import world_R_body
 
 BEGIN = 1_650_000_000.0
@@ -247,6 +246,17 @@ def test_axes_that_nothing_tells_are_asked_for(tmp_path, right, shots):
     done = eagor("track", grey, "red", "--poses", tmp_path / "q.csv", "--perception", "colour")
     assert "--axes optical reads them so" in done.stderr
     assert "--axes optical is for a file of poses" in refused("track", grey, "red", "--axes", "optical")
+
+
+@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
+def test_quaternions_in_another_order_are_asked_about(tmp_path, order):
+    said, lines = [], ["stamp,qw,qx,qy,qz"]
+    for k, yaw in enumerate(np.linspace(-3, 3, 60)):
+        numbers = dict(zip("wxyz", wxyz_from_rotation(world_R_body(yaw, 0.03)), strict=True))
+        lines.append(",".join(map(str, [k, *(numbers[name] for name in order)])))
+    (tmp_path / "p.csv").write_text("\n".join(lines))
+    open_poses(str(tmp_path / "p.csv"), say=said.append)
+    assert [("xyzw?" in text) for text in said] == [True] * (order == "xyzw")
 
 
 def test_a_camera_that_tumbles_with_our_axes_is_read_as_it_stands(tmp_path):

@@ -45,8 +45,8 @@ from eagor.media import Pose  # noqa: E402
 from eagor.media import ros_messages as m  # noqa: E402
 from eagor.media.bag_sources import BagCamera, BagPoses  # noqa: E402
 from eagor.media.bags import MAGIC, MOTION, PICTURES, Bag  # noqa: E402
+from eagor.media.camera_sources import FrameCheck  # noqa: E402
 from eagor.media.intrinsics import intrinsics_from_exif, read_camera  # noqa: E402
-from eagor.media.panorama import read_photograph  # noqa: E402
 from eagor.media.rigs import read_rig  # noqa: E402
 from eagor.media.video import Video  # noqa: E402
 from eagor.odometry.axes import AXES, settled  # noqa: E402
@@ -161,9 +161,9 @@ def gpano(data, draw, folder):
     if data[:2] != b"\xff\xd8":
         shape = draw.choice(((64, 32), (60, 20), (32, 32), (1, 1)))
         Image.new("RGB", shape).save(path, "jpeg", xmp=data[:60000])
-    found = read_photograph(path, force=draw.random() < 0.5)
+    found = FrameCheck(draw.random() < 0.5).read(path)
     assert (found.picture.dtype, found.picture.ndim) == (np.uint8, 3)
-    yield from (each for each in (found.level_R_body, found.world_R_body) if each is not None)
+    yield from (each for each in (found.level_R_body,) if each is not None)
     yield intrinsics_from_exif(path).focal or 0.0
 
 

@@ -10,8 +10,8 @@ import pytest
 
 import eagor
 from eagor.errors import EagorError, ImageError, RotationError, TimeError
-from eagor.media.panorama import read_panorama, read_photograph, tone_mapped
-from eagor.media.posed_frames import prefetched
+from eagor.media.odometry import prefetched
+from eagor.media.panorama import read_panorama, read_stored, tone_mapped
 from eagor.perception.colour import ColourPerception
 from eagor.perception.views import Detector
 from eagor.sphere import world_R_body
@@ -74,8 +74,7 @@ def test_a_picture_with_radiance_is_tone_mapped_and_says_so(tmp_path):
     assert (np.diff(light) >= 0).all()
     assert light[0] < 20
     assert light[-1] == 255
-    with pytest.warns(UserWarning, match="holds radiance"):
-        assert "tone-mapped" in read_photograph(path).facts[0]
+    assert "tone-mapped" in read_stored(path).facts[0]
     assert tone_mapped(np.zeros((2, 4, 3))).max() == 0
     for content, says in ((path.read_bytes()[:300], "corrupt or truncated"), (b"nonsense", "no Radiance picture")):
         (broken := tmp_path / "broken.hdr").write_bytes(content)

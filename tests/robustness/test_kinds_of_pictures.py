@@ -12,9 +12,10 @@ from PIL import Image
 from eagor.errors import ImageError, TimeError
 from eagor.lab.worlds.painted import painted_room
 from eagor.media import check_camera
-from eagor.media.camera_sources import open_source
-from eagor.media.films import Animation, is_animation
-from eagor.media.panorama import BOXED, read_photograph, turn
+from eagor.media.camera_sources import FrameCheck, open_source
+from eagor.media.panorama import BOXED, turn
+from eagor.media.tracks import is_animation
+from eagor.media.video import Video
 from eagor.sphere import world_R_body
 
 ROOM = painted_room(128, 256)
@@ -38,14 +39,14 @@ def animated(path, times=(200, 300, 400, 500, 600), **how):
 def test_an_animation_is_looked_at_picture_by_picture_at_its_times(tmp_path, kind, how):
     path = animated(tmp_path / f"turning.{kind}", **how)
     assert is_animation(path)
-    frames = list(Animation(path))
+    frames = list(Video(path))
     assert [frame.stamp for frame in frames] == pytest.approx([0, 0.2, 0.5, 0.9, 1.4], abs=0.011)
     shown = np.stack([frame.picture for frame in frames]).astype(int)
     assert np.abs(shown - TURNING).mean() < 6  # a GIF has 256 colours, an AVIF is compressed
-    assert [f.stamp for f in Animation(path, rate=2, start=0.2, end=1.3)] == pytest.approx([0.2, 0.9], abs=0.011)
-    assert Animation(path, rows=64).shape == (64, 128)
+    assert [f.stamp for f in Video(path, rate=2, start=0.2, end=1.3)] == pytest.approx([0.2, 0.9], abs=0.011)
+    assert Video(path, rows=64).shape == (64, 128)
     with pytest.raises(TimeError, match="no picture from 9 s on"):
-        list(Animation(path, start=9))
+        list(Video(path, start=9))
 
 
 def test_track_live_look_and_locate_take_animations(tmp_path):
@@ -62,7 +63,7 @@ def test_track_live_look_and_locate_take_animations(tmp_path):
 
 def test_times_that_are_missing_are_a_tenth_of_a_second(tmp_path):
     path = animated(tmp_path / "turning.gif", times=[0] * 5)
-    assert [frame.stamp for frame in Animation(path)] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    assert [frame.stamp for frame in Video(path)] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
 
 
 def test_a_damaged_animation_gives_what_can_be_read(tmp_path):
@@ -71,7 +72,7 @@ def test_a_damaged_animation_gives_what_can_be_read(tmp_path):
     at = data.rindex(b"fdAT") + 100
     data[at : at + 200] = bytes(200)
     path.write_bytes(data)
-    frames = iter(Animation(path))
+    frames = iter(Video(path))
     assert [next(frames).stamp for _ in range(4)] == pytest.approx([0, 0.2, 0.5, 0.9])
     with pytest.raises(ImageError, match=r"is damaged: its picture after 1\.40 s"):
         next(frames)
@@ -81,7 +82,9 @@ def test_pages_are_not_time_and_that_is_said(tmp_path):
     first, *rest = map(Image.fromarray, TURNING)
     first.save(tmp_path / "pages.tif", save_all=True, append_images=rest)
     assert not is_animation(tmp_path / "pages.tif")
-    assert "it holds 5 pictures, of which the first is taken" in read_photograph(tmp_path / "pages.tif").facts
+    said = []
+    FrameCheck(say=said.append).read(tmp_path / "pages.tif")
+    assert any("it holds 5 pictures, of which the first is taken" in text for text in said)
 
 
 # --- kinds of files ---
@@ -93,7 +96,7 @@ def test_a_folder_may_hold_every_kind_that_can_be_read(tmp_path, name):
     for k in range(2):
         Image.fromarray(ROOM).save(tmp_path / f"{k}{name}", kinds.get(f".{name.split('.')[1]}"))
     assert len(list(open_source(str(tmp_path)))) == 2
-    assert np.abs(read_photograph(tmp_path / f"1{name}").picture.astype(int) - ROOM).mean() < 6
+    assert np.abs(FrameCheck(True).read(tmp_path / f"1{name}").picture.astype(int) - ROOM).mean() < 6
 
 
 @pytest.mark.parametrize("brand", BOXED)
@@ -102,7 +105,7 @@ def test_a_kind_that_needs_a_package_names_it(tmp_path, monkeypatch, brand):
     monkeypatch.setattr("eagor.media.panorama.find_spec", lambda name: None)
     (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftyp" + brand + bytes(60))
     with pytest.raises(ImageError, match=r"pillow-heif|Pillow from version 11\.3"):
-        read_photograph(tmp_path / "a.heic")
+        FrameCheck(True).read(tmp_path / "a.heic")
 
 
 @pytest.mark.parametrize(
@@ -164,7 +167,7 @@ def seen_half(mode):
 def test_what_is_transparent_is_not_seen(tmp_path, mode):
     image, how = seen_half(mode)
     image.save(tmp_path / "half.png", **how)
-    found = read_photograph(tmp_path / "half.png")
+    found = FrameCheck(True).read(tmp_path / "half.png")
     assert found.unseen[64:].all()
     assert not found.unseen[:64].any()
     assert (found.picture[64:] == 0).all()
@@ -180,11 +183,11 @@ def test_the_mask_of_a_part_goes_with_it_and_opaque_pictures_have_none(tmp_path)
     part = np.dstack([ROOM, np.full(ROOM.shape[:2], 255, np.uint8)])[32:96, 64:192]
     part[:, :32, 3] = 0
     Image.fromarray(part).save(tmp_path / "part.webp", lossless=True, xmp=packet.encode())
-    seen = ~read_photograph(tmp_path / "part.webp").unseen
+    seen = ~FrameCheck(True).read(tmp_path / "part.webp").unseen
     assert np.array_equal(np.argwhere(seen).min(axis=0), (32, 96))
     assert seen.sum() == 64 * 96
     Image.fromarray(np.dstack([ROOM, np.full(ROOM.shape[:2], 200, np.uint8)])).save(tmp_path / "whole.png")
-    assert read_photograph(tmp_path / "whole.png").unseen is None
+    assert FrameCheck(True).read(tmp_path / "whole.png").unseen is None
 
 
 def test_an_ordinary_picture_hides_what_is_transparent(tmp_path):

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
 from strategies import HOSTILE
 
-from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.lab.eval import log
@@ -22,7 +21,6 @@ from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibra
 from eagor.perception.onnx.layouts import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
 from eagor.perception.transformers.heads import read_heads
-from eagor.sphere import world_R_body
 
 POSES = [
     b"stamp,qw,qx,qy,qz,x,y,z,frame\n0,1,0,0,0,0,0,1,a.png\n0.5,0.99,0.1,0.1,0,0.1,0,1,\n1,0,0,0,1,0,0,1,b.png\n",
@@ -214,36 +212,6 @@ def test_predictions(folder, blob):
 
 
 QUATERNIONS = "stamp,qw,qx,qy,qz\n"
-
-
-@pytest.mark.parametrize(("told", "meant", "asked"), [
-    ("qw,qx,qy,qz", "xyzw", True), ("qx,qy,qz,qw", "wxyz", True), ("qw,qx,qy,qz", "wxyz", False),
-    ("qx,qy,qz,qw", "xyzw", False),
-])  # fmt: skip
-def test_quaternions_in_another_order_are_asked_about(tmp_path, recwarn, told, meant, asked):
-    """The log of a robot that turns around, and leans a little."""
-    file, rng = tmp_path / "poses.csv", np.random.default_rng(0)
-    lines = []
-    for number, yaw in enumerate(np.linspace(-3, 3, 60)):
-        turned = wxyz_from_rotation(world_R_body(yaw, *rng.normal(0, 0.05, 2)))
-        lines.append([number, *(turned["wxyz".index(name)] for name in meant)])
-    file.write_text(f"stamp,{told}\n" + "".join(",".join(map(str, line)) + "\n" for line in lines))
-    assert len(read_poses(file)) == 60
-    assert [str(each.message) for each in recwarn if "xyzw?" in str(each.message)] == [
-        f"{file}: the camera is upside down, or leans as no robot does. xyzw? The scalar part is qw, which messages of "
-        "ROS have last; nothing is wrong if the camera hangs upside down, or tumbles"
-    ] * asked
-
-
-def test_a_camera_that_is_carried_or_hangs(tmp_path, recwarn):
-    """One that leans by up to 80 degrees is not asked about, one that is upside down all the time is."""
-    file, rng = tmp_path / "poses.csv", np.random.default_rng(1)
-    for least, asked in ((0.0, 0), (math.pi, 1)):
-        turns = [world_R_body(rng.uniform(-3, 3), 0.0, least + rng.uniform(-1.4, 1.4)) for _ in range(100)]
-        lines = [",".join(map(str, [number, *wxyz_from_rotation(turn)])) for number, turn in enumerate(turns)]
-        file.write_text("\n".join([QUATERNIONS.strip(), *lines]))
-        read_poses(file)
-        assert len(recwarn) == asked
 
 
 @pytest.mark.parametrize("read", [read_poses, read_calibrated, read_heads, labelled_lines, read_labels, read_truth])

@@ -81,3 +81,13 @@ def test_a_panorama_that_repeats_itself_is_taken_where_that_is_said(tmp_path):
     for settled in (("--eyes", "mono"), ("--force",)):
         assert answer(*words, *settled)["status"]
     assert "--eyes vr180 is for panoramas" in refused(*words, "--eyes", "vr180", "--hfov", 60)
+
+
+def test_one_panorama_of_another_shape_is_not_asked_for_its_eyes_again(tmp_path):
+    Image.fromarray(np.hstack([LEFT, LEFT])).save(tmp_path / "four.png")
+    words = ("locate", tmp_path / "four.png", "the red ball", "--perception", "colour", "--eyes", "mono")
+    said = refused(*words)
+    assert "not 2:1" in said
+    assert "--force" in said
+    assert "--eyes" not in said
+    assert answer(*words, "--force")["status"]

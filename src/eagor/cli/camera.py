@@ -202,16 +202,12 @@ def camera_latency(options: CameraLatency) -> int:
 
 def _pictures(text: str, rate: float | None = None) -> Iterator[Sequence[np.ndarray]]:
     """The lenses' pictures of each moment of a video, or of the one moment of PICTURE or FRONT,BACK."""
-    import warnings
-
-    from eagor.media.films import lens_videos
-    from eagor.media.footage import is_video
-    from eagor.media.panorama import read_panorama
+    from eagor.media.camera_sources import is_video
+    from eagor.media.panorama import read_stored
+    from eagor.media.video import lens_videos
 
     paths = [Path(part) for part in ([text] if Path(text).exists() else text.split(","))]
     if is_video(paths, True):
-        yield from ([frame.picture for frame in frames] for frames in lens_videos(paths, rate=rate))
-        return
-    with warnings.catch_warnings():  # of shapes: they are no panoramas
-        warnings.simplefilter("ignore")
-        yield [read_panorama(path) for path in paths]
+        yield from lens_videos(paths, rate)
+    else:
+        yield [read_stored(path).picture for path in paths]

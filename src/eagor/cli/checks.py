@@ -169,7 +169,7 @@ def rows_for(spec: str, rows: int | None = None, least: int | None = None) -> in
 
     A model is not loaded for that: it scales its pictures itself.
     """
-    from eagor.media.footage import LEAST_ROWS
+    from eagor.media.camera_sources import LEAST_ROWS
     from eagor.perception import is_model, rows_of
 
     return rows or max(least or LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))

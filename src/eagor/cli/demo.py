@@ -59,7 +59,7 @@ def demo(options: Demo) -> int:
 
 
 def _photo(options: Demo, path: Path) -> int:
-    from eagor.media.footage import FrameCheck, ShapeError
+    from eagor.media.camera_sources import FrameCheck, ShapeError
     from eagor.perception import short_name
 
     if mistaken := given(options, ("seed", "episode")):

@@ -46,8 +46,7 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     as `open_footage` and `open_poses`.
     """
     from eagor.media.bags import is_bag
-    from eagor.media.camera_sources import open_footage
-    from eagor.media.footage import LEAST_ROWS, BagFrames, VideoFrames, is_video
+    from eagor.media.camera_sources import LEAST_ROWS, is_video, open_footage
     from eagor.media.odometry import open_poses, poses_in_words
     from eagor.perception import rows_of
 
@@ -62,29 +61,29 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
         "start": options.start, "end": options.end, "force": options.force, "info": options.camera_info,
     }  # fmt: skip
     source = open_footage(words, **how, rate=rate, say=terminal.log)
-    if isinstance(source.frames, VideoFrames):
-        say_of_video(places[0].name, source.frames.video)
+    if source.video is not None:
+        say_of_video(places[0].name, source.video)
     found = open_poses(poses, source, axes=options.axes, say=terminal.log)
     told = poses_in_words(found)
     if looks and rate and rate < BY_SIGHT and source.ordinary and "pictures themselves" in told:
         rate = BY_SIGHT
         source = open_footage(words, **how, rate=rate, say=lambda text: None)
-    frames = source.frames  # with the times that a file of poses tells
-    if isinstance(frames, BagFrames):
-        camera = frames.camera
+    if (camera := source.bag) is not None:
         terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
         terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
         return Journey(source, found, told, None, looks, rate, None, camera.begins)
-    if isinstance(frames, VideoFrames):
-        video, looks = frames.video, looks or RATE
+    if (video := source.video) is not None:
+        looks = looks or RATE
         terminal.log(f"{min(looks, video.frame_rate or looks):g} looks per second (--rate {looks:g}), {told}")
         end = options.end or video.duration
         return Journey(source, found, told, video.count, looks, rate, None if end is None else end - options.start)
-    if not (stamps := frames.stamps):
-        many = terminal.many(frames.count, "image")
-        terminal.log(f"{many}, taken at {frames.rate:g} per second (--rate), {told}")
-        return Journey(source, found, told, frames.count, None, frames.rate, (len(frames.paths) - 1) / frames.rate)
-    return Journey(source, found, told, frames.count, span=stamps[-1] - stamps[0])
+    images = source.images  # with the times that a file of poses tells
+    assert images is not None
+    count, stamps = len(images.paths), images.stamps
+    if not stamps:
+        terminal.log(f"{terminal.many(count, 'image')}, taken at {images.rate:g} per second (--rate), {told}")
+        return Journey(source, found, told, count, None, images.rate, (count - 1) / images.rate)
+    return Journey(source, found, told, count, span=stamps[-1] - stamps[0])
 
 
 def say_of_video(name: str, video: Any) -> None:

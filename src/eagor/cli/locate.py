@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -16,7 +16,6 @@ from eagor.cli.footage import say_of_video
 from eagor.cli.options import Answering, bare
 
 if TYPE_CHECKING:
-    from eagor.media import Frame
     from eagor.media.panorama import Picture
     from eagor.tracking.estimate import Estimate
 
@@ -43,29 +42,14 @@ class Locate(Answering):
 NEAR = 15  # degrees: the error that still leads a person to the object
 
 
-class OneFrame:
-    """A recording of one frame."""
-
-    live, latency, dropped, problem = False, 0.0, 0, None
-    grid: Any = None
-
-    def __init__(self, frame: Frame) -> None:
-        self.frame = frame
-
-    def __iter__(self) -> Iterator[Frame]:
-        yield self.frame
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
 def locate(options: Locate) -> int:
     """Run the command; returns its exit code."""
     import numpy as np
 
     from eagor.live.in_turn import ByFrame, Followed
     from eagor.live.loop import Loop
-    from eagor.media import Frame, Pose
+    from eagor.media import Pose
+    from eagor.media.camera_sources import Footage
     from eagor.media.odometry import GivenPoses
     from eagor.perception import rows_of
     from eagor.perception.replay import ReplayPerception
@@ -85,15 +69,14 @@ def locate(options: Locate) -> int:
             first = next((record.stamp for record in perception.records if record.answers(query)), 0.0)
             perception.looks(query, stamp := first if stamp is None else stamp)  # raises where it has none
         picture, stamp = _picture(options, places, rows_of(perception)), stamp or 0.0
-        frame = Frame(
-            stamp, picture.picture, ", ".join(place.name for place in places), picture.grid, unseen=picture.unseen
-        )
+        name = ", ".join(place.name for place in places)
         poses, results = None, list[Followed]()
         if floor is not None or picture.level_R_body is not None:  # heights are counted from the camera
             turn = np.eye(3) if picture.level_R_body is None else picture.level_R_body
             poses = GivenPoses([Pose(stamp, turn, None if floor is None else np.zeros(3))])
         mask, sinks = checks.mask_of(options.mask), [ByFrame(results.append)]
-        for _ in Loop(OneFrame(frame), poses, perception, query, sinks=sinks, config=config, mask=mask):
+        source = Footage(lambda: iter([(stamp, name, lambda: picture)]))
+        for _ in Loop(source, poses, perception, query, sinks=sinks, config=config, mask=mask):
             pass
         (result,) = results
         if result.problem is not None:
@@ -101,7 +84,7 @@ def locate(options: Locate) -> int:
         checks.warn_of_detector(options.detector, result.evidence)
         if options.picture is not None:
             answers.draw(result, options.picture, options.modes)
-        found = {"query": options.query, "perception": spec, "frame": frame.name}
+        found = {"query": options.query, "perception": spec, "frame": name}
         found |= result.estimate.as_dict(options.modes, NEAR)
         if write is not None:
             write(found)
@@ -110,25 +93,27 @@ def locate(options: Locate) -> int:
         source = next((evidence.source for evidence in result.evidence if evidence.source is not None), None)
         terminal.emit(found | ({} if source is None else {"source": dict(source)}))
     else:
-        _print(options, frame.name, spec, result.estimate)
+        _print(options, name, spec, result.estimate)
     return terminal.OK
 
 
 def _picture(options: Locate, places: Sequence[Path], rows: int) -> Picture:
     """The photograph, or the frame of a video at ``--stamp`` seconds."""
-    from eagor.media.films import open_video
-    from eagor.media.footage import LEAST_ROWS, FrameCheck, is_video
+    from eagor.media.camera_sources import LEAST_ROWS, FrameCheck, is_video
     from eagor.media.panorama import Picture
+    from eagor.media.video import Video
 
     lens = checks.lens_of(options)
     rig = lens["rig"]
     check = FrameCheck(options.force, terminal.log, lens["camera"], rig)
     if not is_video(places, rig is not None):
         return check.read(*places)
-    video = open_video(places, rig, start=options.stamp or 0.0, rows=max(rows, LEAST_ROWS))
+    how = {"rig": rig, "camera": lens["camera"], "force": options.force}
+    video = Video(*places, **how, start=options.stamp or 0.0, rows=max(rows, LEAST_ROWS))
     say_of_video(places[0].name, video)
     first = next(iter(video))
-    return check(Picture(first.picture, video.unseen, video.level_R_body), first.name, video.hint)
+    found = Picture(first.picture, first.unseen, first.grid, video.level_R_body)
+    return check.look(found, first.name, video.builder, video.hint)
 
 
 def _print(options: Locate, name: str, spec: str, estimate: Estimate) -> None:

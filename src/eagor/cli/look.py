@@ -39,7 +39,7 @@ class Look(Footage):
 
 def look(options: Look) -> int:
     """Run the command; returns its exit code."""
-    from eagor.media.posed_frames import PosedFrames, prefetched
+    from eagor.media.odometry import PosedFrames, prefetched
     from eagor.perception.recordings import HiddenParts, first_line, looked_at
 
     queries = checks.checked_queries(options.queries)

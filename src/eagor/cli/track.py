@@ -60,7 +60,7 @@ def track(options: Track) -> int:
     """Run the command; returns its exit code."""
     from eagor.live.in_turn import ByFrame
     from eagor.live.loop import Loop
-    from eagor.media.footage import ShapeError
+    from eagor.media.intrinsics import ShapeError
 
     words, queries = checks.frames_and_queries(options.words)
     places = checks.places_of(words, options.rig is not None)

@@ -28,7 +28,7 @@ from eagor.live.events import (
 )
 from eagor.live.inference import InferenceWorker
 from eagor.media import Pose
-from eagor.media.posed_frames import PosedFrame
+from eagor.media.odometry import PosedFrame
 from eagor.perception import NoEvidenceError
 from eagor.tracking.estimate import Estimate
 

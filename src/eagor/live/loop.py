@@ -37,8 +37,7 @@ from eagor.live.recording import Pictures, Recorder
 from eagor.live.threads import FrozenCamera, LatestWorker, LoopClock, Reader
 from eagor.media import CameraSource, Frame, Pose, PoseSource
 from eagor.media.camera_sources import open_source
-from eagor.media.odometry import poses_for
-from eagor.media.posed_frames import PosedFrame, PosedFrames, prefetched
+from eagor.media.odometry import PosedFrame, PosedFrames, poses_for, prefetched
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception import Perception, as_perception
 from eagor.perception.recordings import RecordedLooks

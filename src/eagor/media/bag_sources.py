@@ -19,7 +19,7 @@ from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick
 from eagor.media.intrinsics import Camera
 from eagor.media.ros_frames import PoseReader
 from eagor.media.ros_messages import TRANSFORMS, stamp_of
-from eagor.media.topic_pictures import Lenses, TopicPictures, lens_in_bag, placed_in_bag, topics_of
+from eagor.media.topic_pictures import TopicPictures, lens_in_bag, placed_in_bag, topics_of
 
 __all__ = ["BagCamera", "BagPoses", "bag_odometry"]
 
@@ -59,8 +59,8 @@ class BagCamera:
         firsts = [next(self.bag.messages([each]), None) for each in self.topics]
         self.begins = min(_stamp(each[3], each[0]) for each in firsts if each is not None)
         self._pictures = TopicPictures(
-            [each[3] for each in firsts if each is not None], self.topics, Lenses(rig, camera, info, rows),
-            partial(lens_in_bag, self.bag), partial(placed_in_bag, self.bag),
+            [each[3] for each in firsts if each is not None], self.topics, partial(lens_in_bag, self.bag),
+            partial(placed_in_bag, self.bag), rig=rig, camera=camera, info=info, rows=rows,
         )  # fmt: skip
         self.frame, camera, builder = self._pictures.frame, self._pictures.camera, self._pictures.builder
         self.lens = camera if camera is not None and camera.known else None

@@ -40,6 +40,7 @@ __all__ = [
 
 FIELDS = np.radians([180, 185, 190, 195, 200, 205, 210, 220])  # of which one is taken to begin with
 GATES = np.radians([6.0, 1.5])  # between the rays of a pair, in each round of finding points
+STRAY = 0.02  # share of a row or column that is brighter than black beyond the circle at most
 FEWEST = 20  # pairs in all; less are no basis
 RIM = math.radians(1.5)  # from the rim, where the border of the circle makes points of its own
 LEAST_PIXELS, MOST_PIXELS, ROWS = 320, 1024, 2048  # of a view in which points are looked for; of the panorama for it
@@ -142,21 +143,14 @@ def first_rig(moments: Sequence[Sequence[np.ndarray]], fov: float = math.radians
     return Rig(size, tuple(lenses))
 
 
-def _circle(brightest: np.ndarray) -> np.ndarray:
+def _circle(brightest: np.ndarray) -> tuple[float, float, float]:
     """Centre x, y and radius (pixels) of the bright circle in ``(H, W)``: the brightest that each pixel ever was."""
-    lit, points = brightest > BLACK, list[np.ndarray]()
-    for turned in (lit, lit.T):  # both ends of each row, and of each column
-        lines = np.flatnonzero(turned[3:-3].any(axis=1)) + 3
-        for ends in (turned[lines].argmax(axis=1), turned.shape[1] - turned[lines, ::-1].argmax(axis=1)):
-            inside = (ends > 2) & (ends < turned.shape[1] - 2)
-            found = np.stack([ends[inside], lines[inside] + 0.5], axis=1)
-            points.append(found if turned is lit else found[:, ::-1])
-    rim, (height, width) = np.concatenate(points), brightest.shape
-    circle = np.array([width / 2, height / 2, min(width, height) / 2])
-    if len(rim) < FEWEST:  # it fills the picture
-        return circle
-    # Dark places at the rim lie inside: the loss levels off.
-    return least_squares(lambda c: np.hypot(*(rim - c[:2]).T) - c[2], circle, loss="cauchy").x
+    lit = brightest > BLACK
+    columns, rows = (np.flatnonzero(lit.mean(axis=axis) > STRAY) for axis in (0, 1))
+    if not len(columns) or not len(rows):
+        columns, rows = map(np.arange, lit.shape[::-1])
+    (left, right), (top, bottom) = ((float(each[0]), float(each[-1] + 1)) for each in (columns, rows))
+    return (left + right) / 2, (top + bottom) / 2, max(right - left, bottom - top) / 2
 
 
 def _placed(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> Rig:

@@ -1,31 +1,46 @@
-"""Where panoramas come from: `open_source` for what SOURCE on the command line means, videos, folders.
+"""Where pictures come from: `open_source` for what SOURCE on the command line means; `open_footage` for recordings.
 
-Packages add cameras of their own under the entry points ``eagor.cameras``; `eagor.media.check_camera` tests one.
+Recorded pictures come in order of time, each read when it is its turn: a long video needs no more memory than a short
+one. Packages add cameras of their own under the entry points ``eagor.cameras``; `eagor.media.check_camera` tests one.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import re
-from collections.abc import Callable, Sequence
-from io import FileIO
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eagor import plugins
-from eagor._checks import above
+from eagor._checks import above, is_twice_as_wide
 from eagor.cameras import Rig
-from eagor.errors import DeviceError, TimeError
-from eagor.media import CameraSource
+from eagor.errors import DeviceError, EagorError, ImageError, TimeError
+from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.media import CameraSource, Frame
 from eagor.media.bag_sources import BagCamera
 from eagor.media.bags import is_bag, split_bag
-from eagor.media.films import open_video
-from eagor.media.footage import BagFrames, Footage, FrameCheck, VideoFrames, images, is_video, warned
-from eagor.media.intrinsics import Camera, in_words
-from eagor.media.live_camera import SCHEMES, LiveCamera, device, network, raw_pipe, standard_input
+from eagor.media.defects import problems
+from eagor.media.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
+from eagor.media.live_camera import SCHEMES, STREAMS, LiveCamera
+from eagor.media.panorama import IMAGES, Picture, in_order, pictures_in, read_stored
 from eagor.media.rigs import read_rig
+from eagor.media.stitching import PanoramaBuilder, sizes_of
+from eagor.media.tracks import is_animation, plays, selected
+from eagor.media.video import Video
+from eagor.odometry.files import times_of
 
-__all__ = ["BUILT_IN", "GROUP", "SOURCES", "open_footage", "open_source"]
+__all__ = [
+    "BUILT_IN", "GROUP", "LEAST_ROWS", "SOURCES", "Footage", "FrameCheck", "Images", "ShapeError", "is_video",
+    "open_footage", "open_source",
+]  # fmt: skip
 
 GROUP = "eagor.cameras"
 BUILT_IN = {"apartment": "eagor.lab.tasks.sim.walk:open_walk", "ros": "eagor.robots.ros:RosCamera"}
@@ -34,9 +49,14 @@ SOURCES = (
     "(?size=1920x960&rate=30&format=mjpeg), rtsp://..., rtmp://..., http://..., udp://..., ros:/image_topic, - "
     "(encoded pictures on standard input) or pipe:rgb24:1920x960 (raw ones)"
 )
-_DEVICE = re.compile(r"(?:v4l2:)?(/dev/[^?]+)|v4l2:(\d+)")
-_ADDRESS = re.compile(rf"(?:{'|'.join(SCHEMES)})://", re.IGNORECASE)
 _NAME = re.compile(r"([A-Za-z][\w-]+):(.*)", re.DOTALL)
+
+VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".insv", ".avi", ".ts", ".mpg", ".mpeg", ".360")  # without a look
+RATE = 1.0  # pictures per second where nothing tells
+LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
+
+NOTHING = IntrinsicsHint()
+Item = tuple[float, str, Callable[[], Picture]]  # stamp (seconds), name, and what gives the picture or `EagorError`
 
 
 def open_source(
@@ -77,8 +97,7 @@ def open_source(
     if kinds[0] == "plugin":
         name, _, rest = text.partition(":")
         return plugins.bring(plugins.known(GROUP, BUILT_IN)[name], "camera")(rest, **settings)
-    streams = [_STREAMS[kind](part) for kind, part in zip(kinds, parts, strict=True)]
-    return LiveCamera(streams, **settings)
+    return LiveCamera([STREAMS[kinds[0]][1](part) for part in parts], **settings)
 
 
 def open_footage(
@@ -103,30 +122,26 @@ def open_footage(
     """
     if not (rate is None or above(rate, 0)):
         raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
-    say, camera = say or warned, camera or Camera()
+    check = FrameCheck(force, say or warned, camera or Camera(), rig, rows)
     path, topic = split_bag(str(places[0]))
     if is_bag(path):
-        bag = BagCamera(path, topic, rows=rows, rig=rig, camera=camera, info=info)
+        bag = BagCamera(path, topic, rows=rows, rig=rig, camera=check.camera, info=info)
         if bag.lens is not None:
-            say(f"{bag.topic}: {in_words(bag.lens.name, bag.view)}")
-        check = FrameCheck(force, say, Camera(eyes="mono") if camera.eyes else None)  # of two eyes it takes one
-        return Footage(BagFrames(bag, check, rate, start, end), latency)
-    paths, check = [Path(place) for place in places], FrameCheck(force, say, camera, rig)
+            check.say(f"{bag.topic}: {in_words(bag.lens.name, bag.view)}")
+        return Footage(partial(_of_bag, bag, check, rate, start, end), latency, bag.begins - latency, bag=bag)
+    paths = [Path(place) for place in places]
     if is_video(paths, rig is not None):
-        video = open_video(paths, rig, rate=rate, start=start, end=end, rows=rows)
-        return Footage(VideoFrames(video, check), latency)
-    return Footage(images(paths, rate, check), latency, rows)
+        how: dict[str, Any] = {"rig": rig, "camera": camera, "force": force, "rows": rows}
+        video = Video(paths[0], *paths[1:], rate=rate, start=start, end=end, **how)
+        return Footage(partial(_of_video, video, check), latency, video=video)
+    found = images_of(paths, rate, check)
+    return Footage(found.items, latency, images=found)
 
 
 def _kind(text: str) -> str:
-    if text in ("-", "pipe:", "pipe:0"):
-        return "input"
-    if text.startswith("pipe:"):
-        return "pipe"
-    if _DEVICE.match(text):
-        return "device"
-    if _ADDRESS.match(text):
-        return "stream"
+    for kind, (form, _) in STREAMS.items():
+        if form.match(text):
+            return kind
     if is_bag(split_bag(text)[0]) or os.path.exists(text):
         return "file"
     if (named := _NAME.fullmatch(text)) is None:
@@ -143,18 +158,225 @@ def _has_topics(text: str) -> bool:
     return is_bag(split_bag(text)[0]) or text.partition(":")[0] in BUILT_IN
 
 
-def _device(text: str) -> Any:
-    place, _, query = text.partition("?")
-    if (found := _DEVICE.fullmatch(place)) is None:
-        raise DeviceError(f"{text}: wanted a camera such as /dev/video0, or v4l2:0")
-    settings = {key: value for key, _, value in (pair.partition("=") for pair in query.split("&") if pair)}
-    return device(found[1] or f"/dev/video{found[2]}", settings)
+# --- recorded pictures ---
 
 
-_STREAMS: dict[str, Callable[[str], Any]] = {
-    "input": lambda _: standard_input(),
-    # Not sys.stdin: a thread that waits for it holds its lock, and Python then aborts at exit.
-    "pipe": lambda text: raw_pipe(text, FileIO(0, closefd=False)),
-    "device": _device,
-    "stream": network,
-}
+@dataclass
+class FrameCheck:
+    """Reads pictures from files, as what `PanoramaBuilder` says that they are, and says once what looks odd.
+
+    `say` gets facts that files tell, and what looks odd. `force`: pictures that are not 2:1 are panoramas, and circles
+    are looked at. Without a `camera` all have to be panoramas; with one that knows nothing itself, those that are not
+    have a lens that files tell. `rig`: files hold the pictures of its lenses. `rows`: the most rows of a picture.
+    """
+
+    force: bool = False
+    say: Callable[[str], object] = lambda text: None
+    camera: Camera | None = None
+    rig: Rig | None = None
+    rows: int | None = None
+    _looked: bool = False
+    _builders: dict[Any, PanoramaBuilder] = field(default_factory=dict)
+
+    def read(self, *paths: Path) -> Picture:
+        """The picture in a file, or in those of a rig's lenses, as what it is. Raises `ImageError`, `ShapeError`."""
+        stored, name = [read_stored(path) for path in paths], str(paths[0])
+        hint = NOTHING if self.camera is None or self.rig is not None else intrinsics_from_exif(paths[0])
+        pictures, (_, hidden, projection, facts) = [each.picture for each in stored], stored[0]
+        key = sizes_of(pictures), hint
+        builder = self._builders.get(key) if projection is None else None
+        if builder is None:
+            builder = PanoramaBuilder(
+                key[0], name, rig=self.rig, camera=self.camera, hint=hint, projection=projection, rows=self.rows,
+                force=self.force,
+            )  # fmt: skip
+            if projection is None:  # which may differ from picture to picture
+                self._builders[key] = builder
+        if builder.refused or not self._looked:
+            builder.check(*pictures, name=name)
+        found = Picture(builder.make(*pictures), builder.hidden(hidden), builder.view, builder.level_R_body)
+        return self.look(found, name, builder, hint, (*builder.facts, *facts))
+
+    def look(
+        self,
+        frame: Picture,
+        name: str,
+        builder: PanoramaBuilder | None = None,
+        hint: IntrinsicsHint = NOTHING,
+        facts: Sequence[str] = (),
+    ) -> Picture:
+        """The `frame`; of the first one it is said what the file tells (`facts`, and the lens), and what looks odd."""
+        if self._looked:
+            return frame
+        self._looked = True  # not before: who reads a frame again that was refused is told again
+        (high, wide), words, odd = frame.picture.shape[:2], "", ()
+        if frame.grid is not None or (builder is not None and builder.fisheye):
+            words = in_words((self.camera and self.camera.name) or hint.source, frame.grid)
+        elif not is_twice_as_wide(high, wide):
+            odd = (f"it is {wide} x {high}, not 2:1; accepted, with all columns for 360 degrees, all rows for 180",)
+        elif frame.unseen is None:  # a part has no seam
+            odd = problems(frame.picture)
+        for fact in (*filter(None, [words]), *facts, *(hint.facts if frame.grid is not None else ())):
+            self.say(fact if fact.startswith("warning: ") else f"{name}: {fact}")
+        for problem in odd:
+            self.say(f"warning: {name}: {problem}")
+        return frame
+
+
+@dataclass(frozen=True)
+class Images:
+    """Pictures in files, `rate` per second; `read` gives one of them; `stamps`: when they were taken, if known."""
+
+    paths: tuple[Path, ...]
+    rate: float
+    read: Callable[[Path], Picture]
+    stamps: tuple[float, ...] = ()
+
+    def items(self) -> Iterator[Item]:
+        """Stamp, name, and what gives the picture, of each."""
+        for number, path in enumerate(self.paths):
+            yield self.stamps[number] if self.stamps else number / self.rate, path.name, partial(self.read, path)
+
+
+def _of_video(video: Video, check: FrameCheck) -> Iterator[Item]:
+    for frame in video:
+        found = Picture(frame.picture, frame.unseen, frame.grid)
+        yield frame.stamp, frame.name, partial(check.look, found, frame.name, video.builder, video.hint)
+
+
+def _of_bag(bag: BagCamera, check: FrameCheck, rate: float | None, start: float, end: float | None) -> Iterator[Item]:
+    """By the headers' stamps; `start` and `end` count from the first."""
+
+    def seen(read: Callable[[], np.ndarray], name: str) -> Picture:
+        found = Picture(read(), bag.unseen, bag.view)
+        return check.look(found, name) if bag.view is None else found  # an ordinary lens is said already
+
+    coming = ((stamp - bag.begins, (stamp, read)) for stamp, read in bag.pictures())
+    last = math.inf if end is None else end
+    inside = takewhile(lambda each: each[0] <= last, (each for each in coming if each[0] >= start))
+    for _, (stamp, read) in selected(inside, 0.0, None, rate, 1e-6):
+        yield stamp, (name := f"{bag.topics[0]} at {stamp:.3f} s"), partial(seen, read, name)
+
+
+@dataclass(eq=False)
+class Footage:
+    """A `CameraSource` of recorded pictures: of files, a video or a bag; each is read and checked when it is its turn.
+
+    `items` gives stamp, name, and what gives the picture. One that cannot be used comes without, with the `problem`.
+    `latency` is taken off the stamps. `begins`: the stamp of the first picture of a bag, else 0. One of `images`,
+    `video` and `bag` is what they are from. Iterating raises what ends the footage, and `ShapeError` if it is the first
+    picture that has the wrong shape.
+    """
+
+    items: Callable[[], Iterator[Item]]
+    latency: float = 0.0
+    begins: float = 0.0
+    images: Images | None = None
+    video: Video | None = None
+    bag: BagCamera | None = None
+    dropped: int = 0
+    closed: bool = False
+    live = False
+    problem = None
+
+    @property
+    def ordinary(self) -> bool:
+        """Whether its pictures are those of an ordinary camera, as far as that is known without one."""
+        known = self.bag if self.video is None else self.video.builder
+        return known is not None and known.view is not None
+
+    @property
+    def grid(self) -> ErpGrid | PerspectiveGrid:
+        """The pixels of its first picture."""
+        first = next(iter(Footage(self.items)), None)
+        if first is None or first.picture is None:
+            raise ImageError("there is no frame to look at" if first is None else first.problem)
+        return first.grid or ErpGrid(*first.picture.shape[:2])
+
+    def __iter__(self) -> Iterator[Frame]:
+        last = -math.inf
+        for stamp, name, read in self.items():
+            if self.closed:
+                return
+            first = last == -math.inf
+            last = max(stamp - self.latency, math.nextafter(last, math.inf))
+            try:
+                found = read()
+            except EagorError as error:
+                if first and isinstance(error, ShapeError):  # hardly any other will do better
+                    raise
+                self.dropped += 1
+                yield Frame(last, None, name, problem=str(error))
+            else:
+                yield Frame(last, found.picture, name, found.grid, unseen=found.unseen)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def warned(text: str) -> None:
+    """A `UserWarning` for what begins with "warning: ": where nobody else listens."""
+    if text.startswith("warning: "):
+        warnings.warn(text.removeprefix("warning: "), UserWarning, stacklevel=4)
+
+
+def is_video(places: Sequence[Path], rig: bool = False) -> bool:
+    """Whether the one place is a video, or a picture that moves; with a `rig` there may be a video for each lens."""
+    if len(places) == 1 and is_animation(places[0]):
+        return True
+    many = len(places) > 1 and not rig
+    return not many and all(map(_is_film, places))
+
+
+def images_of(places: Sequence[Path], rate: float | None, check: FrameCheck) -> Images:
+    """The pictures in `places` (one folder, or image files), sorted by name; numbers in names sort by value.
+
+    Without a `rate` they were taken at the times that their names are (12.350.png), or else one per second. Of a rig
+    for several pictures, `places` are a folder for each. Raises `ImageError` for anything else.
+    """
+    count = 1 if check.rig is None else len(check.rig.sizes)
+    together = _together(places, count) if count > 1 else [(path,) for path in _single(places)]
+    with_first = {each[0]: each for each in together}
+    paths, stamps = tuple(with_first), ()
+    times = times_of([path.stem for path in paths]) if rate is None and len(paths) > 1 else None
+    if times is not None and len({*times}) == len(times):
+        stamps, paths = zip(*sorted(zip(times, paths, strict=True)), strict=True)
+    return Images(paths, rate or RATE, lambda path: check.read(*with_first[path]), stamps)
+
+
+def _single(places: Sequence[Path]) -> tuple[Path, ...]:
+    if films := list(filter(_is_film, places)):
+        raise ImageError(f"{films[0]} is a video, beside other files; give one video, a folder, or image files")
+    if len(places) == 1 and os.path.isdir(places[0]):
+        return pictures_in(places[0])
+    for place in places:  # os.path returns False where Path would raise: a name too long, a closed folder
+        if os.path.isdir(place):
+            raise ImageError(f"{place} is a folder; give one folder, or only image files")
+        if not os.path.exists(place):
+            raise ImageError(
+                f"there is no file {place}; give a video, a recorded ROS 2 bag, a folder of pictures, or image files"
+            )
+    return in_order(places)
+
+
+def _together(places: Sequence[Path], count: int) -> list[tuple[Path, ...]]:
+    """Of a folder for each of `count` cameras, the pictures that belong together, in order of their names."""
+    if len(places) != count or not all(map(os.path.isdir, places)):
+        raise ImageError(
+            f"the rig is for {count} pictures at a time, one for each lens; give {count} folders with commas between, "
+            "one for each lens in its order, a video, or pictures with all lenses in one. One moment alone: eagor "
+            "locate FRONT,BACK"
+        )
+    lists = [pictures_in(Path(folder)) for folder in places]
+    if len({len(each) for each in lists}) > 1:
+        counts = ", ".join(f"{len(each)} in {folder}" for each, folder in zip(lists, places, strict=True))
+        raise ImageError(f"the folders of the lenses hold different numbers of pictures: {counts}")
+    return [*zip(*lists, strict=True)]
+
+
+def _is_film(place: Path) -> bool:
+    """Whether it is a video: by its name, or where that tells nothing, by what is in it."""
+    suffix = place.suffix.lower()
+    if suffix in VIDEOS:
+        return not place.is_dir()
+    return suffix not in IMAGES and os.path.isfile(place) and plays(place)

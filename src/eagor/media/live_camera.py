@@ -22,8 +22,10 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from io import FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, ClassVar, cast
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 import numpy as np
 
@@ -34,7 +36,7 @@ from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.media import Frame
 from eagor.media.intrinsics import Camera
 from eagor.media.stitching import PanoramaBuilder
-from eagor.media.video import Damage, pictures, to_rgb
+from eagor.media.tracks import Damage, pictures, to_rgb
 from eagor.odometry.clocks import StreamClock
 
 if TYPE_CHECKING:
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
 __all__ = [
-    "SCHEMES", "FrameGrabber", "LiveCamera", "RawPipe", "Stream", "TimedFrame", "device", "network", "raw_pipe",
+    "SCHEMES", "STREAMS", "FrameGrabber", "LiveCamera", "Stream", "TimedFrame", "device", "network", "raw_pipe",
     "standard_input",
 ]  # fmt: skip
 
@@ -73,8 +75,8 @@ APART = 0.1  # seconds by which the newest pictures of two lenses may differ bef
 class Stream:
     """How to open a stream: `address` for FFmpeg, `format` ("" if it finds out), `options`; `name` is for texts.
 
-    `again`: whether it can be opened once more. `size`: width and height that were asked for, or None. `stamped`:
-    whether its times are those of capture, on this machine's clock (``time.time()``).
+    `again`: whether it can be opened once more. `size`: width and height that were asked for, or None. `stamped`: its
+    times are those of capture, on this machine's clock (``time.time()``). `raw`: what reads it in place of FFmpeg.
     """
 
     address: str
@@ -83,13 +85,17 @@ class Stream:
     options: Mapping[str, str] = field(default_factory=dict)
     again: bool = True
     size: tuple[int, int] | None = None
-    stamped: ClassVar[bool] = False
+    stamped: bool = False
+    raw: Callable[..., Iterator[tuple[float | None, VideoFrame]]] | None = None
 
     def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
         """Time (seconds on the stream's own clock, or None) and picture, as they come, until the stream ends.
 
         `damaged` is called for each picture that is lost. Raises `DeviceError` in words.
         """
+        if self.raw is not None:
+            yield from self.raw(damaged)
+            return
         need(f"reading {self.name}", "photos", "av")
         import av
         from av.error import FFmpegError
@@ -138,11 +144,15 @@ class Stream:
         return "Is the address right, the camera on, and this machine in its network?"
 
 
-def device(path: str, settings: Mapping[str, str]) -> Stream:
-    """A V4L2 camera at `path` (/dev/video0); `settings`: size=WxH, rate=HZ, format=mjpeg.
+def device(text: str) -> Stream:
+    """A V4L2 camera: /dev/video0, v4l2:0, with ?size=WxH&rate=HZ&format=mjpeg.
 
     Raises `DeviceError` if there is none, in words that list those that there are.
     """
+    place, _, query = text.partition("?")
+    path = place.removeprefix("v4l2:")
+    path = f"/dev/video{path}" if path.isdigit() else path
+    settings = {key: value for key, _, value in (pair.partition("=") for pair in query.split("&") if pair)}
     for key in settings:
         if key not in SETTINGS:
             raise DeviceError(f"{path}: there is no setting {key!r}; wanted size=WxH, rate=HZ or format=mjpeg")
@@ -171,7 +181,7 @@ def network(address: str) -> Stream:
     return Stream(address, redacted(address), kind, options)
 
 
-def standard_input() -> Stream:
+def standard_input(_: str = "-") -> Stream:
     """Encoded pictures on standard input: MPEG-TS, Matroska, MJPEG, ..."""
     return Stream("pipe:0", "standard input", "", {**LOW_LATENCY, "protocol_whitelist": "pipe"}, again=False)
 
@@ -184,53 +194,46 @@ def _why(error: Exception) -> str:
 # --- raw ---
 
 
-@dataclass(frozen=True)
-class RawPipe:
-    """Raw pictures of `kind` (a name of FFmpeg's) with `width` and `height` that `file` brings; see the module."""
+def _raw(
+    damaged: Callable[[], None], *, file: BinaryIO, kind: str, width: int, height: int, stamped: bool
+) -> Iterator[tuple[float | None, VideoFrame]]:
+    """The pictures of a raw pipe, as those of `Stream`."""
+    need("reading raw pictures", "photos", "av")
+    import av
 
-    file: BinaryIO
-    kind: str
-    width: int
-    height: int
-    stamped: bool = False
-    name: str = "standard input"
-    again: bool = False
-
-    def pictures(self, damaged: Callable[[], None]) -> Iterator[tuple[float | None, VideoFrame]]:
-        """As those of `Stream`."""
-        need("reading raw pictures", "photos", "av")
-        import av
-
-        per, head = BYTES[self.kind], STAMP.size if self.stamped else 0
-        rows, planes = (self.height * 3 // 2, ()) if per == 1.5 else (self.height, () if per == 1 else (int(per),))
-        size = head + round(self.width * self.height * per)
-        shape = f"{self.kind}, {self.width} x {self.height}"
-        while True:
-            data, read = memoryview(bytearray(size)), 0
-            while read < size and (part := self.file.readinto(data[read:])):  # type: ignore[attr-defined]
-                read += part
-            if 0 < read < size:
-                damaged()
-                warnings.warn(
-                    f"{self.name} ended in the middle of a picture, after {read} of {size} bytes. Are its pictures "
-                    f"{shape}?",
-                    UserWarning,
-                    stacklevel=2,
-                )
-            if read < size:
-                return
-            told = STAMP.unpack_from(data)[0] if self.stamped else None
-            if told is not None and not (math.isfinite(told) and 0 < told < 1e11):
-                raise DeviceError(
-                    f"{self.name}: the time before a picture is {told:g}; wanted seconds since 1970 as a little-endian "
-                    f"double, then {size - head} bytes ({shape}). Pictures without times: leave out :stamped"
-                )
-            array = np.frombuffer(data, np.uint8, offset=head).reshape(rows, self.width, *planes)
-            yield told, av.VideoFrame.from_ndarray(np.ascontiguousarray(array), format=self.kind)
+    per, head, shape = BYTES[kind], STAMP.size if stamped else 0, f"{kind}, {width} x {height}"
+    rows, planes = (height * 3 // 2, ()) if per == 1.5 else (height, () if per == 1 else (int(per),))
+    size = head + round(width * height * per)
+    while True:
+        data, read = memoryview(bytearray(size)), 0
+        while read < size and (part := file.readinto(data[read:])):  # type: ignore[attr-defined]
+            read += part
+        if 0 < read < size:
+            damaged()
+            warnings.warn(
+                f"standard input ended in the middle of a picture, after {read} of {size} bytes. Are its pictures "
+                f"{shape}?",
+                UserWarning,
+                stacklevel=2,
+            )
+        if read < size:
+            return
+        told = STAMP.unpack_from(data)[0] if stamped else None
+        if told is not None and not (math.isfinite(told) and 0 < told < 1e11):
+            raise DeviceError(
+                f"standard input: the time before a picture is {told:g}; wanted seconds since 1970 as a little-endian "
+                f"double, then {size - head} bytes ({shape}). Pictures without times: leave out :stamped"
+            )
+        array = np.frombuffer(data, np.uint8, offset=head).reshape(rows, width, *planes)
+        yield told, av.VideoFrame.from_ndarray(np.ascontiguousarray(array), format=kind)
 
 
-def raw_pipe(text: str, file: BinaryIO) -> RawPipe:
-    """The pipe that `text` describes, such as ``pipe:rgb24:1920x960``. Raises `DeviceError`."""
+def raw_pipe(text: str, file: BinaryIO | None = None) -> Stream:
+    """The pictures that `file` brings as `text` describes, such as ``pipe:rgb24:1920x960``. Raises `DeviceError`.
+
+    None: standard input.
+    """
+    file = file or FileIO(0, closefd=False)  # not sys.stdin: who waits for it holds its lock, and Python aborts at exit
     found = _SPEC.fullmatch(text)
     if found is None or found[1] not in BYTES:
         raise DeviceError(
@@ -242,7 +245,17 @@ def raw_pipe(text: str, file: BinaryIO) -> RawPipe:
     if not 0 < width * height <= LARGEST or (halved and (width % 2 or height % 2)):
         even = "even sides, " if halved else ""
         raise DeviceError(f"{text}: wanted {even}at least 1 and at most {LARGEST} pixels")
-    return RawPipe(file, found[1], width, height, bool(found[4]))
+    stamped = bool(found[4])
+    raw = partial(_raw, file=file, kind=found[1], width=width, height=height, stamped=stamped)
+    return Stream(text, "standard input", again=False, stamped=stamped, raw=raw)
+
+
+STREAMS = {  # what a text has to begin with, or be, and what then opens it
+    "input": (re.compile(r"(-|pipe:0?)$"), standard_input),
+    "pipe": (re.compile("pipe:"), raw_pipe),
+    "device": (re.compile(r"((v4l2:)?/dev/[^?]+|v4l2:\d+)(\?|$)"), device),
+    "stream": (re.compile(rf"({'|'.join(SCHEMES)})://", re.IGNORECASE), network),
+}
 
 
 # --- the newest picture ---
@@ -265,7 +278,7 @@ class FrameGrabber:
     not. Raises `DeviceError` if the stream cannot be opened or no picture comes.
     """
 
-    def __init__(self, stream: Stream | RawPipe, *, latency: float = 0.0, rate: float | None = None) -> None:
+    def __init__(self, stream: Stream, *, latency: float = 0.0, rate: float | None = None) -> None:
         self.stream, self.dropped = stream, 0
         self.newest: TimedFrame | None = None
         self.error: EagorError | None = None
@@ -399,7 +412,7 @@ class LiveCamera:
 
     def __init__(
         self,
-        streams: Sequence[Stream | RawPipe],
+        streams: Sequence[Stream],
         *,
         rig: Rig | None = None,
         rows: int | None = None,

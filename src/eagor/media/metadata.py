@@ -19,7 +19,7 @@ from eagor._checks import ROUNDING, is_twice_as_wide
 from eagor.errors import ImageError
 from eagor.sphere import world_R_body
 
-__all__ = ["EXPORT", "GPANO", "LAYOUTS", "Layout", "Projection", "of_photograph", "of_video", "properties"]
+__all__ = ["EXPORT", "EYES", "GPANO", "LAYOUTS", "Layout", "Projection", "of_photograph", "of_video", "properties"]
 
 EYES = {  # where in the picture the left eye's is: first row, first column, rows, columns, as shares
     "mono": (0.0, 0.0, 1.0, 1.0),
@@ -86,11 +86,6 @@ class Projection:
         """The rotation ``(3, 3)`` from the picture's axes to level ones; forward stays its centre. None if it is."""
         return world_R_body(0.0, self.pitch, self.roll) if self.pitch or self.roll else None
 
-    @property
-    def world_R_body(self) -> np.ndarray | None:
-        """As `level_R_body`, with the heading: 0 is the file's (GPano: north). None if it says nothing of all that."""
-        return world_R_body(self.yaw, self.pitch, self.roll) if self.yaw or self.pitch or self.roll else None
-
     @classmethod
     def of_eyes(cls, layout: str) -> Projection:
         """What ``--eyes`` says, one of `LAYOUTS`."""
@@ -122,18 +117,16 @@ class Projection:
         }
         return tuple(fact for fact, holds in said.items() if holds)
 
-    def layout(self, height: int, width: int, rows: int | None = None) -> Layout:
-        """Where a picture of `height` and `width` pixels, all its eyes included, goes in a whole panorama.
+    def layout(self, size: tuple[int, int], rows: int | None, whole: bool) -> Layout:
+        """Where an eye of `size` (width, height) goes in a frame of at most `rows` rows: of the `whole` sphere, or not.
 
-        With at most `rows` rows. A rectangular picture, or one of which nothing is known, keeps its shape.
+        Otherwise it keeps its shape.
         """
-        eye = EYES[self.stereo]
-        high, wide = max(1, round(height * eye[2])), max(1, round(width * eye[3]))
-        top, bottom, left, right = self.cropped
-        whole = high / (1 - top - bottom)
-        count = max(1, round(whole if rows is None else min(rows, whole)))
-        columns = 2 * count if self.kind == "equirectangular" else max(1, round(wide * count / high))
-        return Layout((count, columns), _part(top, bottom, count), _part(left, right, columns), eye)
+        (wide, high), (top, bottom, left, right) = size, self.cropped
+        full = high / (1 - top - bottom)
+        count = max(1, round(full if rows is None else min(rows, full)))
+        columns = 2 * count if whole else max(1, round(wide * count / high))
+        return Layout((count, columns), _part(top, bottom, count), _part(left, right, columns), EYES[self.stereo])
 
 
 def _part(before: float, after: float, count: int) -> slice:

@@ -1,8 +1,8 @@
 """Panoramas as arrays: read from files, checked, resized, turned, and views cut out of them.
 
 Images are ``(H, W)`` or ``(H, W, C)`` arrays in the layout of `eagor.sphere`: the centre column is forward, columns
-grow to the right. A photograph has no depth, so the camera can turn in it, but not move. `read_photograph` also tells
-what a file says of itself (Photo Sphere XMP Metadata, "GPano").
+grow to the right. A photograph has no depth, so the camera can turn in it, but not move. `read_stored` also tells what
+a file says of itself (Photo Sphere XMP Metadata, "GPano").
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ import re
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from eagor._checks import checked_picture, is_twice_as_wide
+from eagor._checks import checked_picture
 from eagor._extras import need, opencv
 from eagor._files import natural
 from eagor._srgb import to_coded
 from eagor.cameras import Sampler
 from eagor.errors import ImageError, MissingExtraError
 from eagor.grids import ErpGrid, Grid, PerspectiveGrid, ViewKey, forward_view, view_key
-from eagor.media.metadata import GPANO, of_photograph, properties
+from eagor.media.metadata import GPANO, Projection, of_photograph, properties
 from eagor.sphere import check_rotation
 
 # Pillow starts no other program for any of these; AVIF since its version 11.3.
@@ -52,31 +52,67 @@ MIDDLE = 0.18  # what the mean radiance becomes: grey
 JPEG_XMP = b"http://ns.adobe.com/xap/1.0/\0"  # how a JPEG's APP1 segment with XMP begins (XMP specification, part 3)
 
 
-def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
-    """The image file at `path` as ``(H, W, 3)`` uint8.
+class Stored(NamedTuple):
+    """A `picture` ``(H, W, 3)`` uint8 as its file has it, upright, and what the file says of it.
 
-    Grey, palette and transparent images become RGB (what is transparent is black). It is turned or mirrored as the
-    orientation tag of the file (Exif) says, unless that would stand a 2:1 panorama on its side. An image that is not
-    2:1 is accepted with a `UserWarning`; its columns span 360 degrees and its rows 180. Radiance (.hdr) is tone-mapped,
-    with a warning; that needs OpenCV. Raises `ImageError` if there is no readable image.
+    `hidden`: the mask ``(H, W)`` of what is transparent, and black, or None. `projection`: of the sphere (GPano), or
+    None. `facts`: sentences.
     """
-    image, _ = _read(name := os.fspath(path))
-    _warn(name, image)
-    return image
+
+    picture: np.ndarray
+    hidden: np.ndarray | None = None
+    projection: Projection | None = None
+    facts: tuple[str, ...] = ()
 
 
-def _warn(name: str, image: np.ndarray) -> None:
-    """Say of an image that is taken for a panorama as it is that it is not 2:1, or was tone-mapped."""
-    height, width = image.shape[:2]
-    if _is_hdr(name):
-        warnings.warn(f"{name!r} {TONE_MAPPED}", UserWarning, stacklevel=3)
+def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
+    """The image file at `path` as ``(H, W, 3)`` uint8, as `read_stored` gives it.
+
+    What is not 2:1 is accepted with a `UserWarning`: its columns span 360 degrees and its rows 180. Radiance is
+    tone-mapped with a warning. Raises `ImageError` if there is no readable image.
+    """
+    found = read_stored(path)
+    height, width = found.picture.shape[:2]
+    if TONE_MAPPED in found.facts:
+        warnings.warn(f"{os.fspath(path)!r} {TONE_MAPPED}", UserWarning, stacklevel=2)
     if width != 2 * height:
         warnings.warn(
-            f"{name!r} is {width} x {height}, not 2:1: longitude and latitude are mapped separately (all columns span "
-            "360 degrees, all rows 180). If the image covers less than the whole sphere, pad it first",
+            f"{os.fspath(path)!r} is {width} x {height}, not 2:1: longitude and latitude are mapped separately (all "
+            "columns span 360 degrees, all rows 180). If the image covers less than the whole sphere, pad it first",
             UserWarning,
-            stacklevel=3,
+            stacklevel=2,
         )
+    return found.picture
+
+
+def read_stored(path: str | os.PathLike[str]) -> Stored:
+    """The picture in a file (JPEG, PNG, WebP, ...), and what the file says of it.
+
+    Grey, palette and transparent images become RGB (what is transparent is black). It is turned or mirrored as the
+    orientation tag of the file (Exif) says, unless that would stand a 2:1 panorama on its side. Radiance (.hdr) is
+    tone-mapped; that needs OpenCV. Raises `ImageError` if there is no readable image.
+    """
+    name = check_file(path, "an equirectangular image (PNG, JPEG, ...)")
+    try:
+        if name.lower().endswith(".hdr"):
+            return Stored(tone_mapped(_radiance(name)), facts=(TONE_MAPPED,))
+        with opened(name) as image:
+            count = 1
+            with suppress(Exception):  # Pillow may raise anything for a damaged file; an MPO has one that counts
+                count = 1 if image.format == "MPO" else getattr(image, "n_frames", 1)
+            _load(image, os.path.getsize(name))
+            several = (f"it holds {count} pictures, of which the first is taken",) if count > 1 else ()
+            upright = _upright(image)
+            return Stored(*seen_of(upright), projection_of(image, upright.size), several)
+    except MissingExtraError:
+        raise
+    except ImageError as error:
+        raise ImageError(f"{name!r} {error}") from error
+    except Exception as error:  # Pillow's decoders may raise anything for damaged files
+        raise ImageError(
+            f"{name!r} cannot be read as an image ({type(error).__name__}: {error}); it is corrupt, truncated or of "
+            "another kind. Wanted an image that Pillow reads, such as PNG or JPEG: fetch or export it again"
+        ) from error
 
 
 def check_file(path: str | os.PathLike[str], wanted: str) -> str:
@@ -93,28 +129,6 @@ def check_file(path: str | os.PathLike[str], wanted: str) -> str:
     if not os.access(name, os.R_OK):
         raise ImageError(f"{name!r} cannot be read; make it readable (chmod +r), or copy it")
     return name
-
-
-def _read(name: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """The image, and the mask ``(H, W)`` of what is transparent in it, or None; errors as of `read_panorama`."""
-    check_file(name, "an equirectangular image (PNG, JPEG, ...)")
-    try:
-        if _is_hdr(name):
-            return tone_mapped(_radiance(name)), None
-        return _decoded(name, os.path.getsize(name), _upright)
-    except MissingExtraError:
-        raise
-    except ImageError as error:
-        raise ImageError(f"{name!r} {error}") from error
-    except Exception as error:  # Pillow's decoders may raise anything for damaged files
-        raise ImageError(
-            f"{name!r} cannot be read as an image ({type(error).__name__}: {error}); it is corrupt, truncated or of "
-            "another kind. Wanted an image that Pillow reads, such as PNG or JPEG: fetch or export it again"
-        ) from error
-
-
-def _is_hdr(name: str) -> bool:
-    return name.lower().endswith(".hdr")
 
 
 def _radiance(name: str) -> np.ndarray:
@@ -166,16 +180,14 @@ def read_image(
     A picture that claims more pixels than a real one of this file size can have is rejected before memory is allocated.
     Small pictures may be blank. Raises `ImageError`, or what Pillow's decoders raise.
     """
-    return _decoded(file, size, turned)[0]
-
-
-def _decoded(
-    file: str | IO[bytes], size: int, turned: Callable[[Image.Image], Image.Image]
-) -> tuple[np.ndarray, np.ndarray | None]:
     with opened(file) as image:
-        _check_claim(image.width, image.height, decoded_bytes(image), size)
-        image.load()
-        return _seen_of(turned(image))
+        _load(image, size)
+        return seen_of(turned(image))[0]
+
+
+def _load(image: Image.Image, size: int) -> None:
+    _check_claim(image.width, image.height, decoded_bytes(image), size)
+    image.load()
 
 
 def _check_claim(width: int, height: int, decoded: int, size: int) -> None:
@@ -201,7 +213,7 @@ def opened(file: str | os.PathLike[str] | IO[bytes]) -> Image.Image:
         raise ImageError(f"is {kind}, which takes {reader} (pip install); or export it as JPEG") from None
 
 
-def _seen_of(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
+def seen_of(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
     """A picture as ``(H, W, 3)`` uint8, black where it is transparent by more than half; the mask of that, or None."""
     if image.mode == "F":
         raise ImageError("holds floating-point grey values of unknown range; tone-map it to 8 bits first")
@@ -268,11 +280,6 @@ def _grid_of(image: np.ndarray) -> ErpGrid:
     return ErpGrid(*image.shape[:2])
 
 
-def is_whole(panorama: np.ndarray) -> bool:
-    """Whether its aspect ratio is 2:1, up to the rounding of a resized picture."""
-    return is_twice_as_wide(*panorama.shape[:2])
-
-
 def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.ndarray:
     """`image` ``(H, W, 3)`` uint8 at `size` (height, width), bicubic, antialiased if it shrinks.
 
@@ -297,18 +304,6 @@ def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.
 def resized_mask(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """A mask ``(H, W)`` at `size` (height, width)."""
     return resized(np.repeat(np.uint8(255) * mask[..., None], 3, axis=2), size)[..., 0] > 127
-
-
-def shrunk_picture(found: Picture, rows: int | None) -> Picture:
-    """The picture with `rows` at the most."""
-    height, width = found.picture.shape[:2]
-    if rows is None or height <= rows:
-        return found
-    whole = found.grid is None and is_twice_as_wide(height, width)
-    size = (rows, 2 * rows if whole else max(1, round(width * rows / height)))
-    unseen = None if found.unseen is None else resized_mask(found.unseen, size)
-    grid = None if found.grid is None else found.grid.resized(*size)
-    return replace(found, picture=resized(found.picture, size, wrap=whole), unseen=unseen, grid=grid)
 
 
 def by_area(image: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -353,25 +348,22 @@ def _rays(lens: ViewKey) -> np.ndarray:
     return np.ascontiguousarray(forward_view(lens).directions.reshape(-1, 3).T, dtype=np.float32)
 
 
-# --- photographs with what their files say ---
+# --- files of pictures ---
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture of the whole sphere, or of an ordinary camera, and what its file says of it.
+    """A picture of the whole sphere, or of an ordinary camera.
 
     `picture` ``(H, W, 3)`` uint8; a cropped panorama is put on a black sphere, and the mask `unseen` ``(H, W)`` says
-    where nothing is known (None: all is seen). `level_R_body`: None, or the rotation ``(3, 3)`` that makes it level.
-    `world_R_body`: None, or the same with its compass heading: x north, y west, z up. `facts`: sentences. `grid`: the
-    pixels of an ordinary camera's picture, in the body frame; None for a whole panorama.
+    where nothing is known (None: all is seen). `grid`: the pixels of an ordinary camera's picture, in the body frame;
+    None for a whole panorama. `level_R_body`: None, or the rotation ``(3, 3)`` that makes it level, as its file says.
     """
 
     picture: np.ndarray
     unseen: np.ndarray | None = None
-    level_R_body: np.ndarray | None = None
-    world_R_body: np.ndarray | None = None
-    facts: tuple[str, ...] = ()
     grid: PerspectiveGrid | None = None
+    level_R_body: np.ndarray | None = None
 
 
 def pictures_in(folder: Path) -> tuple[Path, ...]:
@@ -391,51 +383,11 @@ def in_order(paths: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(sorted(paths, key=lambda path: (natural(path.name), str(path))))
 
 
-def read_photograph(path: str | os.PathLike[str], warn: bool = True, force: bool = False) -> Picture:
-    """The photograph in the file at `path` (JPEG, PNG, WebP, ...), where its file says that it belongs (GPano).
-
-    As `read_panorama` where the file says nothing, with its warning about pictures that are not 2:1, unless `warn` is
-    False: for who knows the camera, or says it otherwise. Raises `ImageError` if there is no readable image, or if it
-    says that it is not equirectangular, or (unless `force`) an area that does not add up.
-    """
-    image, unseen = _read(name := os.fspath(path))
-    if _is_hdr(name):
-        if warn:
-            _warn(name, image)
-        return Picture(image, facts=(TONE_MAPPED,))
-    with opened(name) as file:
-        found, count = _placed_by_file(image, unseen, file, name, force), 1
-        with suppress(Exception):  # Pillow may raise anything for a damaged file; an MPO has one that counts
-            count = 1 if file.format == "MPO" else getattr(file, "n_frames", 1)
-    if count > 1:
-        found = replace(found, facts=(*found.facts, f"it holds {count} pictures, of which the first is taken"))
-    if warn and found.picture is image:
-        _warn(name, image)
-    return found
-
-
-def photograph_of(image: Image.Image, name: str) -> Picture:
-    """One picture of a file that is open, as `read_photograph` gives it."""
-    return _placed_by_file(*_seen_of(image), image, name, False)
-
-
-def _placed_by_file(image: np.ndarray, hidden: np.ndarray | None, file: Image.Image, name: str, force: bool) -> Picture:
-    """`image` as what its file says it is; `hidden`: what of it is not seen, or None."""
-    found = of_photograph(properties(_xmp(file), GPANO), image.shape[1::-1])
-    if found is None:
-        return Picture(image, hidden)
-    found.check(name, force)
-    layout = found.layout(*image.shape[:2])
-    panorama, unseen = layout.place(resized(image, layout.size)), layout.unseen
-    if hidden is not None:
-        own = layout.place(resized_mask(hidden, layout.size))
-        unseen = own if unseen is None else own | unseen
-    return Picture(panorama, unseen, found.level_R_body, found.world_R_body, found.facts())
-
-
-def _xmp(image: Image.Image) -> bytes:
-    """The XMP packet of a picture that could be read; empty if it has none."""
-    if data := image.info.get("xmp") or image.info.get("XML:com.adobe.xmp"):
-        return data.encode() if isinstance(data, str) else bytes(data)
-    segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
-    return next((data[len(JPEG_XMP) :] for data in segments if data.startswith(JPEG_XMP)), b"")
+def projection_of(image: Image.Image, size: tuple[int, int] | None = None) -> Projection | None:
+    """What the XMP of a picture that was read says of it (GPano), whose size is `size` as it is shown."""
+    data = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp")
+    if data is None:
+        segments = [data for kind, data in getattr(image, "applist", ()) if kind == "APP1"]
+        data = next((data[len(JPEG_XMP) :] for data in segments if data.startswith(JPEG_XMP)), b"")
+    packet = data.encode() if isinstance(data, str) else bytes(data)
+    return of_photograph(properties(packet, GPANO), size or image.size)

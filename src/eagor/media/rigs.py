@@ -357,7 +357,7 @@ def lens_of_model(
         raise FormatError(
             f"the distortion has {len(values)} numbers; wanted at most {most} that are not 0 ({model or 'OpenCV'})"
         )
-    if 0 < min(focal) < max(size) / FLATTEST and kind == "pinhole" and not mirror:
+    if 0 < FLATTEST * min(focal) < max(size) and kind == "pinhole" and not mirror:
         raise FormatError(f"the focal lengths are {focal[0]:g} and {focal[1]:g} in pictures of {size}; wanted pixels")
     kind = "omni" if mirror else kind
     return Lens("camera", size, focal, centre, tuple(values[:most]), kind=kind, mirror=mirror)

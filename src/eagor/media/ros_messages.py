@@ -11,12 +11,12 @@ import math
 import re
 from collections.abc import Mapping
 from functools import cache
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
+from eagor._extras import need
 from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
 from eagor.errors import ImageError, PoseError, TimeError
 from eagor.media import Pose
@@ -51,16 +51,11 @@ ENCODINGS: Mapping[str, tuple[int, slice | list[int]]] = {
 AS_OPENCV = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8", "16UC3": "bgr16", "16UC4": "bgra16"}
 BAYER = {f"bayer_{pattern}{bits}": pattern for pattern in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)}
 DEPTH = ("16UC1", "32FC1", "compressedDepth")  # REP-118
-# Rows and columns of pixels that share U and V (0 rows: all in one plane, Y in every second byte), the first Y there,
-# and the places of U and V among themselves. The longer names are older ones.
-YUV: Mapping[str, tuple[int, int, int, int, int]] = {
-    "uyvy": (0, 2, 1, 0, 1), "yuv422": (0, 2, 1, 0, 1), "yuyv": (0, 2, 0, 0, 1), "yuv422_yuy2": (0, 2, 0, 0, 1),
-    "nv12": (2, 2, 0, 0, 1), "nv21": (2, 2, 0, 1, 0), "nv24": (1, 1, 0, 0, 1),
+# As OpenCV calls them; the longer names are older ones. Of NV24, which it does not have, every second U and V is taken.
+YUV = {
+    "uyvy": "UYVY", "yuv422": "UYVY", "yuyv": "YUY2", "yuv422_yuy2": "YUY2", "nv12": "NV12", "nv21": "NV21",
+    "nv24": "NV12",
 }  # fmt: skip
-# RGB of Y (16 to 235), U and V (16 to 240 about 128), as ITU-R BT.601 has it; cameras of ROS drivers use it.
-_RGB_OF_YUV = np.array(
-    [[1.164384, 0.0, 1.596027], [1.164384, -0.391762, -0.812968], [1.164384, 2.017232, 0.0]], np.float32
-)
 
 
 def message(kind: str, **fields: Any) -> Any:
@@ -135,7 +130,7 @@ def taken_as(received: Any) -> str | None:
 def _raw(received: Any) -> np.ndarray:
     encoding = AS_OPENCV.get(received.encoding) or received.encoding
     if encoding in YUV:
-        return _of_yuv(received, *YUV[encoding])
+        return _of_yuv(received)
     if encoding not in ENCODINGS and encoding not in BAYER:
         raise _refused("an Image has the encoding", encoding)
     count, places = ENCODINGS.get(encoding, (1, slice(1)))
@@ -157,20 +152,16 @@ def _refused(what: str, encoding: str) -> ImageError:
 
 def _demosaiced(mosaic: np.ndarray, pattern: str) -> np.ndarray:
     """RGB ``(H, W, 3)`` of a Bayer mosaic ``(H, W)`` uint8, whose first two by two are `pattern`; bilinear."""
-    if min(mosaic.shape) > 2 and find_spec("cv2") is not None:
-        import cv2
+    if min(mosaic.shape) < 3:
+        return np.repeat(mosaic[..., None], 3, axis=-1)
+    return _converted(mosaic, f"Bayer{pattern.upper()}2RGB")
 
-        return cv2.cvtColor(np.ascontiguousarray(mosaic), getattr(cv2, f"COLOR_Bayer{pattern.upper()}2RGB"))
-    from scipy.ndimage import convolve
 
-    rows, columns = (np.arange(side) % 2 for side in mosaic.shape)
-    sites, planes = np.array([*pattern])[np.add.outer(2 * rows, columns)], []
-    for colour, corner in zip("rgb", (1.0, 0.0, 1.0), strict=True):
-        near = np.array([[corner, 2, corner], [2, 4, 2], [corner, 2, corner]], np.float32)
-        both = ((sites == colour) * np.float32(1) * values for values in (mosaic, 1))
-        total, seen = (convolve(each, near, mode="constant") for each in both)
-        planes.append(total / seen.clip(1.0))
-    return np.rint(np.stack(planes, axis=-1)).clip(0, 255).astype(np.uint8)
+def _converted(values: np.ndarray, how: str) -> np.ndarray:
+    need("pictures of this encoding", "robot", "cv2")
+    import cv2
+
+    return cv2.cvtColor(np.ascontiguousarray(values), getattr(cv2, f"COLOR_{how}"))
 
 
 def _rows(received: Any, size: int) -> np.ndarray:
@@ -185,27 +176,26 @@ def _rows(received: Any, size: int) -> np.ndarray:
     return data[: height * step].reshape(height, step)[:, : width * size].reshape(height, width, size)
 
 
-def _of_yuv(received: Any, down: int, across: int, y: int, u: int, v: int) -> np.ndarray:
+def _of_yuv(received: Any) -> np.ndarray:
     """RGB ``(H, W, 3)`` uint8 of an Image in YUV (`YUV`). Raises `ImageError` for a size that cannot be shared."""
-    height, width, step = received.height, received.width, received.step
-    rows = _rows(received, 2 if down == 0 else 1).reshape(height, -1)
-    if down == 0:  # Y between U and V
+    height, width, step, encoding = received.height, received.width, received.step, received.encoding
+    how = f"YUV2RGB_{YUV[encoding]}"
+    if not encoding.startswith("nv"):  # Y between U and V
+        rows = _rows(received, 2)
         if width % 2:
             wanted = "wanted an even number: two share their colour"
             raise ImageError(f"an Image of YUV 4:2:2 is {width} pixels wide; {wanted}")
-        light, colours, down = rows[:, y::2], rows[:, 1 - y :: 2], 1
-    else:
-        colours, wide = np.frombuffer(received.data, dtype=np.uint8)[height * step :], 2 * step // across
-        if height % down or width % across or len(colours) < height // down * wide:
-            raise ImageError(
-                f"an Image of {width} x {height} pixels as {received.encoding} has {len(colours)} bytes of colour; "
-                f"wanted {height // down * wide}, and {'even sides' if down > 1 else 'two a pixel'}"
-            )
-        light = rows
-        colours = colours[: height // down * wide].reshape(-1, wide)[:, : 2 * width // across]
-    blue, red = (colours[:, each::2].repeat(down, axis=0).repeat(across, axis=1) for each in (u, v))
-    yuv = np.stack([light, blue, red], axis=-1).astype(np.float32) - np.array([16, 128, 128], np.float32)
-    return np.rint(yuv @ _RGB_OF_YUV.T).clip(0, 255).astype(np.uint8)
+        return _converted(rows, how)
+    light, full = _rows(received, 1)[..., 0], encoding == "nv24"
+    wanted = 2 * height * step if full else height // 2 * step
+    colours = np.frombuffer(received.data, dtype=np.uint8)[height * step :][:wanted]
+    if height % 2 or width % 2 or len(colours) < wanted:
+        raise ImageError(
+            f"an Image of {width} x {height} pixels as {encoding} has {len(colours)} bytes of colour; wanted {wanted}, "
+            "and even sides"
+        )
+    pairs = colours.reshape(-1, step // 2, 2) if not full else colours.reshape(height, step, 2)[::2, ::2]
+    return _converted(np.vstack([light, pairs[:, : width // 2].reshape(height // 2, width)]), how)
 
 
 def _decoded(received: Any) -> np.ndarray:

@@ -16,7 +16,7 @@ from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media.defects import MAKE, STITCH, TWICE, circles_in_words, two_eyes
 from eagor.media.intrinsics import ASK, Camera, IntrinsicsHint, ShapeError, ordinary_grid
-from eagor.media.metadata import Projection
+from eagor.media.metadata import EYES, Projection
 from eagor.media.panorama import by_area, checked_picture, resized, resized_mask
 
 __all__ = ["PanoramaBuilder", "Stitcher", "seen_by", "sizes_of"]
@@ -83,11 +83,15 @@ def seen_by(rig: Rig, panorama: np.ndarray) -> tuple[np.ndarray, ...]:
 class PanoramaBuilder:
     """Says what pictures of `sizes` (width, height) are, of a source called `name`, and makes frames of them.
 
-    `rig`: they are those of its lenses. `camera`: what is known otherwise; `hint`: what a file says of an ordinary
-    lens, for pictures that are not 2:1, unless `force`: then they are panoramas all the same. `rows`: the most rows;
-    larger pictures are shrunk. `grid`: of what it makes, a `PerspectiveGrid` for an ordinary camera's pictures;
-    `unseen` ``(H, W)``: what no lens sees, or None; `wanted`: rows and columns to which each picture is to be brought
-    while it is decoded. Raises `ShapeError` where nothing tells what they are, `ImageError` where they do not fit.
+    `rig`: they are those of its lenses. `camera`: what the user knows otherwise; after it counts what a file says:
+    `projection` of the sphere, and `hint` of an ordinary lens, for pictures that are not 2:1. `force`: what nothing is
+    known of is a panorama all the same. `rows`: the most rows; larger pictures are shrunk.
+
+    `grid`: of what it makes, a `PerspectiveGrid` for an ordinary camera's pictures; `unseen` ``(H, W)``: what they do
+    not show, or None; `wanted`: rows and columns to which each picture may be brought while it is decoded; `fisheye`:
+    whether the camera's calibration is one; `facts`: sentences about what the file says; `level_R_body`: None, or the
+    rotation ``(3, 3)`` that makes frames level, as the file says; `refused`: why nothing tells what they are, else "".
+    Raises `ImageError` where sizes do not fit.
     """
 
     def __init__(
@@ -98,15 +102,16 @@ class PanoramaBuilder:
         rig: Rig | None = None,
         camera: Camera | None = None,
         hint: IntrinsicsHint = NO_HINT,
+        projection: Projection | None = None,
         rows: int | None = None,
         force: bool = False,
     ) -> None:
         camera = camera or Camera()
-        if rig is None and camera.rig is not None and not camera.rig.lenses[0].is_ordinary:
-            rig = camera.rig
-        self.name, self.rig, self.unseen = name, rig, None
+        self.fisheye = rig is None and camera.rig is not None and not camera.rig.lenses[0].is_ordinary
+        rig = camera.rig if self.fisheye else rig
+        self.name, self.rig, self.unseen, self.refused, self._stitcher = name, rig, None, "", None
         self.grid: ErpGrid | PerspectiveGrid
-        self._stitcher, self._layout = None, None
+        self.level_R_body, self.facts = None, ()
         self._settled = force or rig is not None or camera.eyes is not None
         if rig is not None:
             own = rig.scaled(rig.factor_of(sizes, name))
@@ -116,27 +121,30 @@ class PanoramaBuilder:
             return
         if len(sizes) > 1:
             raise ImageError(f"{name} gives {len(sizes)} pictures at a time, one for each lens. {MAKE}")
-        (width, height), *_ = sizes
-        whole, eyes = is_twice_as_wide(height, width), camera.eyes or "mono"
-        if eyes != "mono":
-            self._layout = Projection.of_eyes(eyes).layout(height, width, rows)
-            self.grid, self.unseen = ErpGrid(*self._layout.shape), self._layout.unseen
-            self.wanted = (self._layout.size,)
-            return
-        view = None
-        if camera.known or not (whole or force or camera.eyes):
-            view = ordinary_grid(camera, hint, (width, height), name)
+        ((width, height),) = sizes
+        if projection is not None:
+            projection.check(name, force)
+            self.level_R_body, self.facts = projection.level_R_body, projection.facts()
+        if camera.eyes not in (None, "mono"):
+            projection, self.facts = Projection.of_eyes(camera.eyes), ()
+        projection = projection or Projection("nothing", "rectangular")
+        *_, down, across = EYES[projection.stereo]
+        high, wide = max(1, round(height * down)), max(1, round(width * across))
+        whole = projection.kind == "equirectangular" or is_twice_as_wide(high, wide)
+        view, part = None, any(projection.cropped)
+        if not part and (camera.known or not (whole or force or camera.eyes)):
+            view = ordinary_grid(camera, hint, (wide, high), name)
         if view is None and not (whole or force):
             why = f" ({'; '.join(hint.facts)})" if hint.facts else ""
-            raise ShapeError(
-                f"{name} is {width} x {height}, not 2:1 as a whole panorama is, and does not tell its lens{why}. {ASK}"
-                f". Are these the pictures of lenses? {MAKE}. A panorama all the same: --force ({STRETCHED})"
+            self.refused = (
+                f"is {wide} x {high}, not 2:1 as a whole panorama is, and does not tell its lens{why}. {ASK}. Are "
+                f"these the pictures of lenses? {MAKE}. A panorama all the same: --force ({STRETCHED})"
             )
-        by = 1.0 if rows is None else min(1.0, rows / height)
-        self._settled |= view is not None
-        count, columns = max(1, round(height * by)), max(1, round(width * by))
-        self.grid = ErpGrid(count, 2 * count if whole else columns) if view is None else view.resized(count, columns)
-        self.wanted = (self.grid.shape,)
+        self._settled |= view is not None or part or projection.stereo != "mono"
+        self._layout = layout = projection.layout((wide, high), rows, view is None and whole)
+        self.grid = ErpGrid(*layout.shape) if view is None else view.resized(*layout.shape)
+        self.unseen = layout.unseen
+        self.wanted = (self._layout.size,)
 
     @property
     def view(self) -> PerspectiveGrid | None:
@@ -145,28 +153,25 @@ class PanoramaBuilder:
 
     def hidden(self, mask: np.ndarray | None) -> np.ndarray | None:
         """What is not seen of a frame, if a `mask` ``(H, W)`` says so of its picture, or None."""
-        if mask is None:
+        if mask is None or self._stitcher is not None:
             return self.unseen
-        if self._layout is None:
-            return mask
         own = self._layout.place(resized_mask(mask, self._layout.size))
         return own if self.unseen is None else own | self.unseen
 
-    def check(self, *pictures: np.ndarray) -> None:
-        """Look at the first pictures ``(H, W, 3)`` uint8. Raises `ShapeError` for fisheye circles, or two eyes."""
-        if self._settled:
-            return
-        if circles := circles_in_words(pictures[0]):
+    def check(self, *pictures: np.ndarray, name: str = "") -> None:
+        """Look at the first pictures ``(H, W, 3)`` uint8. Raises `ShapeError` if refused, for circles, or two eyes."""
+        name = name or self.name
+        if not self._settled and (circles := circles_in_words(pictures[0])) and not self.refused:
             advice = f"{MAKE}, or stitch it first, {STITCH}. To look at it all the same: --force"
-            raise ShapeError(f"{self.name} shows {circles}, and no panorama: directions would be wrong. {advice}")
-        if eyes := two_eyes(pictures[0]):
-            raise ShapeError(f"{self.name} {TWICE[eyes]}")
+            raise ShapeError(f"{name} shows {circles}, and no panorama: directions would be wrong. {advice}")
+        if not self._settled and (eyes := two_eyes(pictures[0])):
+            raise ShapeError(f"{name} {TWICE[eyes]}")
+        if self.refused:
+            raise ShapeError(f"{name} {self.refused}")
 
     def make(self, *pictures: np.ndarray) -> np.ndarray:
         """The frame ``(*grid.shape, 3)`` uint8 of the pictures of one moment. Raises `ImageError`."""
         if self._stitcher is not None:
             return self._stitcher.stitch(*pictures)
-        (picture,) = pictures
-        if self._layout is not None:
-            return self._layout.place(resized(picture, self._layout.size))
-        return resized(picture, self.grid.shape, wrap=self.view is None)
+        (picture,), size = pictures, self._layout.size
+        return self._layout.place(resized(picture, size, wrap=self.view is None and size == self._layout.shape))

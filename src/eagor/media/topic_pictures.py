@@ -9,27 +9,28 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from eagor._checks import is_twice_as_wide
 from eagor.cameras import Lens, Rig
 from eagor.errors import FormatError
 from eagor.grids import PerspectiveGrid
 from eagor.media.bags import TF_STATIC, Bag, pick
 from eagor.media.intrinsics import Camera, rig_of_info
-from eagor.media.panorama import is_whole
 from eagor.media.ros_frames import BODY, TransformTree, contradiction, optical
 from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
 from eagor.media.stitching import PanoramaBuilder, sizes_of
 
 __all__ = [
-    "Lenses", "TopicPictures", "beside", "lens_in_bag", "lens_of_info", "placed", "placed_in_bag", "topics_of",
+    "TopicPictures", "beside", "lens_in_bag", "lens_of_info", "placed", "placed_in_bag", "topics_of",
 ]  # fmt: skip
 
 OPTION = "--camera-info"
 RECTIFIED = "image_rect"  # image_rect, image_rect_color: what image_proc publishes
+Info = tuple[Camera, str]  # the camera that a CameraInfo tells, and the frame that its header names
 SETTLING = 5.0  # seconds in which the fixed transforms of all cameras have to come
 
 
@@ -39,24 +40,6 @@ def topics_of(text: str | None, option: str) -> tuple[str | None, ...]:
     if "" in found:
         raise FormatError(f"{option} {text}: a topic between two commas is empty; wanted /front/image,/back/image")
     return found
-
-
-@dataclass(frozen=True)
-class Lenses:
-    """What is known of the lenses of topics' pictures before these come.
-
-    `rig`: of all; `camera`: an ordinary one, which each of the topics is; `info`: the topic of its CameraInfo, with
-    commas between those of several. None of them: the CameraInfo beside the pictures tells. `rows`: the most of a
-    frame.
-    """
-
-    rig: Rig | None = None
-    camera: Camera | None = None
-    info: str | None = None
-    rows: int | None = None
-
-
-Info = tuple[Camera, str]  # the camera that a CameraInfo tells, and the frame that its header names
 
 
 def beside(image_topic: str) -> str:
@@ -71,43 +54,51 @@ class TopicPictures:
 
     `told(topic, info)`: what a CameraInfo says, asked only for the topic `info`, or where nothing else tells the lens.
     `placed(frames)`: the rotations ``(3, 3)`` of the axes of cameras (x ahead) in those of the first, asked for
-    several without a rig. `camera`: as it is then known, of a topic alone. `frame`: the frame whose axes the frames'
-    grids are in, as its pictures name it (that of the first camera); None: the body's, where a rig is given for several
-    topics. `builder`: what makes the frames. Raises `ImageError` for pictures that
-    are no panoramas, or do not fit the rig, `FormatError` for messages that tell too little.
+    several without a rig. What is known before: the `rig` of all, an ordinary `camera`, which each of the topics is, or
+    `info`: the topic of its CameraInfo, with commas between those of several; else the CameraInfo beside the pictures
+    tells. `rows`: the most of a frame.
+
+    `camera`: as it is then known, of a topic alone. `frame`: the frame whose axes the frames' grids are in, as its
+    pictures name it (that of the first camera); None: the body's, where a rig is given for several topics. `builder`:
+    what makes the frames. Raises `ImageError` for pictures that are no panoramas, or do not fit the rig, `FormatError`
+    for messages that tell too little.
     """
 
     def __init__(
         self,
         firsts: Sequence[Any],
         topics: Sequence[str],
-        lenses: Lenses,
         told: Callable[[str, str | None], Info | None],
         placed: Callable[[Sequence[str]], Sequence[np.ndarray]],
+        *,
+        rig: Rig | None = None,
+        camera: Camera | None = None,
+        info: str | None = None,
+        rows: int | None = None,
     ) -> None:
         pictures = [panorama_of(each) for each in firsts]
         for topic, each in zip(topics, firsts, strict=True):
             if (how := taken_as(each)) is not None:
                 warnings.warn(f"{topic}: {how}", UserWarning, stacklevel=3)
-        infos = topics_of(lenses.info, OPTION) if lenses.info is not None else (None,) * len(topics)
+        infos = topics_of(info, OPTION) if info is not None else (None,) * len(topics)
         if len(infos) != len(topics):
             raise FormatError(
-                f"{OPTION} {lenses.info} names {len(infos)} topics, and {len(topics)} have pictures; wanted one for "
+                f"{OPTION} {info} names {len(infos)} topics, and {len(topics)} have pictures; wanted one for "
                 "each, in their order"
             )
-        self._sizes, rig, camera = sizes_of(pictures), lenses.rig, lenses.camera
+        self._sizes, own = sizes_of(pictures), rig
         known, frame = camera is not None and camera.known, str(firsts[0].header.frame_id)
         if len(topics) > 1:
             if rig is None:
                 found = [(camera, "") if camera and known else told(*each) for each in zip(topics, infos, strict=True)]
                 rig, frame = self._rig(topics, firsts, found, placed)
-            camera, frame = None, frame if lenses.rig is None else None
-        elif infos[0] is not None or not (known or rig or is_whole(pictures[0])):
-            info = told(topics[0], infos[0])
-            camera, frame = (info[0], frame or info[1]) if info is not None else (camera, frame)
+            camera, frame = None, frame if own is None else None
+        elif infos[0] is not None or not (known or rig or is_twice_as_wide(*pictures[0].shape[:2])):
+            said = told(topics[0], infos[0])
+            camera, frame = (said[0], frame or said[1]) if said is not None else (camera, frame)
         self.camera: Camera | None = camera
         self.frame: str | None = frame
-        self.builder = PanoramaBuilder(self._sizes, ", ".join(topics), rig=rig, camera=self.camera, rows=lenses.rows)
+        self.builder = PanoramaBuilder(self._sizes, ", ".join(topics), rig=rig, camera=self.camera, rows=rows)
         self.builder.check(*pictures)
 
     def made(self, received: Sequence[Any], otherwise: str = "") -> np.ndarray:

@@ -120,7 +120,7 @@ def _found(poses: Poses, pairs: Sequence[_Pair], name: str, say: Callable[[str],
         say(
             f"warning: {name}: the camera turns or leans as if its axes were others than x ahead, y left, z up, as "
             "those of SLAM (optical: x right, y down, z ahead). They are read as they stand; --axes optical reads them "
-            "so, and --axes body says that nothing is wrong"
+            "so, and --axes body says that nothing is wrong. Or are its quaternions xyzw? The scalar part is qw"
         )
     elif found != "body":
         say(f"{name}: its axes are {AXES[found][1]}, as the pictures turn (--axes {found}); --axes body: as they stand")

@@ -36,13 +36,12 @@ from scipy.spatial.transform import Rotation
 
 from eagor._checks import LATEST, checked_stamp, parsed
 from eagor._files import natural, read_file
-from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
+from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
-from eagor.odometry.times import UNITS, times_of, unit_of
 from eagor.sphere import interpolate_rotation
 from eagor.tracking.poses import FARTHEST
 
-__all__ = ["BEYOND", "FramePose", "Poses", "interpolated", "pair", "read_poses", "usable"]
+__all__ = ["BEYOND", "FramePose", "Poses", "interpolated", "pair", "read_poses", "times_of", "usable"]
 
 QUATERNION, ANGLES, POSITION = ("qw", "qx", "qy", "qz"), ("yaw_deg", "pitch_deg", "roll_deg"), ("x", "y", "z")
 HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
@@ -61,6 +60,13 @@ _UNIT = re.compile(r"[\[(]\s*(\w*)[^\])]*[\])]\s*$")
 UNNAMED = (
     (None, {8}, ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")),  # TUM
     (",", range(17, 1000), ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")),  # EuRoC, with velocities and biases
+)
+UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e3, "msec": 1e3, "us": 1e6, "usec": 1e6, "ns": 1e9, "nsec": 1e9}  # in a second
+EPOCH = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # from this size on a clock that counts since 1970 counts these
+# Names without their endings, after what is no number; of two numbers the second is a part of a second.
+_NAMES = tuple(
+    re.compile(rf"(?:.*[^\d.])?{form}")
+    for form in (r"(\d+\.\d+)", r"(\d{9,10})[_-](\d{6}|\d{9})", r"(\d{10}|\d{13}|\d{16}|\d{19})")
 )
 COUNTS = ((1e4, ("milliseconds", "ms")), (1e7, ("microseconds", "us")), (math.inf, ("nanoseconds", "ns")))
 APART = 10.0  # seconds between poses from which on they are rather counts of something shorter
@@ -102,8 +108,8 @@ def read_poses(path: str | Path) -> Poses:
     """The poses in the file, sorted by time (format: this module's text).
 
     Raises `FormatError` for a violation of the format, `RotationError` for a quaternion that is not of unit length,
-    `TimeError` if the stamps do not increase; each error names the file and the line. Stamps that are hardly seconds,
-    and quaternions in another order, are a `UserWarning`.
+    `TimeError` if the stamps do not increase; each error names the file and the line. Stamps that are hardly seconds
+    are a `UserWarning`.
     """
     try:
         data = read_file(path)
@@ -115,9 +121,33 @@ def read_poses(path: str | Path) -> Poses:
         poses = _nerfstudio(text) if text.lstrip().startswith("{") else _colmap(lines) or _of_table(lines)
     except EagorError as error:
         raise type(error)(f"{path}{error}") from error
-    for warning in () if poses.form else _oddities(poses):
-        warnings.warn(f"{path}: {warning}", UserWarning, stacklevel=2)
+    apart = float(np.median(np.diff([pose.stamp for pose in poses]))) if len(poses) > 1 and not poses.form else 0.0
+    if apart >= APART:
+        what, short = next(names for most, names in COUNTS if apart < most)
+        text = f"{path}: its poses are {apart:g} s apart. Are the stamps {what}? Then call that column stamp_{short}"
+        warnings.warn(text, UserWarning, stacklevel=2)
     return poses
+
+
+# --- times, as other programs write them ---
+
+
+def unit_of(stamp: float) -> float:
+    """How many of what `stamp` counts make a second, if it counts from 1970 on; else 1."""
+    return next((UNITS[unit] for least, unit in EPOCH if abs(stamp) >= least), 1.0)
+
+
+def times_of(names: Sequence[str]) -> list[float] | None:
+    """Seconds, if names (without endings) are times, all in one form: 12.350, left_1700000000500000000; else None."""
+    for form in _NAMES:
+        found = [form.fullmatch(name) for name in names]
+        if found and all(found):
+            parts = [each.groups() for each in found if each is not None]
+            whole = [float(first) / (1.0 if "." in first else unit_of(float(first))) for first, *_ in parts]
+            if max(whole) > LATEST:
+                return None
+            return [at + sum(float(f"0.{part}") for part in more) for at, (_, *more) in zip(whole, parts, strict=True)]
+    return None
 
 
 # --- tables ---
@@ -256,29 +286,6 @@ def _check_names(names: Sequence[str], line: int) -> None:
         wrong = f"the columns are {_cut(', '.join(names))}{hint}; wanted {HEADERS}"
     if wrong:
         raise FormatError(f", line {line}: {wrong}")
-
-
-def _oddities(poses: Poses) -> Iterator[str]:
-    """What is said of poses whose numbers may mean something else.
-
-    Quaternions seem to be in another order than their columns say where the camera is upside down in every line, or
-    leans by more than 60 degrees in some, and would in none if the scalar part were in the last column of the four, or
-    if the columns qx, qy, qz, qw held w, x, y, z.
-    """
-    apart = float(np.median(np.diff([pose.stamp for pose in poses]))) if len(poses) > 1 else 0.0
-    if apart >= APART:
-        what, short = next(names for most, names in COUNTS if apart < most)
-        yield f"its poses are {apart:g} s apart. Are the stamps {what}? Then call that column stamp_{short}"
-    if poses.axes == "body":
-        return
-    some = poses[:: 1 + len(poses) // 1000]
-    w, x, y, z = wxyz_from_rotation(np.array([pose.world_R_body for pose in some])).T ** 2
-    up, last, first = 1 - 2 * (x + y), 1 - 2 * (w + x), 1 - 2 * (y + z)
-    if (up < 0).all() or ((up < 0.5).any() and ((last > 0.5).all() or (first > 0.5).all())):
-        yield (
-            "the camera is upside down, or leans as no robot does. xyzw? The scalar part is qw, which messages of ROS "
-            "have last; nothing is wrong if the camera hangs upside down, or tumbles"
-        )
 
 
 # --- poses of pictures, without times ---

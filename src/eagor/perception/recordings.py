@@ -21,8 +21,8 @@ from eagor.evidence import BodyMask, Evidence, model_as_json
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.media import Frame, Pose
 from eagor.media.defects import NeverSeen
+from eagor.media.odometry import PosedFrame
 from eagor.media.panorama import Picture
-from eagor.media.posed_frames import PosedFrame
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.things import Seen
 from eagor.perception.views import Detector

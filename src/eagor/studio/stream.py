@@ -28,8 +28,7 @@ from eagor.live.events import Answer, Diagnostic, Event, ImageReceived, Observat
 from eagor.live.loop import LOADING, Loop
 from eagor.live.threads import already_open
 from eagor.media import Frame
-from eagor.media.camera_sources import open_source
-from eagor.media.footage import Footage
+from eagor.media.camera_sources import Footage, open_source
 from eagor.media.intrinsics import ShapeError
 from eagor.media.odometry import poses_for
 from eagor.studio.answers import belief_of, evidence_of, lens_of, picture_of, plan_of, scene_of, step_of
@@ -55,7 +54,7 @@ class Played(Footage):
     waits = True
 
     def __init__(self, source: Footage) -> None:
-        super().__init__(source.frames, source.latency, source.rows)
+        vars(self).update(vars(source))
         self._changed = threading.Condition()
         self._paused = self._wanted = False
 
@@ -74,13 +73,13 @@ class Played(Footage):
     def _wait(self, until: float) -> bool:
         """Wait until then, on `time.monotonic`, and while paused, unless a picture is wanted; False once closed."""
         with self._changed:
-            while not (self._closed or self._wanted):
+            while not (self.closed or self._wanted):
                 left = math.inf if self._paused else until - time.monotonic()
                 if left <= 0:
                     break
                 self._changed.wait(None if math.isinf(left) else left)
             self._wanted = False
-            return not self._closed
+            return not self.closed
 
     def pause(self, on: bool) -> None:
         """Stand still, or go on, with a picture at once: somebody wants to see."""
@@ -90,7 +89,7 @@ class Played(Footage):
 
     def close(self) -> None:
         with self._changed:
-            self._closed = True
+            self.closed = True
             self._changed.notify_all()
 
 

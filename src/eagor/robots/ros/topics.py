@@ -34,7 +34,7 @@ from eagor.media import Frame, Pose
 from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC
 from eagor.media.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
 from eagor.media.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds, store
-from eagor.media.topic_pictures import Info, Lenses, TopicPictures, beside, lens_of_info, placed, topics_of
+from eagor.media.topic_pictures import Info, TopicPictures, beside, lens_of_info, placed, topics_of
 
 __all__ = ["RosCamera", "RosPoses", "TopicListener"]
 
@@ -220,7 +220,7 @@ class RosCamera(TopicSource):
     """A `CameraSource`: a topic of Image or CompressedImage, or several with commas between, of cameras of one body.
 
     The CameraInfo beside the pictures tells the lens of those that are no panoramas, and ``/tf_static`` where several
-    cameras are; or a `rig` does (`lenses`: as of `Lenses`). `latency`: seconds from capture to the headers' stamps.
+    cameras are; or a `rig` does (`lenses`: as `TopicPictures` has it). `latency`: seconds from capture to the stamps.
     `listener`: of a node that runs; `rate`: the most pictures a second. The newest picture is kept, and decoded when it
     is asked for; `dropped` counts the others, and those that were damaged. `frame`: as the pictures name it. Raises
     `DeviceError` if nobody publishes, or no picture comes; otherwise as `TopicPictures`.
@@ -239,7 +239,7 @@ class RosCamera(TopicSource):
     ) -> None:
         self.latency, self.dropped, self.problem = latency, 0, None
         self._apart = 0.99 / rate if rate else 0.0  # seconds between two pictures, a little less for rounding
-        self._named, self._lenses = topics_of(topic or None, "topics"), Lenses(**lenses)
+        self._named, self._lenses = topics_of(topic or None, "topics"), lenses
         self._newest: list[Any] = [None for _ in self._named]
         self._fresh, self._last = threading.Event(), -math.inf  # of the first topic: the newest of others go with it
         super().__init__(listener)
@@ -251,7 +251,7 @@ class RosCamera(TopicSource):
         if not self._listener.wait(lambda: None not in self._newest):
             silent = self.topics[self._newest.index(None)]
             raise DeviceError(f"no picture came on {silent} within {FIRST:g} s; is the camera running?")
-        self._pictures = TopicPictures(self._newest, self.topics, self._lenses, self._camera_info, self._turns)
+        self._pictures = TopicPictures(self._newest, self.topics, self._camera_info, self._turns, **self._lenses)
         self.frame, builder = self._pictures.frame, self._pictures.builder
         self.grid, self.unseen = builder.grid, builder.unseen
 
