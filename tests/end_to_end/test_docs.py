@@ -114,7 +114,9 @@ def check_commands(page, folder, apart=0.0, share=0.0):
                 os.chdir(here)
             said = [row for row in done.stderr.splitlines() if not re.match("eagor: (?!warning|error)", row)]
             assert (done.returncode, said) == (0, []), line
-            shown = done.stdout + (done.stderr if "\neagor: " in under else "")  # notes come after the results
+            shown = done.stdout
+            if "\neagor: " in under:  # with the notes, whose place among the results nothing here tells
+                shown, under = ("\n".join(sorted(text.splitlines())) for text in (shown + done.stderr, under))
             assert shown == under if apart == 0 else alike(shown, under, apart, share), (line, shown)
             count += 1
     return count
