@@ -20,7 +20,7 @@ class Demo(Common):
     photo: Annotated[Path | None, bare("PICTURE")] = None
     """Turn a camera in this panorama of yours, an equirectangular image, instead of walking in an apartment."""
     query: Annotated[str | None, bare("QUERY")] = None
-    """With --photo: what to look for (default: what the detector finds in one place, the surest)."""
+    """With --photo: what to look for (default: what the detector finds in one place)."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
     """Folder for the report and the pictures."""

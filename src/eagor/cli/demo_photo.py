@@ -28,7 +28,6 @@ from eagor.tracking.estimate import Estimate
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-ALONE = 0.5  # what else is found counts as another place where it scores more than this share of the best
 PLACE = 0.1  # weight from which a candidate is named
 LOOKS = 24
 SECONDS = 0.5  # between looks
@@ -87,17 +86,17 @@ def poses() -> tuple[np.ndarray, ...]:
 
 
 def best_query(perception: Perception, panorama: np.ndarray) -> str:
-    """The class that a detector finds in ONE place, of several the surest; if there is none, the surest of all.
+    """The class that is found in ONE place: with the largest product of its score and its lead over a second place.
 
     Raises `UsageError` for a perception without classes, `RunError` if it finds nothing.
     """
     if not isinstance(perception, Detector) or perception.classes is None:
         raise UsageError("this perception has no list of classes to choose from; say what to look for with --query")
-    best = (False, 0.0, "")
+    best = (-1.0, "")
     for name, seen in zip(perception.classes, perception.answers(panorama, perception.classes), strict=True):
         if isinstance(seen, Evidence) and seen.detections is not None and len(scores := seen.detections.scores):
-            top = float(scores.max())
-            best = max(best, (int(np.sum(scores > ALONE * top)) == 1, top, name))
+            second, first = sorted([0.0, *map(float, scores)])[-2:]
+            best = max(best, (first * (first - second), name))
     if not best[-1]:
         raise RunError("the detector sees nothing that it knows in this photograph; try another, or --query")
     return best[-1]
@@ -146,7 +145,7 @@ def summary(looks: Looks) -> list[str]:
     """The result in sentences."""
     last, seen = looks.estimates[-1], sum(count != 0 for count in looks.found)
     where = f"{in_words(*map(float, azimuth_elevation(looks.answer)))} ({last.certainty})"
-    if len(looks.places) > 1:
+    if last.status == "ambiguous" and len(looks.places) > 1:
         each = "; ".join(f"{in_words(a, e)} ({100 * weight:.0f} %)" for a, e, weight in looks.places)
         where = f"in one of {len(looks.places)} places, or in several of them: {each}"
     found = "a map each time" if looks.found[0] is None else f"it in {seen} of {len(looks.found)} looks"
