@@ -38,7 +38,7 @@ class RobotRun(Common):
     """Walk a Unitree Go2 to an object. Without --arm nothing is commanded: a dry run says what it would do.
 
     Before the first --arm try it with --sim, a simulated robot, then without --arm. Clear five metres around the robot
-    and have its own remote control in your hand: L2+B makes it limp. It sees no stairs, glass, cables or people: you do.
+    and have its remote control in your hand: L2+B makes it limp. It sees no stairs, glass, cables or people: you do.
     """
 
     runs: ClassVar[str] = "robot_run"
