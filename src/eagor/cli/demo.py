@@ -25,7 +25,7 @@ class Demo(Common):
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
     """Folder for the report and the pictures."""
     seed: Whole = 14
-    """Seed of the apartment, 0 to 9999; by default the first whose thing gets hidden again for 5 seconds."""
+    """Seed of the apartment, 0 to 9999; by default one that shows what memory is for."""
     episode: Whole = 1
     """Search in this apartment, 0 to 4."""
     perception: Name = "auto"
