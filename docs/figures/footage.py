@@ -5,6 +5,15 @@
 The photograph is turned by known rotations and written as a video. The command gets only this video: it reads the
 rotation from the pictures and looks with `coco` (``pip install '.[photos]'``, ``eagor models get coco``). Nobody tells
 it the truth, so none is drawn. The docs' picture is St. Fagans Interior of Poly Haven (CC0), 1024 x 512 pixels.
+
+The pages that docs/index.md shows are made so (extras photos, robot, sim):
+
+    python docs/figures/footage.py brown_photostudio_02_1k.png room.webp --query bed --clip clip.mp4
+    eagor live clip.mp4 "bed" --fast --record photograph
+    eagor studio export photograph --out docs/episodes/photograph.html
+    eagor bench run navigation --perception scout --episodes 6 --seed 40 --methods eagor vmf cent_circ
+        --set max_steps=60 --out run
+    eagor studio export run --episode 40-1 --out docs/episodes/search.html
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 The rule. In each apartment, of each thing that the scout knows and that has a name of its own: the walk begins at the
 roomiest place that is 1.5 to 3 m from the thing and sees it, and leads by the shortest way to a place from which a wall
 hides it. Of all such ways of 4 to 8 m on which the thing is in sight for the first 1.5 m and behind a wall for the last
-2.5 m, it takes the shortest. The scout looks once a second. The studio shows the first apartment that has such a walk,
+2.5 m, it takes the shortest. The scout looks once a second. The studio shows an apartment that has such a walk,
 with its first such thing, where every half second from the third look on, there and on the way back, the 90 % region
 that is drawn held the thing's centre, the status was "tracking" and the answer at most 15 degrees off.
 """

@@ -58,4 +58,5 @@ def test_a_completion_script_is_printed(shell, capsys):
     assert main(["--tyro-print-completion", shell]) == 0
     out, err = capsys.readouterr()
     assert "eagor" in out
+    assert ("complete -o default -F" in out) == (shell == "bash"), "files are completed everywhere"
     assert err == ""

@@ -36,10 +36,7 @@ def test_what_is_not_known_is_a_gap_and_in_no_mean(sheets):
     assert texts[-9:] == ["■", "other", "6.0°", "■", "ours", "15.0°", "■", "lost", "–"]
 
 
-def test_what_is_no_error_is_not_called_one(sheets):
-    sheet, texts = drawn(sheets, [0.0, 0.5], {"ours": [30.0, 20.0]}, what="angle")
-    assert sheet.axes[0].get_ylabel() == "angle (degrees, log scale)"
-    assert "mean angle over the run" in texts
+def test_axes_and_intervals_are_named(sheets):
     sheet, texts = drawn(sheets, [0.0, 0.5], {"ours": [30.0, 20.0]}, shaded=[(0.0, 0.2, "out of sight")])
     assert "mean direction error over the run" in texts
     assert [text.get_text() for text in sheet.axes[0].texts] == ["out of sight"]

@@ -22,7 +22,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
-from contextlib import redirect_stderr, suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from typing import Any
 
 # Our matrices are small: threads in the matrix library cost far more than they gain (several times the time of the demo
@@ -88,11 +88,17 @@ def _run(arguments: list[str]) -> int:
     if arguments in (["--version"], ["-V"]):
         print(f"eagor {__version__}")
         return 0
-    if arguments[:1] == [COMPLETION] and (len(arguments) != 2 or arguments[1] not in SHELLS):
-        raise terminal.UsageError(f"{COMPLETION} needs a shell: {', '.join(SHELLS)}")
+    if arguments[:1] == [COMPLETION]:
+        if len(arguments) != 2 or arguments[1] not in SHELLS:
+            raise terminal.UsageError(f"{COMPLETION} needs a shell: {', '.join(SHELLS)}")
+        with redirect_stdout(io.StringIO()) as script, suppress(SystemExit):
+            _parse(arguments)
+        # In bash, files are completed everywhere, not after options alone.
+        print(script.getvalue().replace("complete -F", "complete -o default -F"), end="")
+        return 0
     try:
         command = _parse(joined(arguments))
-    except SystemExit:  # tyro has printed help, or a script
+    except SystemExit:  # tyro has printed help
         return 0
     command = getattr(command, "action", command)  # `bench run` is an action of `bench`
     for name in LIMITS:

@@ -20,12 +20,12 @@ class Demo(Common):
     photo: Annotated[Path | None, bare("PICTURE")] = None
     """Turn a camera in this panorama of yours, an equirectangular image, instead of walking in an apartment."""
     query: Annotated[str | None, bare("QUERY")] = None
-    """With --photo: what to look for (default: what the detector is surest of)."""
+    """With --photo: what to look for (default: what the detector finds in one place)."""
 
     out: Annotated[Path, arg(metavar="DIR")] = Path("eagor-demo")
     """Folder for the report and the pictures."""
     seed: Whole = 14
-    """Seed of the apartment, 0 to 9999; by default the first whose thing gets hidden again for 5 seconds."""
+    """Seed of the apartment, 0 to 9999; by default one that shows what memory is for."""
     episode: Whole = 1
     """Search in this apartment, 0 to 4."""
     perception: Name = "auto"
@@ -84,7 +84,7 @@ def _photo(options: Demo, path: Path) -> int:
         played = demo_photo.play(image, perception, spec, query, advance)
     report = demo_photo.write_report(played, spec, path.name, options.out)
     found = demo_photo.as_json(played, spec, path.name) | {"report": str(report)}
-    return _told(options, found, demo_photo.as_text(played), demo_photo.summary(played))
+    return _told(options, found, [], demo_photo.summary(played))
 
 
 def _told(options: Demo, found: dict[str, str], above: list[str], below: list[str]) -> int:

@@ -49,7 +49,7 @@ STUDY = {
 }
 STUDY_IN_WORDS = (
     "One search proves nothing. Over 200 of them memory takes more than a quarter off the error while the thing is "
-    "hidden again. In sight no memory helps, and other filters are as good as ours: compare them with eagor bench."
+    "hidden again. In sight the newest look is enough; between the filters all is chance (eagor bench compares them)."
 )
 
 
@@ -137,7 +137,8 @@ def as_text(search: Search) -> list[str]:
     rows = {f"{SPOKEN[name]}, here": [_degrees(means[name][part]) for part in PARTS] for name in (PLAIN, OURS)}
     rows = {"mean error": PARTS.values(), **rows} | {name: map(_interval, cells) for name, cells in STUDY.items()}
     lines = [f"{name:28}" + "".join(f"{cell:>24}" for cell in cells) for name, cells in rows.items()]
-    return [*lines, f"here: this walk; the others: 200 searches, with 95 % intervals ({STUDY_COMMAND})"]
+    note = "here: this walk; the others: 200 searches, with 95 % intervals (in the repository: "
+    return [*lines, f"{note}{STUDY_COMMAND})"]
 
 
 def as_json(search: Search) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""``eagor demo --photo``: a virtual camera turns in a photograph of yours, and every method follows the query."""
+"""``eagor demo --photo``: a virtual camera turns in a photograph of yours, and our tracker follows the query."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ from eagor.cli.answers import keep_picture
 from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.page import as_address
 from eagor.drawing.style import in_words, looked_for
-from eagor.lab.agents.methods import NAMES, TrackerEstimator, make_estimator
+from eagor.evidence import Evidence
+from eagor.lab.agents.methods import TrackerEstimator, make_estimator
 from eagor.lab.eval.results import OURS
 from eagor.lab.worlds.render import Photograph
-from eagor.media.panorama import cut
 from eagor.perception import Perception, look, rows_of, short_name
 from eagor.perception.views import Detector
-from eagor.sphere import angular_distance, azimuth_elevation, world_R_body
+from eagor.sphere import azimuth_elevation, world_R_body
 from eagor.tracking.estimate import Estimate
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-NEAR = 15  # degrees
-RIVALS = ("centroid", "eagor_paper", "vmf", "particle_filter")  # in the picture, whose legend has no room for more
+PLACE = 0.1  # weight from which a candidate is named
 LOOKS = 24
 SECONDS = 0.5  # between looks
 LEVEL = 8  # looks before the camera begins to tumble
@@ -41,7 +40,7 @@ MOST_ROWS = 1024  # of the turned panoramas: more cost much and show a detector 
 class Looks:
     """What happened: per look the pose ``(3, 3)``, the number of detections (None: a map) and our estimate.
 
-    `directions` are each method's ``(LOOKS, 3)`` in the frame of the photograph: x through its centre, z up.
+    `directions` are its answers ``(LOOKS, 3)`` in the frame of the photograph: x through its centre, z up.
     """
 
     photograph: Photograph
@@ -50,25 +49,19 @@ class Looks:
     poses: tuple[np.ndarray, ...]
     found: tuple[int | None, ...]
     estimates: tuple[Estimate, ...]
-    directions: dict[str, np.ndarray]
+    directions: np.ndarray
 
     @property
     def answer(self) -> np.ndarray:
-        """Our last direction ``(3,)``, after all looks."""
-        return self.directions[OURS][-1]
-
-    def angles(self, name: str) -> np.ndarray:
-        """Angles (degrees) of a method to the answer, one per look."""
-        return np.degrees(angular_distance(self.directions[name], self.answer))
+        """The last direction ``(3,)``, after all looks."""
+        return self.directions[-1]
 
     @property
-    def figures(self) -> dict[str, dict[str, float]]:
-        """Each method's angles (degrees) to our last answer: mean, last, and the share (%) within `NEAR` degrees."""
-        found = {name: self.angles(name) for name in self.directions}
-        return {
-            name: {"mean_deg": each.mean(), "last_deg": each[-1], f"within_{NEAR}_deg": 100 * (each < NEAR).mean()}
-            for name, each in found.items()
-        }
+    def places(self) -> list[tuple[float, float, float]]:
+        """Azimuth and elevation (radians) of each likely candidate after all looks, and its weight."""
+        likely = [mode for mode in self.estimates[-1].modes if mode.weight >= PLACE]
+        angles = [azimuth_elevation(self.poses[-1] @ mode.direction) for mode in likely]
+        return [(float(a), float(e), mode.weight) for (a, e), mode in zip(angles, likely, strict=True)]
 
     @property
     def azimuths(self) -> np.ndarray:
@@ -93,16 +86,20 @@ def poses() -> tuple[np.ndarray, ...]:
 
 
 def best_query(perception: Perception, panorama: np.ndarray) -> str:
-    """The class that a detector finds with the highest score. Raises `UsageError`, `RunError` if there is none."""
+    """The class that is found in ONE place: with the largest product of its score and its lead over a second place.
+
+    Raises `UsageError` for a perception without classes, `RunError` if it finds nothing.
+    """
     if not isinstance(perception, Detector) or perception.classes is None:
         raise UsageError("this perception has no list of classes to choose from; say what to look for with --query")
-    best: tuple[float, str] = (0.0, "")
-    for picture in cut(panorama, *perception.views()):
-        _, scores, labels = perception.function(picture, perception.classes[0])
-        best = max([best, *((float(score), label) for score, label in zip(scores, labels, strict=True))])
-    if not best[1]:
+    best = (-1.0, "")
+    for name, seen in zip(perception.classes, perception.answers(panorama, perception.classes), strict=True):
+        if isinstance(seen, Evidence) and seen.detections is not None and len(scores := seen.detections.scores):
+            second, first = sorted([0.0, *map(float, scores)])[-2:]
+            best = max(best, (first * (first - second), name))
+    if not best[-1]:
         raise RunError("the detector sees nothing that it knows in this photograph; try another, or --query")
-    return best[1]
+    return best[-1]
 
 
 def rows_for(perception: Perception, image: np.ndarray) -> int:
@@ -113,28 +110,26 @@ def rows_for(perception: Perception, image: np.ndarray) -> int:
 def play(
     image: np.ndarray, perception: Perception, spec: str, query: str, advance: Callable[[], object] = lambda: None
 ) -> Looks:
-    """Look `LOOKS` times for `query`, and let every method follow. Raises `RunError` if nothing was ever seen."""
+    """Look `LOOKS` times for `query`, and follow it. Raises `RunError` if nothing was ever seen."""
     rows = rows_for(perception, image)
     small = Photograph(_seen(Photograph(image), np.eye(3), rows))  # shrunk once
-    methods = {name: make_estimator(name, np.random.default_rng(0), spec) for name in NAMES}
-    directions: dict[str, list[np.ndarray]] = {name: [] for name in NAMES}
+    method = make_estimator(OURS, np.random.default_rng(0), spec)
+    assert isinstance(method, TrackerEstimator)
+    directions: list[np.ndarray] = []
     found: list[int | None] = []
     estimates: list[Estimate] = []
     for index, pose in enumerate(poses()):
         stamp = SECONDS * index
         evidence = look(perception, _seen(small, pose, rows), query, stamp=stamp, world_R_body=pose)
         found.append(None if evidence.detections is None else len(evidence.detections.directions))
-        for name, method in methods.items():
-            method.move(stamp, pose, None)
-            method.see(replace(evidence, stamp=stamp))
-            directions[name].append(pose @ method.direction())
-            if name == OURS and isinstance(method, TrackerEstimator):
-                estimates.append(method.estimate)
+        method.move(stamp, pose, None)
+        method.see(replace(evidence, stamp=stamp))
+        directions.append(pose @ method.direction())
+        estimates.append(method.estimate)
         advance()
     if all(count == 0 for count in found):
         raise RunError(f"{spec} saw no {query!r} in any of {LOOKS} looks; ask for something else with --query")
-    told: dict[str, Any] = {name: np.array(each) for name, each in directions.items()}
-    return Looks(small, query, rows, poses(), tuple(found), tuple(estimates), told)
+    return Looks(small, query, rows, poses(), tuple(found), tuple(estimates), np.array(directions))
 
 
 def _seen(photograph: Photograph, pose: np.ndarray, rows: int) -> np.ndarray:
@@ -146,80 +141,54 @@ def _seen(photograph: Photograph, pose: np.ndarray, rows: int) -> np.ndarray:
 # --- in words and numbers, and the report -----------------------------------------------------------------------------
 
 
-def as_text(looks: Looks) -> list[str]:
-    """One line per method."""
-    lines = [f"{'angle to our last answer':25}{'mean':>8}{'last':>8}{f'within {NEAR}°':>13}"]
-    for name, figures in looks.figures.items():
-        lines.append("{:25}{:>6.1f} °{:>6.1f} °{:>11.0f} %".format(name, *figures.values()))
-    return lines
-
-
 def summary(looks: Looks) -> list[str]:
     """The result in sentences."""
     last, seen = looks.estimates[-1], sum(count != 0 for count in looks.found)
-    where = in_words(*map(float, azimuth_elevation(looks.answer)))
+    where = f"{in_words(*map(float, azimuth_elevation(looks.answer)))} ({last.certainty})"
+    if last.status == "ambiguous" and len(looks.places) > 1:
+        each = "; ".join(f"{in_words(a, e)} ({100 * weight:.0f} %)" for a, e, weight in looks.places)
+        where = f"in one of {len(looks.places)} places, or in several of them: {each}"
     found = "a map each time" if looks.found[0] is None else f"it in {seen} of {len(looks.found)} looks"
     turns = f"{looks.crossings} times" if looks.crossings != 1 else "once"
     return [
-        f"With the photograph's centre ahead, the {looks.query}{looked_for(last)} is {where} ({last.certainty}); "
-        f"presence {100 * last.presence:.0f} %, {last.status}.",
+        f"With the photograph's centre ahead, the {looks.query}{looked_for(last)} is {where}; presence "
+        f"{100 * last.presence:.0f} %, {last.status}.",
         f"The detector saw {found}. The camera turned, pitched and rolled; the {looks.query} crossed the seam of the "
         f"picture {turns}.",
-        "Nobody has measured where it is. The angles are to our own answer after all looks: they show how steady a "
-        "method is, not how right.",
+        "Nobody has measured where it is: look whether the mark is on it.",
     ]
 
 
 def as_json(looks: Looks, spec: str, photo: str) -> dict[str, Any]:
     """The result for ``--json``; azimuth and elevation are those in the photograph."""
-    azimuth, elevation = np.degrees(azimuth_elevation(looks.answer)).round(4).tolist()
     last = looks.estimates[-1]
     return {
         "query": looks.query, "photo": photo, "perception": spec, "looks": len(looks.poses), "seen": list(looks.found),
-        "azimuth_deg": azimuth, "elevation_deg": elevation,
+        **_degrees(*azimuth_elevation(looks.answer)),
         "credible_angle_deg": round(math.degrees(last.credible_angle), 4), "presence": round(last.presence, 6),
         "status": last.status, "seam_crossings": looks.crossings,
-        "methods": {name: {k: round(float(v), 4) for k, v in each.items()} for name, each in looks.figures.items()},
+        "places": [_degrees(a, e) | {"weight": round(weight, 6)} for a, e, weight in looks.places],
         "summary": summary(looks),
     }  # fmt: skip
 
 
+def _degrees(azimuth: float | np.ndarray, elevation: float | np.ndarray) -> dict[str, float]:
+    return {"azimuth_deg": round(math.degrees(azimuth), 4), "elevation_deg": round(math.degrees(elevation), 4)}
+
+
 def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
-    from eagor.drawing import draw_belief, draw_errors
-    from eagor.lab.agents.methods import DESCRIPTIONS
-    from eagor.lab.eval.page import Cell, Pictures, Row, Section, Table, Text, page
+    from eagor.drawing import draw_belief
+    from eagor.lab.eval.page import Pictures, Section, Text, page
 
-    names = sorted(looks.directions, key=lambda name: name != OURS)  # ours first: it is drawn on top
-    angles, moments = {name: looks.angles(name).tolist() for name in names}, []
+    moments = []
     for index, what in highlights(looks):
         estimate, answer = looks.estimates[index], looks.poses[index].T @ looks.answer
         title = f"Look {index + 1}, {what}: {estimate.status}"
         drawn = draw_belief(looks.panorama(index), estimate, others={"last answer": answer}, title=title, width=900)
         keep_picture(drawn, folder / f"look-{index + 1:02}.jpg")
-        moments.append((_image(drawn, title), f"{title}, {angles[OURS][index]:.0f}° from the last answer"))
-    times = [SECONDS * index for index in range(len(looks.poses))]
-    errors = draw_errors(times, angles, title="Angle to our last answer", what="angle")
-    rivals = {name: looks.poses[-1].T @ looks.directions[name][-1] for name in RIVALS}
-    every = draw_belief(looks.panorama(-1), looks.estimates[-1], others=rivals, title="Methods after the last look")
-    keep_picture(errors, folder / "angles.png")
-    keep_picture(every, folder / "methods.jpg")
-    rows = []
-    for name, figures in looks.figures.items():
-        cells = [*map("{:.{}f}".format, figures.values(), (1, 1, 0)), DESCRIPTIONS[name]]
-        rows.append(Row(name, [*map(Cell, cells)], "text ours" if name == OURS else "text"))
-    heads = ("method", "mean angle (°)", "last look (°)", f"within {NEAR}° (%)", "what it is")
-    table = Table(f"Angles to our last answer, over {len(looks.poses)} looks", heads, rows)
-    steady = "How steady each method is: no truth is known, so the angles are to our last answer"
-    last = "Our estimate at the end, and those of four others"
-    both = [
-        (_image(errors, "Angle of each method to our last answer, over time"), steady),
-        (_image(every, "The last look with the direction of each method"), last),
-    ]
-    sections = [
-        Section("What the camera saw, and what we believed", [Pictures(moments, "strip")], "looks"),
-        Section("Each method side by side", [table, Pictures(both)], "methods"),
-    ]
+        moments.append((_image(drawn, title), title))
+    sections = [Section("What the camera saw, and what we believed", [Pictures(moments, "strip")], "looks")]
     first, *more = summary(looks)
     lead = [Text(f"{photo}, seen by {short_name(spec)}. {first}"), *map(Text, more)]
     return written(folder / "report.html", page(f"Where is the {looks.query}?", lead, sections))

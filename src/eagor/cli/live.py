@@ -43,7 +43,8 @@ class Live(Following):
     (
         "How the camera turns and moves. auto: by a bag's odometry, a video's IMU, else the pictures (rotation only); "
         "level: the same for a camera that keeps its pictures level; still: it stands; ros:/odom: a ROS 2 topic, also "
-        "of a bag; go2: the robot's odometry; CSV: a file, as for track, for a recorded source."
+        "of a bag; go2: the robot's odometry (go2:slow, go2:lidar: of other topics); CSV: a file, as for track, for a "
+        "recorded source."
     )
     axes: Axes = "auto"
     rate: Annotated[float, arg(metavar="HZ")] = 20.0

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 class RobotRun(Common):
     """Walk a Unitree Go2 to an object. Without --arm nothing is commanded: a dry run says what it would do.
 
-    Read docs/how-to/robot-safety.md before the first --arm. --sim does all of it with a simulated robot.
+    Before the first --arm try it with --sim, a simulated robot, then without --arm. Clear five metres around the robot
+    and have its remote control in your hand: L2+B makes it limp. It sees no stairs, glass, cables or people: you do.
     """
 
     runs: ClassVar[str] = "robot_run"

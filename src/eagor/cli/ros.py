@@ -23,7 +23,8 @@ class Ros(Common):
 
     eagor ros --ros-args -r image:=/x3/image -r odom:=/wheels -p queries:='["red chair"]'
 
-    docs/how-to/ros2.md lists its topics and parameters; so does `ros2 param describe /eagor NAME`.
+    `ros2 node info /eagor` lists its topics, `ros2 param describe /eagor NAME` says what a parameter means; where there
+    is no `ros2`, eagor.robots.ros.PARAMETERS has them.
     """
 
     runs: ClassVar[str] = "ros"

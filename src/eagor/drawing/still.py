@@ -138,14 +138,12 @@ def draw_errors(
     shaded: Sequence[tuple[float, float, str]] = (),
     title: str = "",
     width: int = 1200,
-    what: str = "direction error",
 ) -> Image:
     """Direction errors (degrees) of several methods over time (seconds); the first method is drawn on top, and thick.
 
     The axis is logarithmic, so that methods that are nearly right can be told apart beside one that is lost. Errors
     below 0.5 degrees are drawn at 0.5. A method with fewer values than stamps ended earlier; one without values is
-    listed with a dash. None and NaN leave a gap in the curve. `shaded` marks intervals: begin, end, and label. `what`
-    the axis calls the angles, where they are to something else than the truth.
+    listed with a dash. None and NaN leave a gap in the curve. `shaded` marks intervals: begin, end, and label.
 
     Raises `EagorError` without stamps, and for a method with more values than there are stamps.
     """
@@ -181,11 +179,11 @@ def draw_errors(
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_yticks([], minor=True)
     axes.set_xlabel("time (s)", color=INK)
-    axes.set_ylabel(f"{what} (degrees, log scale)", color=INK)
+    axes.set_ylabel("direction error (degrees, log scale)", color=INK)
     axes.grid(color=GRID_LINE, linewidth=0.8)
     plain(axes)
     sheet.text(0.06, 0.935, title, fontsize=13, color=INK, weight="bold")
-    sheet.text(0.77, 0.925, f"mean {what} over the run", fontsize=9.5, color=QUIET)
+    sheet.text(0.77, 0.925, "mean direction error over the run", fontsize=9.5, color=QUIET)
     for row, (mean, name, colour, first) in enumerate(sorted(ends, key=lambda end: end[0])):
         y, how = 0.86 - 0.07 * row, {"fontsize": 10.5, "va": "center", "weight": "bold" if first else "normal"}
         sheet.text(0.77, y, "■", color=colour, fontsize=12, va="center")

@@ -282,7 +282,7 @@ def checked_address(url: str) -> str:
     except ValueError:
         raise EagorError(
             f"{shown!r} is not the address of a server; wanted one such as {DEFAULT_SERVER}. To share the work among "
-            "several servers, put a proxy before them and give its address: docs/how-to/server.md shows how"
+            "several servers, put a proxy before them (nginx, HAProxy, LiteLLM) and give its address"
         ) from None
     login, at, _ = parts.netloc.rpartition("@")
     if at:  # also as it is sent
