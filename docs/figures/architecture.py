@@ -1,4 +1,4 @@
-"""Draw the floors of the package and which floor imports which, from the imports in the source; walk one look.
+"""Draw the floors of the package and which floor imports which, from the imports in the source.
 
 python docs/figures/architecture.py [FOLDER]
 """
@@ -6,17 +6,19 @@ python docs/figures/architecture.py [FOLDER]
 from __future__ import annotations
 
 import ast
+import io
 import sys
-import textwrap
+import tempfile
+import threading
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from common import INK, OURS, QUIET, figure, keep
+from PIL import Image
 
-from eagor import DirectionTracker
+from eagor.cli import main as run
 from eagor.lab.worlds.painted import painted_room
-from eagor.perception.colour import ColourPerception
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -104,44 +106,34 @@ def table() -> list[str]:
     return [f"{floor:<12}imports {others}" for floor, others in rows]
 
 
-def passed() -> list[str]:
-    """The modules whose code runs from a panorama to an estimate, by name; everything is imported and cached before."""
-    room, seen = painted_room(128, 256), set()
+def passed() -> set[str]:
+    """The modules whose code runs while ``eagor track`` takes pictures to a page, without ``eagor.``."""
+    seen = set()
 
     def note(frame: FrameType, event: str, _: object) -> None:
         name = frame.f_globals.get("__name__", "")
         if event == "call" and name.startswith("eagor."):
             seen.add(name.removeprefix("eagor."))
 
-    def look() -> None:
-        tracker = DirectionTracker()
-        tracker.add_pose(0.0, np.eye(3))
-        tracker.observe(ColourPerception()(room, "red chair", stamp=0.0))
-        estimate = tracker.estimate(0.1)
-        _ = estimate.direction, estimate.credible_angle, estimate.modes, estimate.presence, estimate.status
-
-    look()
-    before = sys.getprofile()
-    sys.setprofile(note)
-    try:
-        look()
-    finally:
-        sys.setprofile(before)
-    return sorted(seen)
-
-
-def walk() -> list[str]:
-    """The modules that a look passes, as text."""
-    modules = passed()
-    private = sum(name.startswith("_") for name in modules)
-    return [
-        f"{len(modules)} modules, {private} of them private:",
-        *textwrap.wrap(", ".join(modules), width=100, break_on_hyphens=False),
-    ]
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(2):
+            Image.fromarray(painted_room(128, 256)).save(f"{folder}/{number}.png")
+        page = f"{folder}/chair.html"
+        words = ["track", folder, "red chair", "--perception", "colour", "--poses", "level", "--page", page, "--json"]
+        before = sys.getprofile()
+        threading.setprofile(note)  # pictures are read ahead in a thread
+        sys.setprofile(note)
+        try:
+            with redirect_stdout(io.StringIO()):
+                run(words)
+        finally:
+            sys.setprofile(before)
+            threading.setprofile(None)
+    return seen
 
 
 def main() -> None:
-    """Draw the floors, and print both texts."""
+    """Draw the floors, and print them."""
     sheet = figure(1100, 560)
     axes = sheet.add_axes((0.01, 0.02, 0.98, 0.96))
     below, count, left = edges(), len(FLOORS), 9.6
@@ -161,7 +153,7 @@ def main() -> None:
     axes.text(0.1, -1.1, "Dot: the floor on the left imports the floor at the top.", color=QUIET, fontsize=10.5)
     axes.text(0.1, -0.5, "Grey: the floor itself and the floors above it.", color=QUIET, fontsize=10.5)
     keep(sheet, "architecture.png")
-    print("\n".join([*table(), "", *walk()]))
+    print("\n".join(table()))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,6 @@ from eagor.lab.worlds.painted import painted_room
 from eagor.media.rigs import read_rig
 
 ROOT = Path(__file__).parents[2]
-SOURCE = Path(eagor.__file__).parent
 DOCS = ROOT / "docs"
 LYTHWOOD = ROOT / ".." / "shared" / "panoramas" / "lythwood_room_1k.png"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
@@ -184,9 +183,8 @@ def test_a_robots_log_and_its_detections_fit_each_other(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_apartments_are_exported_and_their_episodes_played_as_the_page_on_habitat_says(tmp_path):
-    """The answers on the way to hidden things hang on last digits, which another processor may round otherwise."""
-    assert check_commands(DOCS / "how-to" / "habitat.md", tmp_path, apart=0.1, share=0.05) == 2
+def test_apartments_are_exported_as_the_page_on_habitat_says(tmp_path):
+    assert check_commands(DOCS / "how-to" / "habitat.md", tmp_path) == 1
 
 
 def test_a_bag_is_followed_as_the_page_on_bags_says(tmp_path):
@@ -239,11 +237,6 @@ def test_the_tables_of_the_method_are_what_the_figures_show(script, monkeypatch)
     assert printed in [text for text, _ in blocks(DOCS / "method.md", "text")]
 
 
-def modules_of(room):
-    """A module or package right under `eagor`, and the modules in it."""
-    return [room, *(path.stem for path in (SOURCE / room).glob("*.py") if path.stem != "__init__")]
-
-
 def test_the_charts_of_the_results_are_drawn_from_the_tables(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(DOCS / "figures"))
     monkeypatch.setattr(sys, "argv", ["results.py", str(tmp_path)])
@@ -271,22 +264,16 @@ def test_the_page_of_the_architecture_agrees_with_the_source(monkeypatch):
     architecture = importlib.import_module("architecture")
     page = DOCS / "architecture.md"
     texts = [text for text, _ in blocks(page, "text")]
-    assert texts == ["\n".join(lines) + "\n" for lines in (architecture.table(), architecture.walk())]
+    assert texts == ["\n".join(architecture.table()) + "\n"]
     floors, below = list(architecture.FLOORS), architecture.edges()
     assert not [(a, b) for a in floors for b in below[a] if floors.index(b) < floors.index(a)], "no import runs up"
     assert list(architecture.SAID) == floors
     public = [room for room in architecture.rooms() if not room.startswith("_")]
     listed = [module for modules in architecture.FLOORS.values() for module in modules]
     assert sorted(listed) == public
-    written = page.read_text(encoding="utf-8")
-    rows = re.findall(r"^\| ([a-z]+) \| (`.*`)[^|]* \|$", written, re.MULTILINE)
-    core = floors[floors.index("measures") :]
-    assert [(floor, sorted(re.findall(r"`(\w+)`", named))) for floor, named in rows] == [
-        (floor, sorted(found for room in architecture.FLOORS[floor] for found in modules_of(room))) for floor in core
-    ]
-    doors = re.findall(r"^\| \d+ \| `([\w.]+)` \|", written, re.MULTILINE)
-    assert len(doors) == 12
-    assert set(doors) <= set(architecture.passed())
+    doors = re.findall(r"^\| \d+ \| `([\w.]+)` \|", page.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(doors) == 10
+    assert set(doors) <= architecture.passed()
 
 
 LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)(?:#([^)\s]+))?\)")
