@@ -91,7 +91,7 @@ def _run(arguments: list[str]) -> int:
     if arguments[:1] == [COMPLETION] and (len(arguments) != 2 or arguments[1] not in SHELLS):
         raise terminal.UsageError(f"{COMPLETION} needs a shell: {', '.join(SHELLS)}")
     try:
-        command = _parse(joined(arguments))
+        command = _parse(join_words(arguments))
     except SystemExit:  # tyro has printed help, or a script
         return 0
     command = getattr(command, "action", command)  # `bench run` is an action of `bench`
@@ -103,7 +103,7 @@ def _run(arguments: list[str]) -> int:
     return getattr(sys.modules[kind.__module__], name)(command)
 
 
-def joined(arguments: list[str]) -> list[str]:
+def join_words(arguments: list[str]) -> list[str]:
     """`arguments` in which each of `_LISTS` stands once, with all its values; tyro keeps only the last of several.
 
     What follows ``--ros-args`` is left as it is.
@@ -146,12 +146,12 @@ def _parse(arguments: list[str]) -> Any:
             )
     except SystemExit as stop:
         if stop.code:
-            raise terminal.UsageError(_mistake(said.getvalue())) from None
+            raise terminal.UsageError(_suggest_option(said.getvalue())) from None
         print(said.getvalue(), end="", file=sys.stderr)
         raise
 
 
-def _mistake(box: str) -> str:
+def _suggest_option(box: str) -> str:
     """What tyro says in a box, as a line: what is wrong, and the nearest option that there is."""
     lines = [line.strip("\u2502| ") for line in box.splitlines()]
     rule = "-+\u2500\u256d\u256e\u2570\u256f"  # the box; its first line has a title

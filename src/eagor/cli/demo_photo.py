@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor._files import written
-from eagor.cli.answers import keep_picture
+from eagor.cli.answers import save_image
 from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.page import as_address
 from eagor.drawing.style import in_words, looked_for
@@ -196,14 +196,14 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
         estimate, answer = looks.estimates[index], looks.poses[index].T @ looks.answer
         title = f"Look {index + 1}, {what}: {estimate.status}"
         drawn = draw_belief(looks.panorama(index), estimate, others={"last answer": answer}, title=title, width=900)
-        keep_picture(drawn, folder / f"look-{index + 1:02}.jpg")
+        save_image(drawn, folder / f"look-{index + 1:02}.jpg")
         moments.append((_image(drawn, title), f"{title}, {angles[OURS][index]:.0f}° from the last answer"))
     times = [SECONDS * index for index in range(len(looks.poses))]
     errors = draw_errors(times, angles, title="Angle to our last answer", what="angle")
     rivals = {name: looks.poses[-1].T @ looks.directions[name][-1] for name in RIVALS}
     every = draw_belief(looks.panorama(-1), looks.estimates[-1], others=rivals, title="Methods after the last look")
-    keep_picture(errors, folder / "angles.png")
-    keep_picture(every, folder / "methods.jpg")
+    save_image(errors, folder / "angles.png")
+    save_image(every, folder / "methods.jpg")
     rows = []
     for name, figures in looks.figures.items():
         cells = [*map("{:.{}f}".format, figures.values(), (1, 1, 0)), DESCRIPTIONS[name]]
