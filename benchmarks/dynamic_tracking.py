@@ -49,7 +49,7 @@ from eagor.media import Pose, bags
 from eagor.media import ros_messages as ros
 from eagor.media.bags import BagWriter
 from eagor.perception import load
-from eagor.robots.dds import Link
+from eagor.robots.dds import Participant
 from eagor.robots.go2.camera import PICTURE
 from eagor.robots.go2.house import CAMERA_TOPIC, MOUNT, SimWorld
 from eagor.robots.go2.plant import HEIGHT
@@ -172,7 +172,7 @@ def record(seed: int, scene: str, path: Path, domain: int) -> None:
     there.close()
     try:
         begun = line.recv()
-        with BagWriter(path) as bag, Link(domain, "lo") as link:
+        with BagWriter(path) as bag, Participant(domain, "lo") as link:
 
             def pose(topic: str, found: Pose) -> None:
                 bag.write(topic, ros.ODOMETRY, ros.odometry_message(found), found.stamp)

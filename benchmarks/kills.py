@@ -195,7 +195,7 @@ def camera(domain: int, _: str) -> None:
     """The camera: a painted room far away, which turns as the robot does."""
     from eagor.lab.worlds.painted import painted_room
     from eagor.media.ros_messages import pose_of
-    from eagor.robots.dds import Link
+    from eagor.robots.dds import Participant
     from eagor.robots.go2.camera import PICTURE, picture_message
     from eagor.robots.go2.house import CAMERA_FRAME, CAMERA_TOPIC
     from eagor.robots.go2.sim import TRUTH
@@ -203,7 +203,7 @@ def camera(domain: int, _: str) -> None:
     from eagor.sphere import heading
 
     room, turned = painted_room(128, 256), [0.0]
-    with Link(domain, "lo") as link:
+    with Participant(domain, "lo") as link:
         link.subscribe(TRUTH, Odometry, lambda message, _: turned.append(heading(pose_of(message).world_R_body)))
         writer = link.publish(CAMERA_TOPIC, PICTURE)
         while True:

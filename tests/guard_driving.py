@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from eagor.errors import DeviceError
-from eagor.robots.dds import Link
+from eagor.robots.dds import Participant
 from eagor.robots.go2.sport import OK, SportClient
 from eagor.robots.safety.guard import Guard
 
@@ -56,7 +56,7 @@ class Driver:
 @contextmanager
 def other_commander(domain: int) -> Iterator[float]:
     """Somebody else who commands the robot once, inside; when that was."""
-    with Link(domain, "lo") as link:
+    with Participant(domain, "lo") as link:
         client = SportClient(link, timeout=20.0)
         assert client.wait(20)
         time.sleep(1.0)  # until the guard has found it as well

@@ -18,7 +18,7 @@ pytest.importorskip("rosbags")
 from eagor.errors import DeviceError
 from eagor.lab.worlds.painted import painted_room
 from eagor.media import check_camera, live_camera
-from eagor.robots.dds import Link, free_domain
+from eagor.robots.dds import Participant, free_domain
 from eagor.robots.go2.camera import PICTURE, DdsCamera, picture_message
 from eagor.robots.go2.state import RequestIdentity, Response, ResponseHeader, ResponseStatus
 
@@ -31,9 +31,9 @@ def numbered(number):
 
 OTHER = """
 import sys, time
-from eagor.robots.dds import Link, raw
+from eagor.robots.dds import Participant, raw
 from eagor.robots.go2.state import Response
-with Link(int(sys.argv[1]), "lo") as link:
+with Participant(int(sys.argv[1]), "lo") as link:
     writer = link.publish("back", raw(Response))
     link.subscribe("there", raw(Response), lambda m, when: writer.write(m), reliable=True)
     while not writer.readers: time.sleep(0.01)
@@ -43,7 +43,7 @@ with Link(int(sys.argv[1]), "lo") as link:
 
 def test_another_process_gets_every_message_unchanged_until_the_link_is_closed():
     domain, got = free_domain(), []
-    with Link(domain, "lo") as link:
+    with Participant(domain, "lo") as link:
         writer = link.publish("there", Response)
         reader = link.subscribe("back", Response, lambda m, when: got.append((m, when)), reliable=True)
         with subprocess.Popen([sys.executable, "-c", OTHER, str(domain)], stdin=subprocess.PIPE) as peer:
@@ -66,7 +66,7 @@ def test_a_callback_that_raises_is_told_once_and_counted():
         got.append(m.header.identity.id)
         raise RuntimeError("no")
 
-    with warnings.catch_warnings(record=True) as said, Link(free_domain(), "lo") as link:
+    with warnings.catch_warnings(record=True) as said, Participant(free_domain(), "lo") as link:
         warnings.simplefilter("always")
         reader = link.subscribe("a", Response, received, reliable=True)
         writer = link.publish("a", Response)
@@ -86,15 +86,15 @@ def test_domains_and_interfaces_that_cannot_be():
         (3, "wlan77", "there is no network interface 'wlan77'; this machine has .*lo"),
     ):  # fmt: skip
         with pytest.raises(DeviceError, match=said):
-            Link(domain, interface)
+            Participant(domain, interface)
     domain = free_domain()
-    with Link(domain, "lo"), pytest.raises(DeviceError, match="is already used on lo in this process"):
-        Link(domain)  # on any interface
+    with Participant(domain, "lo"), pytest.raises(DeviceError, match="is already used on lo in this process"):
+        Participant(domain)  # on any interface
 
 
 def test_a_camera_gives_the_newest_picture_with_its_time_of_capture():
     domain, ended, room = free_domain(), threading.Event(), painted_room(16, 32)
-    with Link(domain, "lo") as link:
+    with Participant(domain, "lo") as link:
         writer = link.publish("rt/image", PICTURE)
 
         def send(stamp, rows=16, good=9999):

@@ -14,7 +14,7 @@ pytest.importorskip("rosbags")
 from eagor.errors import DeviceError, QueryError, WorldError
 from eagor.grids import ErpGrid
 from eagor.lab.worlds.render import Ball, Renderer
-from eagor.robots.dds import Link
+from eagor.robots.dds import Participant
 from eagor.robots.go2.camera import DdsCamera
 from eagor.robots.go2.house import CAMERA_TOPIC, SimWorld, panorama
 from eagor.robots.go2.sim import Rehearsal, SimSettings, SimulatedGo2
@@ -86,7 +86,8 @@ def test_settings_that_cannot_be_say_so(settings, error, said):
 @pytest.mark.slow
 @pytest.mark.xdist_group("real time")
 def test_a_rehearsal_walks_sends_pictures_and_tells_the_truth_beside(capfd):
-    with Rehearsal(SimSettings(target="red ball", rows=32, latency=0.5)) as robot, Link(robot.domain, "lo") as link:
+    settings = SimSettings(target="red ball", rows=32, latency=0.5)
+    with Rehearsal(settings) as robot, Participant(robot.domain, "lo") as link:
         assert robot.targets.shape == (1, 3)
         state, client = Go2State(link), SportClient(link, timeout=20.0)
         camera = DdsCamera(CAMERA_TOPIC, robot.domain, "lo")

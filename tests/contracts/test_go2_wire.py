@@ -19,7 +19,7 @@ from eagor.errors import DeviceError
 from eagor.media import PoseSource
 from eagor.media.odometry import open_poses
 from eagor.robots import Go2Poses
-from eagor.robots.dds import Link, free_domain, raw
+from eagor.robots.dds import Participant, free_domain, raw
 from eagor.robots.go2 import sport
 from eagor.robots.go2 import state as idl
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
@@ -33,7 +33,7 @@ LONG = 20.0  # seconds for an answer: this machine may be busy
 @contextmanager
 def robot(**settings):
     """A link, and a simulated robot there."""
-    with Link(free_domain(), "lo") as link, SimulatedGo2(SimSettings(None, **settings), link.domain) as server:
+    with Participant(free_domain(), "lo") as link, SimulatedGo2(SimSettings(None, **settings), link.domain) as server:
         yield link, server
 
 
@@ -84,7 +84,7 @@ def test_two_robots_on_one_domain_are_refused():
     with robot() as (link, _):
         state, poses = Go2State(link), Go2Poses(link.domain, "lo")
         state.wait(20)
-        with Link(link.domain, "lo") as other:
+        with Participant(link.domain, "lo") as other:
             other.publish("rt/sportmodestate", raw(idl.SportModeState))
             wait_for(lambda: state.fault)
             for ask in (state.wait, lambda: list(poses)):
@@ -98,7 +98,7 @@ def test_two_robots_on_one_domain_are_refused():
 def test_nobody_there_is_said_and_commands_have_a_code():
     with pytest.raises(DeviceError, match="sonar"):
         open_poses("go2:sonar", domain=free_domain(), interface="lo")
-    with Link(free_domain(), "lo") as link:
+    with Participant(free_domain(), "lo") as link:
         with pytest.raises(DeviceError, match=r"no robot is heard within 0\.2 s"):
             Go2State(link).wait(0.2)
         client = sport.SportClient(link, timeout=0.2)
@@ -152,7 +152,7 @@ def test_moving_carefully_needs_to_be_turned_on():
 @contextmanager
 def published(kind=idl.SportModeState):
     """What sends states on a link, and what reads them there."""
-    with Link(free_domain(), "lo") as link, warnings.catch_warnings():
+    with Participant(free_domain(), "lo") as link, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         came = []
         writer, state = link.publish("rt/sportmodestate", raw(kind)), Go2State(link, received=came.append)
@@ -167,7 +167,7 @@ def test_a_robot_of_another_firmware_is_said_in_words():
         wait_for(lambda: state.fault)
         with pytest.raises(DeviceError, match="has 616 bytes, written in way 0001; known are 516 and 236"):
             state.wait()
-    with Link(free_domain(), "lo") as link:
+    with Participant(free_domain(), "lo") as link:
         link.publish("rt/sportmodestate", idl.LowState)
         with pytest.raises(DeviceError, match="in a form that is not known"):
             Go2State(link).wait(0.3)

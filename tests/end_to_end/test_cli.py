@@ -21,7 +21,7 @@ from commands import ENVIRONMENT
 from PIL import Image
 
 from eagor._extras import how_to_install
-from eagor.cli import joined, main, models
+from eagor.cli import join_words, main, models
 from eagor.cli.answers import SHORT
 from eagor.cli.models import how_to_find
 from eagor.conventions import direction_from_hstar, wxyz_from_rotation
@@ -782,8 +782,8 @@ def test_rules_without_sense_are_refused_before_anything_is_played(tmp_path):
 def test_of_an_option_with_several_values_all_that_are_given_count():
     words = ["bench", "--set", "a=1", "b=2", "--seed", "1", "--set=c=3", "--methods", "x", "--set", "d=-4", "-v", "end"]
     wanted = ["bench", "--set", "a=1", "b=2", "c=3", "d=-4", "--seed", "1", "--methods", "x", "-v", "end"]
-    assert joined(words) == wanted
-    assert joined(["run", "--", "--set", "a", "--set", "b"]) == ["run", "--", "--set", "a", "--set", "b"]
+    assert join_words(words) == wanted
+    assert join_words(["run", "--", "--set", "a", "--set", "b"]) == ["run", "--", "--set", "a", "--set", "b"]
 
 
 def test_a_calibration_is_fitted_written_and_taken(room, tmp_path, monkeypatch):

@@ -17,7 +17,8 @@ import yaml
 from PIL import Image
 
 import eagor
-from eagor.cli import _parse, joined
+from eagor import plugins
+from eagor.cli import _parse, join_words
 from eagor.cli.demo_apartment import STUDY, STUDY_COMMAND
 from eagor.lab.worlds.painted import painted_room
 from eagor.media.rigs import read_rig
@@ -126,7 +127,8 @@ def check_commands(page, folder, apart=0.0, share=0.0):
 COMMANDS = {"quick-start.md": (2, 0.0), "footage.md": (1, 1.0)}
 
 
-TOGETHER = (DOCS / "how-to" / "robot-log.md", DOCS / "how-to" / "detector.md")
+RECIPES = DOCS / "contributing.md"
+TOGETHER = (DOCS / "how-to" / "robot-log.md", DOCS / "how-to" / "detector.md", RECIPES)  # have tests of their own
 ALONE = [p for p in PAGES if p not in TOGETHER and any(not needs for _, needs in blocks(p, "python"))]
 LONG = ("footage.md",)  # its commands are tried in this folder, too
 
@@ -172,14 +174,33 @@ def test_what_there_is_in_a_photograph_is_listed_as_the_page_on_footage_says(coc
 
 def test_a_robots_log_and_its_detections_fit_each_other(tmp_path, monkeypatch):
     """One page writes the log, the other looks at it, and the commands of both run on these files."""
-    log, detector = TOGETHER
-    for page in TOGETHER:
+    log, detector, _ = TOGETHER
+    for page in (log, detector):
         parts = [(text, under) for kind, text, needs, under in fences(page)
                  if kind == "python" and (needs is None or "robot-log.md" in needs)]  # fmt: skip
         for out, (_, under) in zip(run_here([text for text, _ in parts], tmp_path, monkeypatch), parts, strict=True):
             assert under is None or out == under
-    assert check_commands(log, tmp_path) == 2
+    assert check_commands(log, tmp_path) == 1
     assert check_commands(detector, tmp_path) == 1
+
+
+@pytest.mark.parametrize("kind", ["perception", "source", "task", "world", "sink"])
+def test_a_recipe_runs_and_makes_its_name_known(kind, tmp_path, monkeypatch):
+    """Each is one file of at most 60 lines, alone in its folder; its lines of TOML make an installed package of it."""
+    section = RECIPES.read_text(encoding="utf-8").partition(f"## A {kind}\n")[2].partition("\n## ")[0]
+    assert 0 < len(section.splitlines()) <= 60
+    blocks = {found[1]: found[2] for found in FENCE.finditer(section)}
+    assert run_here([blocks["python"]], tmp_path, monkeypatch) == [blocks.get("text", "")]
+    if kind == "sink":  # is given to the loop
+        return
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_package", raising=False)
+    (tmp_path / "page.py").rename(tmp_path / "my_package.py")
+    head, entry = blocks["toml"].splitlines()
+    group, (made, value) = head.split('"')[1], entry.replace('"', "").split(" = ")
+    (tmp_path / "mine-1.dist-info").mkdir()
+    (tmp_path / "mine-1.dist-info" / "entry_points.txt").write_text(f"[{group}]\n{made} = {value}\n")
+    assert callable(plugins.bring(plugins.known(group, {})[made], kind))
 
 
 @pytest.mark.slow
@@ -219,7 +240,7 @@ def test_a_command_can_be_typed(words):
     """Options exist and take what is given; scripts and targets of make are there. Nothing is run."""
     program, *arguments = words
     if program == "eagor":
-        assert _parse(joined(arguments)) is not None
+        assert _parse(join_words(arguments)) is not None
     elif program == "python":
         assert (ROOT / arguments[0]).is_file()
     elif program == "make":

@@ -21,7 +21,7 @@ from processes import alive, sessions_of, wait_for
 pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 
-from eagor.robots.dds import Link, free_domain, raw
+from eagor.robots.dds import Participant, free_domain, raw
 from eagor.robots.go2 import plant, sim
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
@@ -73,7 +73,7 @@ def test_a_simulated_robot_is_heard_checked_and_ends_with_nothing_left(number, c
 
 def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
     domain, settings = free_domain(), SimSettings(None, short=True, battery=9, clock_offset=-777.0)
-    with SimulatedGo2(settings, domain) as robot, Link(domain, "lo") as link:
+    with SimulatedGo2(settings, domain) as robot, Participant(domain, "lo") as link:
         robot.error_code = 1001
         link.publish("rt/sportmodestate", raw(SportModeState))
         done = check(domain, "--seconds", 1.5)
@@ -104,7 +104,7 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told(monkeypatc
         domain, ended = server.link.domain, threading.Event()
 
         def walk():
-            with Link(domain, "lo") as other:
+            with Participant(domain, "lo") as other:
                 client = SportClient(other)
                 while not ended.wait(0.1):
                     client.move(0.3, 0.0, 0.0)

@@ -306,9 +306,9 @@ def test_what_cannot_be_is_said_at_once(domain, arguments, said):
     ],
 )
 def test_what_a_message_changes(now, text, after):
-    from eagor.robots.ros.node import queries_after
+    from eagor.robots.ros.node import apply_query_command
 
-    assert queries_after(now, text) == after
+    assert apply_query_command(now, text) == after
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ from eagor.studio.messages import LONGEST, Message, Opening, PageError, merged, 
 from eagor.studio.replays import EpisodeReplay
 from eagor.studio.server import Auth
 from eagor.studio.sessions import Page
-from eagor.studio.stream import Played, StudioSink
+from eagor.studio.stream import PacedFootage, StudioSink
 from eagor.tracking import DirectionTracker
 
 
@@ -290,7 +290,7 @@ def test_a_picture_waits_for_its_pose_but_not_for_ever():
 def test_what_a_recording_shows_last_stays_and_is_given_again_to_whoever_asks(tmp_path):
     for name in "ab":
         Image.fromarray(np.zeros((16, 32, 3), np.uint8)).save(tmp_path / f"{name}.png")
-    frames = iter(played := Played(open_footage([tmp_path], rate=100.0)))
+    frames = iter(played := PacedFootage(open_footage([tmp_path], rate=100.0)))
     assert [next(frames).name for _ in range(2)] == ["a.png", "b.png"]
     played.pause(False)
     shown = next(frames)
@@ -303,7 +303,7 @@ def test_what_a_recording_shows_last_stays_and_is_given_again_to_whoever_asks(tm
 @pytest.mark.filterwarnings("ignore")
 def test_a_picture_is_answered_before_the_next_one_is_read_and_a_word_that_is_not_known_ends_nothing(tmp_path):
     Image.fromarray(np.full((64, 128, 3), (200, 30, 30), np.uint8)).save(tmp_path / "a.png")
-    played, said = Played(open_footage([tmp_path])), queue.SimpleQueue()
+    played, said = PacedFootage(open_footage([tmp_path])), queue.SimpleQueue()
     sink = StudioSink(said.put, Opening("a.png", "a.png", "red ball", "colour", 1, poses="still"), played)
     sink.loop = Loop(played, None, "colour", "red ball", sinks=[sink])
     thread = threading.Thread(target=sink.loop.run, args=[lambda _: None])

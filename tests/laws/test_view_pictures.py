@@ -56,7 +56,7 @@ def test_the_mark_is_where_the_camera_sees_the_answer(grid):
     disc = cyan[np.hypot(*(cyan - at).T) < 7]
     assert len(disc) > 40
     assert np.abs(disc.mean(axis=0) - at).max() < 1
-    assert f"{100 * estimate.sureness:.0f} % sure" in [text.get_text() for text in painter._seen.texts]
+    assert f"{100 * estimate.confidence:.0f} % sure" in [text.get_text() for text in painter._seen.texts]
 
 
 @pytest.mark.parametrize(("width", "height"), [(640, 480), (1280, 720), (1260, 540), (360, 640), (2000, 500)])
@@ -93,7 +93,7 @@ def test_out_of_view_the_picture_says_how_far_and_how_sure():
     estimate = seen([1.0, 0.0, 0.0], world_R_body(math.radians(-130)))
     painter = StepPainter(1280)
     painter.paint(picture(WIDE), estimate, grid=WIDE)
-    assert f"130°\n{100 * estimate.sureness:.0f} % sure" in [text.get_text() for text in painter._seen.texts]
+    assert f"130°\n{100 * estimate.confidence:.0f} % sure" in [text.get_text() for text in painter._seen.texts]
     words = [" ".join(text.get_text().split()) for text in painter._figure.texts]
     assert words.count("behind you, to the left (130 degrees)") == 2, "above, and beside the picture"
     painter.paint(None, seen([1.0, 0.0, 0.0]).turned(1.5, np.eye(3)), problem="it is no picture")

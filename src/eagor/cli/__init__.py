@@ -97,7 +97,7 @@ def _run(arguments: list[str]) -> int:
         print(script.getvalue().replace("complete -F", "complete -o default -F"), end="")
         return 0
     try:
-        command = _parse(joined(arguments))
+        command = _parse(join_words(arguments))
     except SystemExit:  # tyro has printed help
         return 0
     command = getattr(command, "action", command)  # `bench run` is an action of `bench`
@@ -109,7 +109,7 @@ def _run(arguments: list[str]) -> int:
     return getattr(sys.modules[kind.__module__], name)(command)
 
 
-def joined(arguments: list[str]) -> list[str]:
+def join_words(arguments: list[str]) -> list[str]:
     """`arguments` in which each of `_LISTS` stands once, with all its values; tyro keeps only the last of several.
 
     What follows ``--ros-args`` is left as it is.
@@ -152,12 +152,12 @@ def _parse(arguments: list[str]) -> Any:
             )
     except SystemExit as stop:
         if stop.code:
-            raise terminal.UsageError(_mistake(said.getvalue())) from None
+            raise terminal.UsageError(_suggest_option(said.getvalue())) from None
         print(said.getvalue(), end="", file=sys.stderr)
         raise
 
 
-def _mistake(box: str) -> str:
+def _suggest_option(box: str) -> str:
     """What tyro says in a box, as a line: what is wrong, and the nearest option that there is."""
     lines = [line.strip("\u2502| ") for line in box.splitlines()]
     rule = "-+\u2500\u256d\u256e\u2570\u256f"  # the box; its first line has a title

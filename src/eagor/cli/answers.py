@@ -214,10 +214,10 @@ def draw(result: Followed, path: Path, most: int, when: str = "", mosaic: Any = 
         modes=[mode.direction for mode in e.modes[:most]], mosaic=mosaic,
         others={name: result.others[name] for name in ("centroid", "eagor_paper") if name in result.others},
     )  # fmt: skip
-    keep_picture(drawn, path)
+    save_image(drawn, path)
 
 
-def keep_picture(picture: Image.Image, path: Path) -> None:
+def save_image(picture: Image.Image, path: Path) -> None:
     """Write a picture atomically, in the format of its name. Raises `StorageError`."""
     from PIL import Image
 

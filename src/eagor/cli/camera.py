@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.answers import keep_picture
+from eagor.cli.answers import save_image
 from eagor.cli.options import Common, Flag, bare, grouped
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def camera_view(options: CameraView) -> int:
     if grey is not None:
         lines.append(f"brightness   {grey:.1f} grey levels of 255 apart, on average")
     if options.out is not None:
-        keep_picture(Image.fromarray(drawn), options.out)
+        save_image(Image.fromarray(drawn), options.out)
         lines.append(f"Drawn in {options.out}: the panorama, and below it where the lenses differ")
     terminal.give(options.json, told | {"median_deg": median, "ninety_deg": ninety, "grey_levels": grey}, *lines)
     if median is not None and median > APART:

@@ -15,7 +15,7 @@ import numpy as np
 
 from eagor._files import written
 from eagor.cli import terminal
-from eagor.cli.answers import keep_picture
+from eagor.cli.answers import save_image
 from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import draw_errors, draw_map, draw_strip
 from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerEstimator
@@ -226,7 +226,7 @@ def write_report(search: Search, folder: Path) -> Path:
 
 def _kept(picture: Image, path: Path, words: str) -> Pictures:
     """A picture of the page, which is written as a file as well."""
-    keep_picture(picture, path)
+    save_image(picture, path)
     return Pictures([(address_of(picture), words)], "wide")
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eagor._files import written
-from eagor.cli.answers import keep_picture
+from eagor.cli.answers import save_image
 from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.page import as_address
 from eagor.drawing.style import in_words, looked_for
@@ -186,7 +186,7 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
         estimate, answer = looks.estimates[index], looks.poses[index].T @ looks.answer
         title = f"Look {index + 1}, {what}: {estimate.status}"
         drawn = draw_belief(looks.panorama(index), estimate, others={"last answer": answer}, title=title, width=900)
-        keep_picture(drawn, folder / f"look-{index + 1:02}.jpg")
+        save_image(drawn, folder / f"look-{index + 1:02}.jpg")
         moments.append((_image(drawn, title), title))
     sections = [Section("What the camera saw, and what we believed", [Pictures(moments, "strip")], "looks")]
     first, *more = summary(looks)

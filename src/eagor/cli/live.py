@@ -20,14 +20,14 @@ from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
 from eagor.cli.answers import in_words
-from eagor.cli.options import Axes, Flag, Following, bare
+from eagor.cli.options import Axes, Flag, TrackingOptions, bare
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer, NextLooks
 
 
 @dataclass(frozen=True, kw_only=True)
-class Live(Following):
+class Live(TrackingOptions):
     """Follow objects with a live camera: answers at a steady rate, however slow the detector is.
 
     A file or folder is played at its own speed. `eagor live replay DIR` plays a recording of --record again.
@@ -117,7 +117,7 @@ def live(options: Live) -> int:
     terminal.log(
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
     )
-    told, until = _Told(options, queries, looks), math.inf
+    told, until = _Printer(options, queries, looks), math.inf
 
     def answered(answer: Answer) -> None:
         nonlocal until
@@ -144,7 +144,7 @@ def live(options: Live) -> int:
     return terminal.INCOMPLETE if loop.recording_problem else terminal.OK
 
 
-class _Told:
+class _Printer:
     """What is printed: lines of JSON, or the newest answers; on stderr what goes wrong, once, and the last answers."""
 
     def __init__(self, options: Live, queries: Sequence[str], looks: NextLooks | None = None) -> None:
@@ -234,7 +234,7 @@ def _replay(options: Live) -> int:
             f"--perception {options.perception}"
         )
     replay = Replay(Path(folder))
-    told, answers = _Told(options, replay.settings.queries), 0
+    told, answers = _Printer(options, replay.settings.queries), 0
     try:
         for answers, answer in enumerate(replay, 1):  # noqa: B007
             told.add(answer)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from eagor.cli import answers, checks, terminal
-from eagor.cli.footage import say_of_video
+from eagor.cli.frames import say_of_video
 from eagor.cli.options import Answering, bare
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
 from eagor.cli.answers import Lines
-from eagor.cli.footage import Tally, journey_of
+from eagor.cli.frames import Tally, open_stream
 from eagor.cli.options import Footage
 from eagor.errors import ImageError, PoseError
 
@@ -48,12 +48,12 @@ def look(options: Look) -> int:
         raise terminal.UsageError(f"--out {options.out}: wanted a file name that ends in .jsonl")
     checks.check_outputs(options, [*places, Path(options.poses)])
     views = _views(options, queries)
-    journey = journey_of(options, places, views)
+    stream = open_stream(options, places, views)
     of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
     tally, last, labels = Tally(), 0.0, Counter[str]()
-    with Lines(options.out) as file, terminal.progress("looking", journey.count, shown=not options.json) as advance:
-        head = [first_line(of, options.perception, views, journey.told, journey.begins)]
-        frames = PosedFrames(journey.source, journey.poses, journey.looks, terminal.log)
+    with Lines(options.out) as file, terminal.progress("looking", stream.count, shown=not options.json) as advance:
+        head = [first_line(of, options.perception, views, stream.told, stream.begins)]
+        frames = PosedFrames(stream.source, stream.poses, stream.looks, terminal.log)
         try:
             for posed, entries in looked_at(prefetched(frames), views, queries, HiddenParts(say=terminal.log)):
                 file.add("".join(f"{line}\n" for line in [*head, *map(json.dumps, entries)]))
@@ -72,12 +72,12 @@ def look(options: Look) -> int:
             tally.broken = str(error)
         except KeyboardInterrupt:
             if looks := tally.frames - tally.bad:
-                terminal.log(f"kept: {options.out}, {terminal.many(looks, 'look')} to {last - journey.begins:.2f} s")
+                terminal.log(f"kept: {options.out}, {terminal.many(looks, 'look')} to {last - stream.begins:.2f} s")
             raise
     incomplete = tally.end(frames.left_out)
     tally.check()
     looks = tally.frames - tally.bad
-    told = {"of": of, "perception": options.perception, "poses": journey.told, "looks": looks, "left_out": tally.bad}
+    told = {"of": of, "perception": options.perception, "poses": stream.told, "looks": looks, "left_out": tally.bad}
     told |= {"boxes": dict(labels.most_common()), "out": str(options.out)}
     example = next(iter([*told["boxes"], *queries, *(views.classes or ())]))
     terminal.give(

@@ -125,7 +125,7 @@ class Answering(Lens):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Following(Answering):
+class TrackingOptions(Answering):
     """Options of the commands that follow something over time."""
 
     static: Static = False

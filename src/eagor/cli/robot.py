@@ -98,13 +98,13 @@ class Robot:
 
 def check(options: RobotCheck) -> int:
     """Run the command; exit code 1 if something is wrong."""
-    from eagor.robots.dds import Link, default_domain
+    from eagor.robots.dds import Participant, default_domain
     from eagor.robots.go2.sport import check_robot
 
     if not within(options.seconds, 0.5, 600):
         raise terminal.UsageError(f"--seconds {options.seconds:g}: wanted 0.5 to 600")
     domain = default_domain() if options.domain is None else options.domain
-    with Link(domain, options.interface) as link:
+    with Participant(domain, options.interface) as link:
         report = check_robot(link, options.seconds)
     if options.json:
         terminal.emit(report | {"usable": not report["problems"]})

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from eagor.cli import answers, checks, terminal
-from eagor.cli.footage import Journey, Tally, journey_of
-from eagor.cli.options import Flag, Following, Footage, bare
+from eagor.cli.frames import FrameStream, Tally, open_stream
+from eagor.cli.options import Flag, Footage, TrackingOptions, bare
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Track(Footage, Following):
+class Track(Footage, TrackingOptions):
     """Follow objects through a video or a sequence of pictures: panoramas, or of an ordinary camera."""
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY ...", help_behavior_hint="(required)")]
@@ -74,11 +74,11 @@ def track(options: Track) -> int:
     config = checks.tracker_config(spec, **vars(options))
     if looks is None:
         perception = checks.make_perception(spec, busy=True)
-        journey = journey_of(options, places, perception, None if options.video is None else options.fps or FPS)
+        stream = open_stream(options, places, perception, None if options.video is None else options.fps or FPS)
     else:
-        perception, journey = looks.replay, _of_looks(looks)
+        perception, stream = looks.replay, _of_looks(looks)
     if options.floor is not None:
-        config = replace(config, floor_height=_checked_floor(options.floor, journey))
+        config = replace(config, floor_height=_checked_floor(options.floor, stream))
     if not queries:
         assert looks is not None
         return answers.list_seen(options, looks, config)
@@ -91,8 +91,8 @@ def track(options: Track) -> int:
     entries: list[dict[str, Any]] = []
     last: dict[str, Followed] = {}
     with ExitStack() as stack:
-        files = Files(options, queries, rivals, {"perception": spec, "poses": journey.told}, journey, stack)
-        advance = stack.enter_context(terminal.progress("looking", journey.count, shown=not options.json))
+        files = Files(options, queries, rivals, {"perception": spec, "poses": stream.told}, stream, stack)
+        advance = stack.enter_context(terminal.progress("looking", stream.count, shown=not options.json))
 
         def each(result: Followed) -> None:
             first = result.query == queries[0]
@@ -110,7 +110,7 @@ def track(options: Track) -> int:
                 if options.json:
                     entries.append(answers.entry_of(result, options.modes))
                 else:
-                    print(answers.line(result, journey.begins, several), flush=True)
+                    print(answers.line(result, stream.begins, several), flush=True)
             files.add(result)
             if result.query == queries[-1]:
                 advance()
@@ -121,7 +121,7 @@ def track(options: Track) -> int:
 
             sinks.append(RerunLog(options.rerun, f"{', '.join(queries)}: {options.rerun.name}"))
         loop = Loop(
-            journey.source, journey.poses, perception, queries, sinks=sinks, config=config, looks=journey.looks,
+            stream.source, stream.poses, perception, queries, sinks=sinks, config=config, looks=stream.looks,
             mask=checks.mask_of(options.mask),
         )  # fmt: skip
         try:
@@ -137,20 +137,20 @@ def track(options: Track) -> int:
     incomplete = tally.end([] if loop.frames is None else loop.frames.left_out)
     if options.json:
         what = {"queries": queries} if several else {"query": queries[0]}
-        terminal.emit(what | {"perception": spec, "poses": journey.told, "frames": entries, "left_out": tally.bad})
+        terminal.emit(what | {"perception": spec, "poses": stream.told, "frames": entries, "left_out": tally.bad})
     try:
         tally.check()
         for query in queries:
             checks.say_of_replay(perception, query, looked[query])
         if not any(looked.values()):
-            given = [*journey.poses] if hasattr(journey.poses, "ends") else []
+            given = [*stream.poses] if hasattr(stream.poses, "ends") else []
             stamps = f" ({given[0].stamp:g} to {given[-1].stamp:g} s)" if given else ""
             raise terminal.RunError(
                 f"{spec} has no record for any of the {tally.frames} frames; its stamps must use the clock of the "
                 f"frames{stamps}"
             )
         for query, found in {} if options.json else last.items():
-            terminal.log(answers.in_words(found.estimate, query, found.stamp - journey.begins))
+            terminal.log(answers.in_words(found.estimate, query, found.stamp - stream.begins))
     finally:
         written = [str(path) for path in files.paths if path.exists()]
         if written and not options.json:
@@ -185,8 +185,8 @@ def estimators(names: Sequence[str], perception: str) -> dict[str, Any]:
     return {name: make_estimator(name, np.random.default_rng(0), perception) for name in names}
 
 
-def _of_looks(looks: RecordedLooks) -> Journey:
-    """The journey that a file of looks holds: no pictures, and the poses as they were when it was made."""
+def _of_looks(looks: RecordedLooks) -> FrameStream:
+    """The stream that a file of looks holds: no pictures, and the poses as they were when it was made."""
     about, frames = looks.about, [each.frame for each in looks.posed]
     left = sum(bool(frame.problem) for frame in frames)
     more = f"; {left} more left out" if left else ""
@@ -194,19 +194,19 @@ def _of_looks(looks: RecordedLooks) -> Journey:
         f"{terminal.many(looks.count - left, 'look')} of {about.perception} at {about.of}, {about.poses}{more}"
     )
     span = frames[-1].stamp - frames[0].stamp if frames else None
-    return Journey(looks, None, about.poses, looks.count, None, None, span, about.begins)
+    return FrameStream(looks, None, about.poses, looks.count, None, None, span, about.begins)
 
 
-def _checked_floor(floor: float, journey: Journey) -> float:
+def _checked_floor(floor: float, stream: FrameStream) -> float:
     """The floor's height, if every pose with a position is above it; else raises `UsageError`."""
     from eagor.media.bag_sources import BagPoses
     from eagor.media.odometry import GivenPoses
     from eagor.media.ros_messages import IMU
 
-    poses = [*journey.poses] if isinstance(journey.poses, GivenPoses) else []
-    poses += [pose for each in getattr(journey.source, "posed", ()) for pose in each.poses]
+    poses = [*stream.poses] if isinstance(stream.poses, GivenPoses) else []
+    poses += [pose for each in getattr(stream.source, "posed", ()) for pose in each.poses]
     lowest = min((float(pose.position[2]) for pose in poses if pose.position is not None), default=math.inf)
-    if math.isinf(lowest) and (not isinstance(journey.poses, BagPoses) or journey.poses.kind == IMU):
+    if math.isinf(lowest) and (not isinstance(stream.poses, BagPoses) or stream.poses.kind == IMU):
         wanted = "needs positions: a file of --poses with the columns x,y,z, or a bag's odometry"
         raise terminal.UsageError(f"--floor {floor:g} {wanted}")
     if not math.isfinite(floor):
@@ -225,13 +225,13 @@ class Files:
     """
 
     def __init__(
-        self, options: Track, queries: Sequence[str], rivals: Sequence[str], used: dict[str, str], journey: Journey,
+        self, options: Track, queries: Sequence[str], rivals: Sequence[str], used: dict[str, str], stream: FrameStream,
         stack: ExitStack,
     ) -> None:  # fmt: skip
         from eagor.drawing import BeliefPage, BeliefVideo, Mosaic
         from eagor.live.recording import slug
 
-        self._options, self._begins, self._numbers = options, journey.begins, count()
+        self._options, self._begins, self._numbers = options, stream.begins, count()
         self.paths = [path for path in (options.out, options.pictures, options.rerun) if path is not None]
         self._write = None if options.out is None else stack.enter_context(answers.table(options.out, rivals))
         self._mosaics = {query: Mosaic() for query in queries}
@@ -248,8 +248,8 @@ class Files:
                 found[query] = stack.enter_context(made(self.paths[-1], query))
             return found
 
-        span = journey.span
-        self._films = each(options.video, lambda path, query: BeliefVideo(path, rate=journey.shown, span=span))
+        span = stream.span
+        self._films = each(options.video, lambda path, query: BeliefVideo(path, rate=stream.shown, span=span))
         self._pages = each(options.page, lambda path, query: BeliefPage(path, query=query, used=used, span=span))
 
     def add(self, result: Followed) -> None:

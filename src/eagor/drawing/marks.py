@@ -18,7 +18,7 @@ import numpy as np
 
 from eagor.belief.posterior import Readable
 from eagor.drawing.heat import MASS, Heat
-from eagor.drawing.style import sureness
+from eagor.drawing.style import confidence
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import azimuth_elevation, direction, unit
@@ -200,7 +200,7 @@ def _point(axes: Axes, estimate: Estimate, answer: np.ndarray, grid: Perspective
     if np.isfinite(at := places(answer, grid)).all():
         if pointed:
             beside: dict[str, Any] = {"xytext": (12, 12), "textcoords": "offset points", "annotation_clip": False}
-            axes.annotate(sureness(estimate), tuple(at), fontsize=14, **beside, **said)
+            axes.annotate(confidence(estimate), tuple(at), fontsize=14, **beside, **said)
         return
     if not pointed:
         _note(axes, "not in view; it may be anywhere")
@@ -213,7 +213,7 @@ def _point(axes: Axes, estimate: Estimate, answer: np.ndarray, grid: Perspective
     axes.annotate("", xy=tuple(tip / size), xytext=tuple(tail), arrowprops=shape, zorder=7)
     ha = "center" if abs(way[0]) < 0.5 else "right" if way[0] > 0 else "left"
     va = "center" if abs(way[1]) < 0.5 else "bottom" if way[1] > 0 else "top"
-    text = f"{angle:.0f}°\n{sureness(estimate)}"
+    text = f"{angle:.0f}°\n{confidence(estimate)}"
     axes.text(words[0], words[1], text, fontsize=17, ha=ha, va=va, linespacing=1.15, **said)
 
 

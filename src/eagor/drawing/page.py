@@ -29,7 +29,7 @@ from eagor.drawing.style import (
     signed,
     status_in_words,
 )
-from eagor.drawing.timeline import Moment, Thinned, TimeLine
+from eagor.drawing.timeline import Thinned, TimeLine, TimelinePoint
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
@@ -72,7 +72,7 @@ class BeliefPage(AbstractContextManager["BeliefPage"]):
         self.painter = StepPainter(WIDTH, bare=True)
         self._pictures, self._rows = Thinned(PICTURES), Thinned(ROWS)
         self._problems: list[str] = []
-        self._last: tuple[int, str, Moment]  # what is known of the newest frame, and all that is drawn of it
+        self._last: tuple[int, str, TimelinePoint]  # what is known of the newest frame, and all that is drawn of it
         self._newest: tuple[np.ndarray | None, Estimate, str | None, PerspectiveGrid | None]
         self._ordinary = self._closed = False
 
@@ -90,7 +90,7 @@ class BeliefPage(AbstractContextManager["BeliefPage"]):
 
         Raises `TimeError` unless the stamps grow.
         """
-        moment = Moment.of(estimate, stamp, problem)
+        moment = TimelinePoint.of(estimate, stamp, problem)
         self.line.add(moment)
         name = name or f"frame {self._rows.count}"
         if problem:
@@ -193,7 +193,7 @@ def path(boxes: Iterable[Iterable[float]]) -> str:
     return "".join(f"M{b:.3f} {v:.3f}V{w:.3f}H{e:.3f}V{v:.3f}Z" for b, e, v, w in boxes)
 
 
-def _said(name: str, moment: Moment) -> str:
+def _said(name: str, moment: TimelinePoint) -> str:
     """A frame and its answer in a line; its time only once, if it is in the name too."""
     where, at = "direction not known", f"{moment.stamp:.2f} s"
     if moment.azimuth is not None and moment.elevation is not None and moment.cone is not None:
@@ -204,7 +204,7 @@ def _said(name: str, moment: Moment) -> str:
     return f"{name}: {said}" if name.endswith(at) else f"{name}: {at}, {said}"
 
 
-def _row(index: int, name: str, moment: Moment, picture: int | None) -> str:
+def _row(index: int, name: str, moment: TimelinePoint, picture: int | None) -> str:
     """A row of the table; `picture`: the number of its picture, if it has one."""
     cone = "–" if moment.cone is None else f"{math.degrees(moment.cone):.1f}"
     angles = ["–" if angle is None else signed(angle).replace("-", "−") for angle in (moment.azimuth, moment.elevation)]

@@ -19,7 +19,7 @@ from eagor.drawing import style
 from eagor.drawing.heat import Heat, heat_of, reader_of_heat
 from eagor.drawing.marks import ALONE, Marks, Mosaic, backdrop, outline, outline_of, paint_marks
 from eagor.drawing.style import COLOURS, DARK, DESIGN, FAINT, SIDES, WORDS
-from eagor.drawing.timeline import Moment, TimeLine
+from eagor.drawing.timeline import TimeLine, TimelinePoint
 from eagor.errors import EagorError
 from eagor.grids import PerspectiveGrid
 from eagor.tracking.estimate import Estimate
@@ -117,7 +117,7 @@ class StepPainter:
                 bbox={"facecolor": "black", "alpha": 0.7, "edgecolor": ALARM, "linewidth": 0.8, "pad": 4},
             )  # fmt: skip
         if not self._bare:
-            moment, right = Moment.of(estimate, stamp, problem), {"ha": "right", "weight": "normal"}
+            moment, right = TimelinePoint.of(estimate, stamp, problem), {"ha": "right", "weight": "normal"}
             self.line.add(moment)
             self._draw_line()
             told = [] if moment.cone is None else [estimate.certainty]
@@ -156,7 +156,7 @@ class StepPainter:
         left, top, width, height = around
         if estimate.direction is not None:
             colour = COLOURS[estimate.status]
-            self._say(left, top + height + 14 * self._scale, style.sureness(estimate), 22, colour, va="top")
+            self._say(left, top + height + 14 * self._scale, style.confidence(estimate), 22, colour, va="top")
         kept = style.answer_in_words(estimate).replace(" degrees", "\u00a0degrees")  # a number stays with its unit
         said = textwrap.fill(kept, max(12, int(width / (11.5 * self._scale))))
         self._say(left, top + height + 56 * self._scale, said, 15, WORDS, va="top", linespacing=1.35)

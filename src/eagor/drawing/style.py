@@ -82,12 +82,12 @@ def candidates_in_words(estimate: Estimate) -> str:
     return f"{_where(estimate)}; or {in_words(second.azimuth, second.elevation)}{looked_for(estimate)}"
 
 
-def sureness(estimate: Estimate) -> str:
+def confidence(estimate: Estimate) -> str:
     """How likely it is that the thing is here, and where the answer says: "80 % sure". The status follows from it.
 
     That is within 15 degrees of the answer, or half its own size, where that is more. Never 0 % or 100 %.
     """
-    return f"{min(max(round(100 * estimate.sureness), 1), 99)} % sure"
+    return f"{min(max(round(100 * estimate.confidence), 1), 99)} % sure"
 
 
 def distance_in_words(distance: float | None, spread: float | None) -> str:

@@ -15,7 +15,7 @@ from eagor.drawing.style import STATUS
 from eagor.errors import TimeError
 from eagor.tracking.estimate import Estimate
 
-__all__ = ["Moment", "Thinned", "TimeLine"]
+__all__ = ["Thinned", "TimeLine", "TimelinePoint"]
 
 MOST = 2400  # moments that are kept for curves: more than a picture has columns
 STEPS = (1, 2, 5, 10)  # times powers of ten: of the ticks, and of the lengths by which a time line grows
@@ -44,7 +44,7 @@ class Thinned:
 
 
 @dataclass(frozen=True)
-class Moment:
+class TimelinePoint:
     """The answer at one time.
 
     `stamp`: seconds; `azimuth`, `elevation`, `cone` (half-angle of the 90 % cone): radians, None while nothing is
@@ -60,7 +60,7 @@ class Moment:
     problem: str | None = None
 
     @classmethod
-    def of(cls, estimate: Estimate, stamp: float | None = None, problem: str | None = None) -> Moment:
+    def of(cls, estimate: Estimate, stamp: float | None = None, problem: str | None = None) -> TimelinePoint:
         """The answer of `estimate`, for a frame of time `stamp` (None: the estimate's)."""
         e = estimate
         cone = None if e.azimuth is None else float(e.credible_angle)
@@ -92,12 +92,12 @@ class TimeLine:
         if span is not None and not (math.isfinite(span) and span >= 0):
             raise TimeError(f"a time line of {span} seconds; wanted the length of the clip, or None")
         self._given = span
-        self.last: Moment | None = None
+        self.last: TimelinePoint | None = None
         self.first = self.now = self._held = 0.0  # the first stamp, the seconds since then and since the last one
         self._kept = Thinned(MOST)
         self._changes: list[tuple[float, str]] = []  # since when, which status
 
-    def add(self, moment: Moment) -> None:
+    def add(self, moment: TimelinePoint) -> None:
         """Append a moment. Raises `TimeError` unless its stamp is finite and later than the last one."""
         if not math.isfinite(moment.stamp):
             raise TimeError(f"the stamp {moment.stamp}; wanted a finite time in seconds")

@@ -41,6 +41,8 @@ class Calibration:
     - `scale_to_max`: divide each response by its own maximum first. Only the published settings do so: it turns
       "nothing here" into a detection.
 
+    The ratios of three responses:
+
         >>> calibration = eagor.Calibration(floor=0.1, neutral=0.1, temperature=1.0)
         >>> [round(float(calibration.log_ratio(np.array(response))), 2) for response in (0.0, 0.1, 1.0)]
         [-0.69, 0.0, 1.7]

@@ -31,11 +31,11 @@ class Go2Poses:
     def __init__(
         self, domain: int, interface: str | None, source: str = "sport", mount: tuple[float, float, float] = (0, 0, 0)
     ) -> None:
-        from eagor.robots.dds import Link
+        from eagor.robots.dds import Participant
         from eagor.robots.go2.state import Go2State
 
         self._mount, self._came = mount, SimpleQueue[Any]()
-        self._link = Link(domain, interface)
+        self._link = Participant(domain, interface)
         self._state = Go2State(self._link, source, received=self._received)
 
     def _received(self, state: BodyState) -> None:

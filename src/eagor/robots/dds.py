@@ -1,6 +1,6 @@
 """DDS, the transport of Unitree's robots: topics are written and read without ROS or an SDK being installed.
 
-A `Link` is a process's place on a domain: it writes topics, and reads them in threads of its own.
+A `Participant` is a process's place on a domain: it writes topics, and reads them in threads of its own.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from eagor.errors import DeviceError
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["Link", "Raw", "Reader", "Writer", "default_domain", "free_domain", "raw"]
+__all__ = ["Participant", "Raw", "Reader", "Writer", "default_domain", "free_domain", "raw"]
 
 LAST_DOMAIN = 232  # above, the ports that the standard derives from the number do not exist (DDSI-RTPS 9.6.1.1)
 FIRST_PORT, PORTS = 7400, 250  # of domain 0, and per domain (DDSI-RTPS 9.6.1.1)
@@ -91,12 +91,12 @@ class Raw:
 
 @cache
 def raw(kind: type) -> type[Raw]:
-    """A class for `Link` whose messages are bytes, announced as the type `kind` of cyclonedds' IDL."""
+    """A class for `Participant` whose messages are bytes, announced as the type `kind` of cyclonedds' IDL."""
     about = {"__idl__": kind.__idl__, "__idl_typename__": kind.__idl_typename__}  # type: ignore[attr-defined]
     return type(kind.__name__, (Raw,), about)
 
 
-class Link:
+class Participant:
     """A participant of DDS domain `domain` on a network interface; a context manager.
 
     `interface`: such as "eth0"; "lo" stays on this machine; None lets the library choose. A process has one interface
@@ -192,7 +192,7 @@ class Link:
 
 
 class Writer:
-    """Writes messages of one topic (`Link.publish`)."""
+    """Writes messages of one topic (`Participant.publish`)."""
 
     def __init__(self, topic: str, writer: Any) -> None:
         self.topic, self._writer = topic, writer
@@ -218,7 +218,7 @@ class Writer:
 
 
 class Reader:
-    """Reads one topic in a thread (`Link.subscribe`).
+    """Reads one topic in a thread (`Participant.subscribe`).
 
     An exception of who receives, or a message that cannot be decoded, is told once as a `UserWarning`; `problem`: the
     last, in words.

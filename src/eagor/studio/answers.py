@@ -41,7 +41,7 @@ def step_of(
     """
     e, belief = estimate, estimate.posterior
     unknown = e.direction is None
-    more = {"entropy": belief.entropy(), "sure": None if unknown else e.sureness, "moving": e.moving}
+    more = {"entropy": belief.entropy(), "sure": None if unknown else e.confidence, "moving": e.moving}
     return rounded(
         {
             "stamp": stamp,

@@ -35,7 +35,7 @@ from eagor.studio.answers import belief_of, evidence_of, lens_of, picture_of, pl
 from eagor.studio.messages import Ask, Drive, Message, Opening, Pause, Restart, rounded
 from eagor.tracking import TrackerConfig
 
-__all__ = ["Played", "Stream", "StudioSink", "serve"]
+__all__ = ["PacedFootage", "Stream", "StudioSink", "serve"]
 
 RATE = 10.0  # answers per second of a live source
 LOOKS = 4.0  # pictures of a video per second that are looked at, at most
@@ -48,7 +48,7 @@ LATE = 1.0  # seconds after which a picture is shown without
 AGAIN = 0.5  # seconds of the recording from its last picture to the same one again
 
 
-class Played(Footage):
+class PacedFootage(Footage):
     """A recording for people: no faster than it was taken. It can pause, and its last picture comes again if wanted."""
 
     waits = True
@@ -287,7 +287,7 @@ class Stream:
             if not self._openings.empty():
                 return
             poses, live = poses_for(opening.poses, source), source.live
-            self._source = source if live else Played(cast(Footage, source))
+            self._source = source if live else PacedFootage(cast(Footage, source))
             sink = StudioSink(self._say, opening, self._source)
             shown = already_open(source, again) if live and not opening.simulated else self._source
             config = TrackerConfig(floor_height=FLOOR if opening.simulated else None)

@@ -166,7 +166,7 @@ class Estimate:
         return 0.0 if self._answer is None else 2 * self.hypotheses.standing.size(self._answer)
 
     @property
-    def sureness(self) -> float:
+    def confidence(self) -> float:
         """Probability that the target is present and where the answer says.
 
         That is within 15 degrees of the answer, or half its angular size, where that is more.
@@ -279,7 +279,7 @@ class Estimate:
         rivals = sum(mode.weight >= RIVAL for mode in self.modes)
         if rivals > 1:
             return "ambiguous"
-        if self.sureness >= 0.5:
+        if self.confidence >= 0.5:
             return "tracking"
         told = sum(mode.weight for mode in self.modes)
         return "ambiguous" if len(self.modes) > 1 and told >= 0.5 else "searching"

@@ -13,7 +13,7 @@ from eagor._extras import need
 from eagor.errors import EagorError
 from eagor.media.live_camera import LiveCamera
 from eagor.media.ros_messages import COMPRESSED, compressed_message, panorama_of, stamp_of, store
-from eagor.robots.dds import Link, Raw, raw
+from eagor.robots.dds import Participant, Raw, raw
 from eagor.robots.go2.state import CompressedImage
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class DdsCamera(LiveCamera):
     def __init__(self, topic: str, domain: int, interface: str | None, rows: int | None = None) -> None:
         need("reading pictures", "robot", "av")
         self.name, self._came = topic, queue.SimpleQueue[tuple[Any, float] | None]()
-        self._link = Link(domain, interface)
+        self._link = Participant(domain, interface)
         self._link.subscribe(topic, PICTURE, self._received)
         super().__init__([self], rows=rows)  # type: ignore[list-item]
 

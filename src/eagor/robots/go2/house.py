@@ -26,7 +26,7 @@ from eagor.lab.worlds.render import PAINTS, Ball, Renderer, with_ball
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Scene
 from eagor.media.ros_messages import pose_of
 from eagor.queries import matching, parse_query
-from eagor.robots.dds import Link, Raw
+from eagor.robots.dds import Participant, Raw
 from eagor.robots.go2.camera import PICTURE, picture_message
 from eagor.robots.go2.state import Odometry
 
@@ -125,7 +125,7 @@ class SimWorld:
                 names = sorted({thing.name for thing in self.things})
                 raise QueryError(f"there is no {asked} in {scene.source}; it has {', '.join(names)}")
 
-    def slide(self, start: np.ndarray, step: np.ndarray) -> np.ndarray:
+    def move_and_slide(self, start: np.ndarray, step: np.ndarray) -> np.ndarray:
         return self.ground.move(start, step)[0]
 
     def ball_at(self, seconds: float) -> Ball | None:
@@ -184,7 +184,7 @@ def film(line: Connection, settings: SimSettings, domain: int, interface: str | 
     renderer = Renderer(world.scene)
     panorama(renderer, rows, np.zeros(3), np.eye(3))  # the light, and what else comes first
     # Pictures that are on their way arrive before the link closes.
-    with Link(domain, interface) as link, ThreadPoolExecutor(1) as sender:
+    with Participant(domain, interface) as link, ThreadPoolExecutor(1) as sender:
         writer = link.publish(CAMERA_TOPIC, PICTURE, reliable=False)
         link.subscribe(TRUTH, Odometry, lambda message, _: newest.append(message))
 

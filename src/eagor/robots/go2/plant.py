@@ -16,7 +16,7 @@ import numpy as np
 
 from eagor.media import Pose
 
-__all__ = ["GRAVITY", "HEIGHT", "LIMP", "LYING", "STANDING", "STEP", "WALKING", "Motion", "Plant", "Slide"]
+__all__ = ["GRAVITY", "HEIGHT", "LIMP", "LYING", "STANDING", "STEP", "WALKING", "BodyState", "Plant", "Slide"]
 
 Slide = Callable[[np.ndarray, np.ndarray], np.ndarray]  # start (2,), step (2,) -> end (2,), metres
 STANDING, WALKING, LYING, LOCKED, LIMP = 1, 3, 5, 6, 7  # numbers of `eagor.robots.go2.state.MODES`
@@ -36,7 +36,7 @@ GRAVITY = 9.81  # m/s^2
 SCALE_DRIFT, TURN_DRIFT, YAW_DRIFT = 0.02, 0.01, math.radians(0.5)
 
 
-class Motion(NamedTuple):
+class BodyState(NamedTuple):
     """The body at one step: `pose`, and the same as roll, pitch and yaw; m/s (world), rad/s (body); `mode`."""
 
     pose: Pose
@@ -146,18 +146,18 @@ class Plant:
     # --- what is so, and what the robot believes of it ---
 
     @property
-    def truth(self) -> Motion:
+    def truth(self) -> BodyState:
         return self._motion(self._xy, self._yaw, self._velocity)
 
     @property
-    def odometry(self) -> Motion:
+    def odometry(self) -> BodyState:
         speed = _along(self._believed_yaw - self._yaw, self._velocity * self._scale)
         return self._motion(self._believed_xy, self._believed_yaw, speed)
 
-    def _motion(self, xy: np.ndarray, yaw: float, velocity: np.ndarray) -> Motion:
+    def _motion(self, xy: np.ndarray, yaw: float, velocity: np.ndarray) -> BodyState:
         rpy, height = self._leaning(yaw), LYING_HEIGHT if self.mode in LOW else HEIGHT
         pose = Pose(self.seconds, _turned(*rpy), np.array([*xy, height]))
-        return Motion(pose, rpy, np.array([*velocity, 0.0]), self._rates, float(self._speed[2]), self.mode)
+        return BodyState(pose, rpy, np.array([*velocity, 0.0]), self._rates, float(self._speed[2]), self.mode)
 
 
 def _along(heading: float, step: np.ndarray) -> np.ndarray:

@@ -21,10 +21,10 @@ import numpy as np
 from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.conventions import xyzw_from_rotation
 from eagor.errors import DeviceError
-from eagor.robots.dds import Link, Writer, free_domain, raw
+from eagor.robots.dds import Participant, Writer, free_domain, raw
 from eagor.robots.go2 import state as idl
 from eagor.robots.go2.house import CAMERA_TOPIC, TRUTH, SimSettings, SimWorld, camera_pose, film
-from eagor.robots.go2.plant import GRAVITY, LIMP, LYING, STEP, Motion, Plant
+from eagor.robots.go2.plant import GRAVITY, LIMP, LYING, STEP, BodyState, Plant
 from eagor.robots.go2.sport import API_VERSION, AVOID, OK, SPORT, checked_velocity
 from eagor.robots.go2.state import SOURCES, low_state, sport_state
 
@@ -49,7 +49,7 @@ INTERFACE = "lo"  # of a rehearsal
 STARTING, ENDING = 300.0, 10.0  # seconds for the house and its light on a busy machine; for the process to leave
 
 
-def _odometry(motion: Motion, stamp: float, frame: str) -> Any:
+def _odometry(motion: BodyState, stamp: float, frame: str) -> Any:
     """A nav_msgs/Odometry of the body, at `stamp` seconds; its twist is in the body frame."""
     pose, none = motion.pose, [0.0] * 36
     assert pose.position is not None
@@ -79,7 +79,7 @@ class SimulatedGo2:
             x, y, heading = settings.start or self.house.clear_start(np.random.default_rng(settings.seed))
             if (spot := self.house.ground.snap(np.array([x, y]))) is None:
                 raise DeviceError(f"start = {settings.start}; wanted x, y (metres) and heading (radians), finite")
-            start, slide = (*spot.tolist(), heading), self.house.slide
+            start, slide = (*spot.tolist(), heading), self.house.move_and_slide
         elif settings.target is not None:
             raise DeviceError("a robot on an empty floor has no target; give a world, or no target")
         chance = np.random.SeedSequence(settings.seed).spawn(3)[2]  # the ball has the first
@@ -99,7 +99,7 @@ class SimulatedGo2:
         }  # fmt: skip
         self.topics = [*kinds, *(f"rt/api/{name}/request" for name in VERSIONS)]
         with ExitStack() as stack:
-            self.link = link = stack.enter_context(Link(*self._network))
+            self.link = link = stack.enter_context(Participant(*self._network))
             if there := sorted({*SOURCES.values()} & {*link.topics(LISTENING)}):
                 raise DeviceError(
                     f"a robot already speaks on DDS {link} ({', '.join(there)}), and commands would reach both: "
@@ -228,7 +228,7 @@ class Rehearsal:
             except (WorkerSilent, WorkerEnded):
                 code = worker.close(ENDING)
                 raise DeviceError(f"the simulated robot does not start: its process ended (exit code {code})") from None
-            stack.enter_context(Link(self.domain, INTERFACE)).subscribe(TRUTH, idl.Odometry, self._moved)
+            stack.enter_context(Participant(self.domain, INTERFACE)).subscribe(TRUTH, idl.Odometry, self._moved)
             self._stack = stack.pop_all()
         return self
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from eagor.errors import DeviceError
-from eagor.robots.dds import Link
+from eagor.robots.dds import Participant
 from eagor.robots.go2 import state as idl
 from eagor.robots.go2.state import LONG, MODES, SOURCES, BodyState, Go2Low, Go2State
 
@@ -65,7 +65,7 @@ class Service:
 
     name = ""
 
-    def __init__(self, link: Link, *, timeout: float = 1.0) -> None:
+    def __init__(self, link: Participant, *, timeout: float = 1.0) -> None:
         self.timeout = timeout
         self._writer = link.publish(f"rt/api/{self.name}/request", idl.Request)
         # Best effort takes responses from every writer, as the robot's own SDK does.
@@ -175,7 +175,7 @@ def checked_velocity(vx: float, vy: float, wz: float) -> tuple[float, float, flo
     return numbers
 
 
-def hear_commands(link: Link, heard: Callable[[str], None], services: Iterable[str] = ALLOWED) -> None:
+def hear_commands(link: Participant, heard: Callable[[str], None], services: Iterable[str] = ALLOWED) -> None:
     """Call `heard("Move on rt/api/sport/request")`, in a thread, for what `services` are told by others than `link`.
 
     The robot's own remote control does not speak on these topics: only how the robot moves tells of it.
@@ -201,7 +201,7 @@ PICTURES = ("sensor_msgs::msg::dds_::CompressedImage_", "sensor_msgs::msg::dds_:
 BUSY = "use a cable instead of Wi-Fi, or relieve this machine's processor"
 
 
-def check_robot(link: Link, seconds: float = 3.0) -> dict[str, Any]:
+def check_robot(link: Participant, seconds: float = 3.0) -> dict[str, Any]:
     """Listen for `seconds`, ask for the version of the walking service, and tell. Nothing is moved or changed.
 
     `problems`: sentences, each with what to change; empty if a Go2 can be used. `topics`: with their types; `cameras`:

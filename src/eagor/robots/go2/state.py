@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from eagor._extras import need
 from eagor.errors import DeviceError, FormatError
 from eagor.odometry.clocks import ClockSync
-from eagor.robots.dds import Link, raw
+from eagor.robots.dds import Participant, raw
 
 need("Unitree's messages", "robot", "cyclonedds")
 
@@ -163,7 +163,7 @@ class Go2State:
     """
 
     def __init__(
-        self, link: Link, source: str = "sport", *, received: Callable[[BodyState], None] = lambda state: None
+        self, link: Participant, source: str = "sport", *, received: Callable[[BodyState], None] = lambda state: None
     ) -> None:
         if source not in SOURCES:
             raise DeviceError(f"there is no odometry {source!r} of a Go2; wanted one of {', '.join(SOURCES)}")
@@ -283,7 +283,7 @@ class Go2Low:
 
     topic = "rt/lf/lowstate"
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Participant) -> None:
         self.newest: LowReading | None = None
         link.subscribe(self.topic, LowState, self._received)
 

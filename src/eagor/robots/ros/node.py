@@ -45,7 +45,7 @@ from eagor.robots.ros.topics import RosCamera, RosPoses, TopicListener
 from eagor.sphere import azimuth_elevation, world_R_body
 from eagor.tracking import TrackerConfig
 
-__all__ = ["EagorNode", "queries_after", "run", "spaces"]
+__all__ = ["EagorNode", "apply_query_command", "run", "spaces"]
 
 MOST = 16  # queries at a time
 AGAIN, GRAVE = 2.0, 5.0  # seconds before sources are opened again; after which a fault is more than a warning
@@ -55,7 +55,7 @@ Setup = Callable[[Mapping[str, Any], Sequence[str]], tuple[str, TrackerConfig, M
 TURNS = [math.tau * each / 24 for each in range(25)]  # about the axis of the cone
 
 
-def queries_after(now: Sequence[str], text: str) -> list[str]:
+def apply_query_command(now: Sequence[str], text: str) -> list[str]:
     """The queries that are followed after a message.
 
     "red chair" replaces all by one; "red chair; blue ball" by two. "+blue ball" is followed as well, "-blue ball" no
@@ -159,7 +159,7 @@ class EagorNode(LifecycleNode):
 
     def asked(self, message: String) -> None:
         """A message on ~/query."""
-        queries = queries_after(self.queries, message.data) or [""]
+        queries = apply_query_command(self.queries, message.data) or [""]
         self.set_parameters([Parameter("queries", Parameter.Type.STRING_ARRAY, queries)])
 
     def ask_who_asked_before(self) -> None:
@@ -187,7 +187,7 @@ class EagorNode(LifecycleNode):
 
     def follow(self, queries: str | Sequence[str]) -> None:
         """Look for these from now on."""
-        queries = queries_after((), queries if isinstance(queries, str) else ";".join(queries))
+        queries = apply_query_command((), queries if isinstance(queries, str) else ";".join(queries))
         spec = self.setup(self.values(), queries) if queries else None
         same = spec is not None and self.spec is not None and spec[0] == self.spec[0]
         self.queries, self.spec, self.trouble, loop = queries, spec, "", self.loop

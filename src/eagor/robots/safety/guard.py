@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from eagor.errors import DeviceError, EagorError
 from eagor.odometry.clocks import LatencyFilter
-from eagor.robots.dds import Link
+from eagor.robots.dds import Participant
 from eagor.robots.go2.sport import ALLOWED, OK, AvoidClient, SportClient, hear_commands, in_words
 from eagor.robots.go2.state import MODES, BodyState, Go2Low, Go2State
 from eagor.robots.safety.gate import PERIOD, SILENCE, Gate, GateStatus, Mode, State, Stop
@@ -84,7 +84,7 @@ class Guard:
         self._settings = dict(vars(self))
         self._said = Inputs()  # all that this program knows now: every message says all of it, so that none is missed
         self._turn, self._leaving = threading.Lock(), threading.Event()
-        self._link: Link | None = None  # a dry run has no voice, not even for StopMove
+        self._link: Participant | None = None  # a dry run has no voice, not even for StopMove
         self._stood_in = False  # whether the robot acknowledged a StopMove of this program
         self._state: GateStatus | None = None
         self._error: EagorError | None = None
@@ -92,7 +92,7 @@ class Guard:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             if self.armed:
-                self._link = stack.enter_context(Link(self.domain, self.interface))
+                self._link = stack.enter_context(Participant(self.domain, self.interface))
                 self._voice = Voice(self._link, self.avoid)
             self._line, there = Pipe()
             # Imported by its name, so that what is sent has the same types on both sides.
@@ -212,7 +212,7 @@ def _stamp_of(age: float | None) -> float | None:
 class Voice:
     """What is said to a Go2 on `link`, without ever waiting long. `avoid`: it walks around obstacles by itself."""
 
-    def __init__(self, link: Link, avoid: bool) -> None:
+    def __init__(self, link: Participant, avoid: bool) -> None:
         self.sport = SportClient(link, timeout=PATIENCE)
         self.avoid = AvoidClient(link, timeout=READY) if avoid else None
 
@@ -244,7 +244,7 @@ class GateProcess:
         self._robot: RobotState | None = None
         self._mode: int | None = None
         self._lateness = LatencyFilter()
-        self._link = link = Link(settings["domain"], settings["interface"])
+        self._link = link = Participant(settings["domain"], settings["interface"])
         self._other = -math.inf, ""  # when somebody else commanded it, and what
         # A robot that avoids obstacles may command its own walking.
         hear_commands(link, self._commanded, ["obstacles_avoid"] if avoid else ALLOWED)

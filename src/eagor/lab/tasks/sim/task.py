@@ -83,7 +83,7 @@ class EpisodeInRecord(msgspec.Struct, kw_only=True):
     radius: Number = 0.0
 
 
-class Method(msgspec.Struct, kw_only=True):
+class MethodRecord(msgspec.Struct, kw_only=True):
     """What one method said at each step (`trace`), and its figures."""
 
     metrics: dict[str, Figure]
@@ -95,7 +95,7 @@ class SimRecord(msgspec.Struct, kw_only=True):
     """The record of an episode; without `truth` each method went its own way."""
 
     episode: EpisodeInRecord
-    methods: dict[str, Method]
+    methods: dict[str, MethodRecord]
     truth: Columns | None = None
     looked: dict[str, Any] | None = None
     seconds: Number | None = None

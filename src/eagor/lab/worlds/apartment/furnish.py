@@ -103,7 +103,7 @@ def _one_more(f: Furnisher, room: int, category: str, front: float) -> None:
     made = f.make(category, f.habits["chair"] if category == "chair" else None)
     gap, soft = 0.06 if category in ("plant", "lamp") else 0.02, category in ("sofa", "armchair")
     sites = f.along_walls(room, made.size, corner=_CORNERS.get(category, 0.0), middle=0.2, gap=gap, side=gap)
-    f.settle(made, room, sites, front, reserve=not soft)
+    f.place_best(made, room, sites, front, reserve=not soft)
 
 
 def _at_least(f: Furnisher, category: str, count: int, rooms: list[int], front: float) -> None:
@@ -190,7 +190,7 @@ def sleeping(f: Furnisher, room: int) -> bool:
         double = made.size[1] > 1.3
         sites = f.along_walls(room, made.size, corner=0.5 * (not double), middle=0.4 * double, side=0.06)
         sites[:, 5] += 0.6 * f.inside(f.space[room], sites + np.array([0, 0, 0, 0.45, 0, 0])) * double
-        if f.settle(made, room, sites, 0.35, reserve=False):
+        if f.place_best(made, room, sites, 0.35, reserve=False):
             break
     else:
         return False
@@ -198,7 +198,7 @@ def sleeping(f: Furnisher, room: int) -> bool:
     for side in (1, -1) if f.rng.random() < 0.8 else (1,):
         left = side * (bed[3] + stand.size[1] / 2 + 0.04)
         box = p.relative(bed, stand.size[0] / 2 - bed[2], left, stand.size)
-        f.settle(stand, room, np.append(box, 0.0)[None], 0.3, reserve=False)
+        f.place_best(stand, room, np.append(box, 0.0)[None], 0.3, reserve=False)
     return True
 
 
@@ -245,7 +245,7 @@ def fit_bathroom(f: Furnisher, room: int) -> bool:
 
 
 def _at_wall(f: Furnisher, room: int, made: Model, front: float, side: float = 0.03) -> bool:
-    return f.settle(made, room, f.along_walls(room, made.size, corner=0.6, side=side), front)
+    return f.place_best(made, room, f.along_walls(room, made.size, corner=0.6, side=side), front)
 
 
 def rug(f: Furnisher, room: int) -> None:

@@ -273,7 +273,7 @@ class Furnisher:
             del self.pieces[start:]
         return len(self.pieces) > start
 
-    def settle(self, model: Model, room: int, sites: np.ndarray, front: float, reserve: bool = True) -> bool:
+    def place_best(self, model: Model, room: int, sites: np.ndarray, front: float, reserve: bool = True) -> bool:
         """Place a model on the best candidate with `front` metres of free floor before it; `reserve` keeps it free."""
         good, reserve = self.stands(room, sites, model), reserve and front > 0
         if front > 0:

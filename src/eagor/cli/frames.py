@@ -21,7 +21,7 @@ BY_SIGHT = 10.0  # frames per second from which an ordinary camera's turn is fou
 
 
 @dataclass(frozen=True)
-class Journey:
+class FrameStream:
     """The recording and its poses, as `eagor.Loop` takes them; `told` says in words where the poses are from.
 
     `count`: how many frames come, if known; `looks` per second (None: at every picture); `shown`: frames per second,
@@ -39,7 +39,9 @@ class Journey:
     begins: float = 0.0
 
 
-def journey_of(options: Footage, places: Sequence[Path], perception: Perception, shown: float | None = None) -> Journey:
+def open_stream(
+    options: Footage, places: Sequence[Path], perception: Perception, shown: float | None = None
+) -> FrameStream:
     """The recording that the options name; what it tells of itself is said on stderr.
 
     `shown`: frames per second of a video to be drawn, which shows more than what is looked at. Raises `UsageError`, and
@@ -71,19 +73,19 @@ def journey_of(options: Footage, places: Sequence[Path], perception: Perception,
     if (camera := source.bag) is not None:
         terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
         terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
-        return Journey(source, found, told, None, looks, rate, None, camera.begins)
+        return FrameStream(source, found, told, None, looks, rate, None, camera.begins)
     if (video := source.video) is not None:
         looks = looks or RATE
         terminal.log(f"{min(looks, video.frame_rate or looks):g} looks per second (--rate {looks:g}), {told}")
         end = options.end or video.duration
-        return Journey(source, found, told, video.count, looks, rate, None if end is None else end - options.start)
+        return FrameStream(source, found, told, video.count, looks, rate, None if end is None else end - options.start)
     images = source.images  # with the times that a file of poses tells
     assert images is not None
     count, stamps = len(images.paths), images.stamps
     if not stamps:
         terminal.log(f"{terminal.many(count, 'image')}, taken at {images.rate:g} per second (--rate), {told}")
-        return Journey(source, found, told, count, None, images.rate, (count - 1) / images.rate)
-    return Journey(source, found, told, count, span=stamps[-1] - stamps[0])
+        return FrameStream(source, found, told, count, None, images.rate, (count - 1) / images.rate)
+    return FrameStream(source, found, told, count, span=stamps[-1] - stamps[0])
 
 
 def say_of_video(name: str, video: Any) -> None:

@@ -1,0 +1,65 @@
+"""Names that have left the source do not come back: classes, functions and modules, each in the room where it was."""
+
+import ast
+from pathlib import Path
+
+import eagor
+
+SOURCE = Path(eagor.__file__).parent
+
+GONE = {  # room: names, without the underscore of private ones; "" is every room
+    "": """LookPlan Keeper Shot Feed FrameCame PoseCame EvidenceCame AllCame Asked Following PosesLost Trouble Told
+    told_by_photograph Around Surroundings what_else united is_same lift Placed framed Asker Unfit Turned turn_between
+    agreeing_rotation agreeing_motion Agreement doubt log_chance Parts part_of_sphere Journey journey_of posed_by_sight
+    posed_by_motion thinned makers made_of Panoramas sureness hub following Slot Kept Punctual Redrawn Library rivals
+    Lateness RelatedClock keep_picture FileSlot Played Player Recording Sighting Method Steers method_for make_method
+    Study studies Simulated Published several Planned Worst Book Seat ProcessSeat ActorSeat give_back Lost Unsent
+    work_together work_on_ray carry_out ledger inputs_of Gap gap few_groups Sheet headed Carrier Disturbances handover
+    appears Approach in_vain held looks_down undone Walkable Way Field touched pulled Looker TruthEye PixelEye
+    BeliefLooker Drawings stretches strange Link told_on_graph told_in_bag LensTold placed_on_graph Outbox
+    OutgoingAnswer Stamps queries_after Wish Doing Watch GateClient GuardState calm_codes deaf careful examine
+    ForeignCommands direction_pose HiddenParts NeverSeen ThingSeen is_of meant read_with StreamClock TopicPictures
+    placed_in_bag panorama_of pose_of surroundings""",
+    "_extras": "need",
+    "_files": "written",
+    "belief": "reading",
+    "cli": "joined mistake footage",
+    "drawing": "Moment drawn",
+    "evidence": "Alarms inverse anew joint mapped",
+    "lab": "Moment look play settle offer judge judged alike Rows laid_out",
+    "live": "Body united",
+    "media": "Lenses",
+    "perception": "look need Thing things Seen Found kept overlaps place corners upright opened words lift drawn",
+    "robots": "Body Motion Sight Walk Thing Moment slide settle tell call heard Report",
+    "studio": "eye guard hub weighed",
+    "tracking": "Look Moment look follower hypotheses looking explained mapped joint silent",
+}
+
+OPEN = """
+_extras.need _files.written belief.reading lab.look lab.play perception.look perception.need evidence.Alarms
+evidence.anew evidence.inverse evidence.read_with belief.read_with media.NeverSeen media.TopicPictures
+media.placed_in_bag media.panorama_of media.pose_of odometry.StreamClock perception.HiddenParts perception.Seen
+perception.Thing perception.ThingSeen perception.Found perception.is_of perception.meant perception.opened
+perception.things perception.words perception.drawn tracking.Look tracking.Moment tracking.hypotheses
+tracking.explained tracking.follower tracking.look tracking.looking tracking.mapped tracking.read_with
+"""
+
+
+def names(body):
+    """Of classes and functions, and of what is in the classes; what is in functions is local."""
+    for each in body:
+        if isinstance(each, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield each.name
+        if isinstance(each, ast.ClassDef | ast.If):
+            yield from names(each.body)
+
+
+def test_no_old_name_comes_back():
+    """`OPEN`: those that have still to go; what has gone is taken out of it."""
+    found = set()
+    for path in SOURCE.rglob("*.py"):
+        room, *inner = path.relative_to(SOURCE).with_suffix("").parts
+        old = set(f"{GONE['']} {GONE.get(room, '')}".split())
+        here = {name.lstrip("_") for name in names(ast.parse(path.read_text(encoding="utf-8")).body)} | {*inner}
+        found |= {f"{room}.{name}" for name in old & here}
+    assert found <= set(OPEN.split()), sorted(found - set(OPEN.split()))
