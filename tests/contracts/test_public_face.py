@@ -47,8 +47,9 @@ def test_dir_shows_the_documented_names_and_modules_and_nothing_else():
     """Whatever was imported before."""
     page = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
     names = re.findall(r"\[`(\w+)`\]\(\w+\.md#eagor\.", page.partition("\n## ")[0])
-    modules = re.findall(r"\[`eagor\.(\w+)`\]", page.partition("\n## Modules\n")[2].partition("\n## ")[0])
-    assert dir(eagor) == sorted([*names, *modules, "__version__"])
+    pages = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "api").glob("*.md"))
+    assert dir(eagor) == sorted([*names, *eagor._MODULES, "__version__"])
+    assert {*eagor._MODULES} <= {*re.findall(r"^::: eagor\.(\w+)$", pages, re.MULTILINE)}
 
 
 def test_a_documented_module_is_there_after_import_eagor():
