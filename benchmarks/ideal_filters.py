@@ -360,38 +360,3 @@ class Assigned(Contestant):
         if self.direction is None:
             return self.presence, math.nan
         return self.presence, float(np.mean(self.points @ (self.pose @ self.direction) > math.cos(NEAR)))
-
-
-# What Bayes can do that is not told how the target moves: still, or a random walk of one of two speeds, each filtered
-# exactly and weighed by what it foretold. It is the floor of `ideal.py` for every filter with our prior.
-KINDS = {  # the prior of `eagor.MotionModel` but for its turns
-    Motion(): 0.8,
-    Motion(diffusion=math.radians(2.5)): 0.1,
-    Motion(diffusion=math.radians(10)): 0.1,
-}
-
-
-class KindUnknown(StillOrKnown):
-    """A mixture of exact filters, one for each kind of motion; it says nothing of presence."""
-
-    claim = Contestant.claim
-
-    def __init__(self, detector: Detector, nside: int = 32) -> None:
-        self.filters = [StillOrKnown(detector, motion, nside) for motion in KINDS]
-        self.weights = np.array(list(KINDS.values()))
-
-    def look(self, time: float, pose: np.ndarray, position: np.ndarray | None, detections: np.ndarray) -> None:
-        for filter_ in self.filters:
-            filter_.look(time, pose, position, detections)
-        self.pose, self.weights = pose, self.weights * [filter_.looks[-1][1] for filter_ in self.filters]
-        self.weights /= self.weights.sum()
-        self.ratio = self.weights @ [f.ratio for f in self.filters]
-        if any(len(seen) for seen, _ in self.filters[0].looks):
-            points = self.filters[0].points
-            top = search_top(self.at, points[self.ratio.argmax()], 1 / self.filters[0].nside)
-            self.direction = top @ pose
-
-    def at(self, points: np.ndarray) -> np.ndarray:
-        """Log of density over uniform density at points ``(n, 3)`` of the world."""
-        logs = [np.log(max(w, 1e-300)) + f.at(points) for w, f in zip(self.weights, self.filters, strict=True)]
-        return np.logaddexp.reduce(logs, axis=0)
