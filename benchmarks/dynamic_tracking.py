@@ -45,9 +45,6 @@ from eagor.evidence import Evidence
 from eagor.lab.agents.methods import NAMES, Estimator, make_estimator
 from eagor.lab.worlds.navmesh import along, length_of
 from eagor.lab.worlds.render import Renderer
-from eagor.media import Pose, bags
-from eagor.media import ros_messages as ros
-from eagor.media.bags import BagWriter
 from eagor.perception import load
 from eagor.robots.dds import Participant
 from eagor.robots.go2.camera import PICTURE
@@ -57,6 +54,9 @@ from eagor.robots.go2.sim import TRUTH as TRUTH_POSE
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import BodyState, Go2State, Odometry
+from eagor.sources import Pose, bags
+from eagor.sources import ros_messages as ros
+from eagor.sources.bags import BagWriter
 from eagor.sphere import angular_distance, unit
 from eagor.tracking.poses import PoseHistory
 

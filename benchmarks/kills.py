@@ -194,12 +194,12 @@ def program(domain: int, folder: str) -> None:
 def camera(domain: int, _: str) -> None:
     """The camera: a painted room far away, which turns as the robot does."""
     from eagor.lab.worlds.painted import painted_room
-    from eagor.media.ros_messages import pose_of
     from eagor.robots.dds import Participant
     from eagor.robots.go2.camera import PICTURE, picture_message
     from eagor.robots.go2.house import CAMERA_FRAME, CAMERA_TOPIC
     from eagor.robots.go2.sim import TRUTH
     from eagor.robots.go2.state import Odometry
+    from eagor.sources.ros_messages import pose_of
     from eagor.sphere import heading
 
     room, turned = painted_room(128, 256), [0.0]

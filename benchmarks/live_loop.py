@@ -19,8 +19,8 @@ import numpy as np
 from eagor import DetectorModel, Evidence
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import ImageReceived, ObservationReceived, PoseReceived, Tick
-from eagor.media import Frame, Pose
-from eagor.media.panorama import read_panorama
+from eagor.sources import Frame, Pose
+from eagor.sources.panorama import read_panorama
 from eagor.sphere import angular_distance, unit, world_R_body
 from eagor.tracking import TrackerConfig
 

@@ -31,9 +31,9 @@ from scipy.spatial.transform import Rotation
 
 from eagor.conventions import OPTICAL_R_BODY, to_optical
 from eagor.grids import PerspectiveGrid
-from eagor.media.panorama import cut, read_panorama, turn
 from eagor.odometry.features import Views, match
 from eagor.odometry.visual import VisualOdometer
+from eagor.sources.panorama import cut, read_panorama, turn
 from eagor.sphere import world_R_body
 
 ROWS, COLUMNS, RATE, SECONDS = 360, 640, 10, 6

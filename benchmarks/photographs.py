@@ -50,10 +50,10 @@ from eagor.grids import ErpGrid
 from eagor.lab.agents.methods import NAMES, Estimator, TrackerEstimator, make_estimator
 from eagor.lab.eval.detector_fit import fitted_model
 from eagor.lab.eval.labelled_looks import LabelledLook
-from eagor.media.panorama import read_panorama, turn
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception.coco import CLASSES, DETECTOR
 from eagor.perception.things import Thing, pieces_of, spread_evidence, things
+from eagor.sources.panorama import read_panorama, turn
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 from eagor.tracking import Estimate, TrackerConfig
 

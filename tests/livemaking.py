@@ -14,7 +14,7 @@ import numpy as np
 
 from eagor import ErpGrid, Evidence
 from eagor.errors import DeviceError, QueryError
-from eagor.media import Frame, Pose
+from eagor.sources import Frame, Pose
 from eagor.sphere import world_R_body
 
 GRID = ErpGrid(16, 32)

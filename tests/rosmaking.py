@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from eagor.media import Pose
-from eagor.media import ros_messages as m
-from eagor.media.ros_messages import store
+from eagor.sources import Pose
+from eagor.sources import ros_messages as m
+from eagor.sources.ros_messages import store
 from eagor.sphere import world_R_body
 
 READ = {

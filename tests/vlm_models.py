@@ -12,10 +12,10 @@ import transformers
 from tokenizers import Tokenizer, decoders, models, pre_tokenizers, processors
 
 from eagor.grids import ErpGrid
-from eagor.media.panorama import resized
 from eagor.perception.transformers import load_model
 from eagor.perception.transformers.inputs import InputPlan
 from eagor.perception.transformers.language import LanguageModel
+from eagor.sources.panorama import resized
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE = ("qwen2_5_vl", "qwen3_vl", "gemma3", "llava", "janus", "internvl")

@@ -27,7 +27,7 @@ import numpy as np
 
 from eagor.cli import main as eagor
 from eagor.drawing.video import Movie
-from eagor.media.panorama import read_panorama, turn
+from eagor.sources.panorama import read_panorama, turn
 from eagor.sphere import world_R_body
 
 SECONDS, LOOKS = 10.0, 2.0  # of the clip; looks per second

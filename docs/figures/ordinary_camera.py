@@ -17,8 +17,8 @@ from eagor import DirectionTracker
 from eagor.drawing import Mosaic, draw_belief
 from eagor.drawing.style import answer_in_words
 from eagor.grids import PerspectiveGrid
-from eagor.media.panorama import cut, read_panorama
 from eagor.perception.coco import from_text
+from eagor.sources.panorama import cut, read_panorama
 from eagor.sphere import world_R_body
 
 DOWN = math.radians(20)

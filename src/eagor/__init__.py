@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from eagor import harmonics as harmonics
     from eagor import lab as lab
     from eagor import live as live
-    from eagor import media as media
     from eagor import metrics as metrics
     from eagor import perception as perception
     from eagor import plugins as plugins
     from eagor import queries as queries
+    from eagor import sources as sources
     from eagor import sphere as sphere
     from eagor import statistics as statistics
     from eagor import tracking as tracking
@@ -45,10 +45,10 @@ if TYPE_CHECKING:
     from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
     from eagor.harmonics import RealHarmonics
     from eagor.live.loop import Loop
-    from eagor.media.camera_sources import open_source
-    from eagor.media.odometry import open_poses
     from eagor.perception import load
     from eagor.perception.views import Detector
+    from eagor.sources.camera_sources import open_source
+    from eagor.sources.odometry import open_poses
     from eagor.sphere import angular_distance, azimuth_elevation, direction
     from eagor.tracking import DirectionTracker, Estimate, Mode, MotionModel, TrackerConfig
 
@@ -88,8 +88,8 @@ _HOME = {
     "grids": ("ErpGrid", "FisheyeGrid", "PatchGrid", "PerspectiveGrid"),
     "harmonics": ("RealHarmonics",),
     "live.loop": ("Loop",),
-    "media.camera_sources": ("open_source",),
-    "media.odometry": ("open_poses",),
+    "sources.camera_sources": ("open_source",),
+    "sources.odometry": ("open_poses",),
     "perception": ("load",),
     "perception.views": ("Detector",),
     "sphere": ("angular_distance", "azimuth_elevation", "direction"),
@@ -99,7 +99,7 @@ _HOME = {
 # The modules that `dir(eagor)` shows; the others are parts of these.
 _MODULES = (
     "baselines", "belief", "cameras", "conventions", "drawing", "errors", "evidence", "grids", "harmonics",
-    "lab", "live", "media", "metrics", "perception", "plugins", "queries", "robots", "sphere", "statistics",
+    "lab", "live", "metrics", "perception", "plugins", "queries", "robots", "sources", "sphere", "statistics",
     "tracking",
 )  # fmt: skip
 

@@ -87,7 +87,7 @@ def checked_picture(image: Any, name: str = "the panorama", grid: Any = None) ->
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[-1] != 3 or image.size == 0:
         raise ImageError(
             f"{name} is {image.dtype} of shape {image.shape}; wanted uint8 sRGB (H, W, 3). Files: "
-            "eagor.media.panorama.read_panorama"
+            "eagor.sources.panorama.read_panorama"
         )
     if grid is not None and image.shape[:2] != grid.shape:
         height, width = image.shape[:2]

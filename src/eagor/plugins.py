@@ -3,8 +3,8 @@
 A package adds its own under an entry-point group in its ``pyproject.toml``; they are known wherever it is installed:
 
 - ``eagor.perceptions``: a class or function that makes a perception (`eagor.perception`);
-- ``eagor.cameras``: a function that makes a source of pictures (`eagor.media.camera_sources`);
-- ``eagor.poses``: a function that makes a source of poses (`eagor.media.odometry`);
+- ``eagor.cameras``: a function that makes a source of pictures (`eagor.sources.camera_sources`);
+- ``eagor.poses``: a function that makes a source of poses (`eagor.sources.odometry`);
 - ``eagor.worlds``: a world, a function from a seed to a scene (`eagor.lab.worlds`);
 - ``eagor.tasks``: a task, simulated or with published data, or a function that makes it (`eagor.lab.tasks.task.Task`).
 

@@ -12,12 +12,12 @@ from rosmaking import camera_info, image_of, imu_message
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.errors import FormatError, ImageError, PoseError
 from eagor.lab.worlds.painted import painted_room
-from eagor.media import Pose, check_camera
-from eagor.media import ros_messages as m
-from eagor.media.bag_sources import BagCamera, BagPoses
-from eagor.media.bags import BagWriter, pick
-from eagor.media.camera_sources import open_source
-from eagor.media.ros_frames import PoseReader, optical
+from eagor.sources import Pose, check_camera
+from eagor.sources import ros_messages as m
+from eagor.sources.bag_sources import BagCamera, BagPoses
+from eagor.sources.bags import BagWriter, pick
+from eagor.sources.camera_sources import open_source
+from eagor.sources.ros_frames import PoseReader, optical
 from eagor.sphere import world_R_body
 
 ROOM = painted_room(32, 64)

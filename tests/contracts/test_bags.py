@@ -12,9 +12,9 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosmaking import READ, cdr, random_message
 
-from eagor.media import ros_messages as m
-from eagor.media.bags import Bag, BagWriter, is_bag, read_bag
-from eagor.media.ros_messages import store
+from eagor.sources import ros_messages as m
+from eagor.sources.bags import Bag, BagWriter, is_bag, read_bag
+from eagor.sources.ros_messages import store
 
 MANY = 250
 START = 1_700_000_000
@@ -116,8 +116,8 @@ def test_messages_that_were_recorded_late_come_in_order(tmp_path):
 RECORD = """
 import sys, time
 import numpy as np
-from eagor.media import ros_messages as m
-from eagor.media.bags import BagWriter
+from eagor.sources import ros_messages as m
+from eagor.sources.bags import BagWriter
 bag = BagWriter(sys.argv[1], at_risk=0)
 picture = np.zeros((100, 200, 3), np.uint8)
 for i in range(10**6):

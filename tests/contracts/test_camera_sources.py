@@ -22,13 +22,13 @@ from PIL import Image
 from eagor.cameras import Lens, Rig, dual_fisheye
 from eagor.errors import DeviceError, FormatError, ImageError, TimeError
 from eagor.lab.worlds.painted import painted_room
-from eagor.media import Frame, check_camera
-from eagor.media.camera_sources import open_source
-from eagor.media.intrinsics import camera_of
-from eagor.media.live_camera import FrameGrabber, LiveCamera, Stream, device, raw_pipe
-from eagor.media.rigs import write_rig
-from eagor.media.stitching import seen_by
 from eagor.odometry.clocks import PROBATION, StreamClock
+from eagor.sources import Frame, check_camera
+from eagor.sources.camera_sources import open_source
+from eagor.sources.intrinsics import camera_of
+from eagor.sources.live_camera import FrameGrabber, LiveCamera, Stream, device, raw_pipe
+from eagor.sources.rigs import write_rig
+from eagor.sources.stitching import seen_by
 from eagor.sphere import world_R_body
 
 av = pytest.importorskip("av")
@@ -419,7 +419,7 @@ def test_stamps_of_a_pipe_are_kept_and_a_cut_picture_is_said():
 
 READER = """
 import sys
-from eagor.media.camera_sources import open_source
+from eagor.sources.camera_sources import open_source
 
 camera = open_source(sys.argv[1])
 frame = next(iter(camera))
@@ -605,7 +605,7 @@ def test_the_test_of_cameras_finds_faults():
 
 
 def test_a_plugin_is_opened_by_its_name(monkeypatch):
-    from eagor.media import camera_sources
+    from eagor.sources import camera_sources
 
     monkeypatch.setitem(camera_sources.BUILT_IN, "fake", f"{__name__}:fake_camera")
     monkeypatch.setitem(sys.modules, __name__, sys.modules[fake_camera.__module__])

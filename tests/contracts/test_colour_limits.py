@@ -11,8 +11,8 @@ from PIL import Image
 import eagor
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.media.panorama import read_panorama
 from eagor.perception.colour import COLOURS, ColourPerception
+from eagor.sources.panorama import read_panorama
 from eagor.sphere import direction
 
 PHOTOGRAPHS = Path(__file__).parents[2] / ".." / "shared" / "panoramas"

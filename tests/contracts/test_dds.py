@@ -17,10 +17,10 @@ pytest.importorskip("rosbags")
 
 from eagor.errors import DeviceError
 from eagor.lab.worlds.painted import painted_room
-from eagor.media import check_camera, live_camera
 from eagor.robots.dds import Participant, free_domain
 from eagor.robots.go2.camera import PICTURE, DdsCamera, picture_message
 from eagor.robots.go2.state import RequestIdentity, Response, ResponseHeader, ResponseStatus
+from eagor.sources import check_camera, live_camera
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -20,10 +20,10 @@ from eagor.errors import AnswerError, EagorError, ImageError, QueryError, Server
 from eagor.evidence import Evidence
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.media.panorama import view
 from eagor.perception import check_perception, load
 from eagor.perception.endpoint import EndpointPerception, ServedChat, from_text
 from eagor.perception.vlm import IMAGE, Message
+from eagor.sources.panorama import view
 from eagor.sphere import angular_distance, direction, world_R_body
 
 openai = pytest.importorskip("openai")

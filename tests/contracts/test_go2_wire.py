@@ -16,14 +16,14 @@ pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 
 from eagor.errors import DeviceError
-from eagor.media import PoseSource
-from eagor.media.odometry import open_poses
 from eagor.robots import Go2Poses
 from eagor.robots.dds import Participant, free_domain, raw
 from eagor.robots.go2 import sport
 from eagor.robots.go2 import state as idl
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
 from eagor.robots.go2.state import Go2Low, Go2State, sport_state
+from eagor.sources import PoseSource
+from eagor.sources.odometry import open_poses
 
 pytestmark = pytest.mark.xdist_group("real time")
 

@@ -6,7 +6,7 @@ from PIL import Image
 
 import eagor
 from eagor.errors import DeviceError, EagorError
-from eagor.media.odometry import GivenPoses
+from eagor.sources.odometry import GivenPoses
 
 ROWS, BALL = 64, 40.0  # the ball is so many degrees to the left of the first picture
 

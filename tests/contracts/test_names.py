@@ -28,7 +28,7 @@ GONE = {  # room: names, without the underscore of private ones; "" is every roo
     "evidence": "Alarms inverse anew joint mapped",
     "lab": "Moment look play settle offer judge judged alike Rows laid_out",
     "live": "Body united",
-    "media": "Lenses",
+    "sources": "Lenses",
     "perception": "look need Thing things Seen Found kept overlaps place corners upright opened words lift drawn",
     "robots": "Body Motion Sight Walk Thing Moment slide settle tell call heard Report",
     "studio": "eye guard hub weighed",
@@ -37,8 +37,8 @@ GONE = {  # room: names, without the underscore of private ones; "" is every roo
 
 OPEN = """
 _extras.need _files.written belief.reading lab.look lab.play perception.look perception.need evidence.Alarms
-evidence.anew evidence.inverse evidence.read_with belief.read_with media.NeverSeen media.TopicPictures
-media.placed_in_bag media.panorama_of media.pose_of odometry.StreamClock perception.HiddenParts perception.Seen
+evidence.anew evidence.inverse evidence.read_with belief.read_with sources.NeverSeen sources.TopicPictures
+sources.placed_in_bag sources.panorama_of sources.pose_of odometry.StreamClock perception.HiddenParts perception.Seen
 perception.Thing perception.ThingSeen perception.Found perception.is_of perception.meant perception.opened
 perception.things perception.words perception.drawn tracking.Look tracking.Moment tracking.hypotheses
 tracking.explained tracking.follower tracking.look tracking.looking tracking.mapped tracking.read_with

@@ -10,10 +10,10 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
-from eagor.media.panorama import view
 from eagor.perception import load
 from eagor.perception.colour import ColourPerception
 from eagor.perception.partial import coverage, look_at_view, pasted
+from eagor.sources.panorama import view
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 
 HFOV = math.radians(100)

@@ -17,12 +17,12 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import BALL_COLOURS, Ball, painted_room
-from eagor.media.panorama import read_panorama
 from eagor.perception import Perception, check_perception, known, load, short_name
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
 from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
 from eagor.perception.truth import Noise, TruthPerception
 from eagor.queries import Query
+from eagor.sources.panorama import read_panorama
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 from eagor.tracking.tracker import DirectionTracker
 

@@ -19,7 +19,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from eagor.errors import AnswerError, EagorError, QueryError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
-from eagor.media.panorama import resized
 from eagor.perception import check_perception, load, parse_options
 from eagor.perception.calibrated import Labelled
 from eagor.perception.transformers import TransformersPerception, inputs
@@ -28,6 +27,7 @@ from eagor.perception.transformers.heads import Heads, densities, fit_heads, rea
 from eagor.perception.transformers.inputs import Block, InputPlan
 from eagor.perception.transformers.language import Run, capturing, full_layers
 from eagor.perception.vlm import FAMILIES
+from eagor.sources.panorama import resized
 from eagor.sphere import angular_distance, direction
 
 LANGUAGE, LOCALISERS = vlm_models.LANGUAGE, vlm_models.LOCALISERS

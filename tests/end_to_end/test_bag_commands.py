@@ -15,10 +15,10 @@ from eagor.cli import main
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, bearing, paint
-from eagor.media import Pose
-from eagor.media import ros_messages as m
-from eagor.media.bags import BagWriter
-from eagor.media.panorama import view
+from eagor.sources import Pose
+from eagor.sources import ros_messages as m
+from eagor.sources.bags import BagWriter
+from eagor.sources.panorama import view
 from eagor.sphere import angular_distance, direction, world_R_body
 
 START = 1_700_000_000.125

@@ -15,9 +15,9 @@ from eagor.cameras import dual_fisheye
 from eagor.cli import main
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
-from eagor.media.panorama import turn, view
-from eagor.media.rigs import read_rig, write_rig
-from eagor.media.stitching import seen_by
+from eagor.sources.panorama import turn, view
+from eagor.sources.rigs import read_rig, write_rig
+from eagor.sources.stitching import seen_by
 from eagor.sphere import world_R_body
 
 pytest.importorskip("cv2")

@@ -30,10 +30,10 @@ from eagor.grids import ErpGrid
 from eagor.lab.agents.methods import NAMES
 from eagor.lab.eval import calibration
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
-from eagor.media.panorama import read_panorama, turn
 from eagor.perception import coco
 from eagor.perception import words as query_words
 from eagor.perception.replay import write_record
+from eagor.sources.panorama import read_panorama, turn
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 
 SHARED = Path(__file__).parents[2] / ".." / "shared"

@@ -12,9 +12,9 @@ from PIL import Image
 from eagor.cli import demo_photo, main
 from eagor.cli.terminal import RunError, UsageError
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
-from eagor.media.panorama import turn
 from eagor.perception import load
 from eagor.perception.views import Detector
+from eagor.sources.panorama import turn
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 
 RED_BALL = bearing(Room().balls[0], EYE, np.eye(3))[0]

@@ -21,7 +21,7 @@ from eagor import plugins
 from eagor.cli import _parse, join_words
 from eagor.cli.demo_apartment import STUDY, STUDY_COMMAND
 from eagor.lab.worlds.painted import painted_room
-from eagor.media.rigs import read_rig
+from eagor.sources.rigs import read_rig
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

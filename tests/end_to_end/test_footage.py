@@ -23,9 +23,9 @@ from scipy.spatial import cKDTree
 from eagor.cli import main
 from eagor.grids import ErpGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
-from eagor.media import Frame, Pose
-from eagor.media.odometry import GivenPoses, PosedFrames
-from eagor.media.panorama import turn
+from eagor.sources import Frame, Pose
+from eagor.sources.odometry import GivenPoses, PosedFrames
+from eagor.sources.panorama import turn
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 
 RED = bearing(Room().balls[0], EYE, np.eye(3))[0]

@@ -24,7 +24,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.live.loop import Loop
 from eagor.live.recording import Replay
-from eagor.media.panorama import view
+from eagor.sources.panorama import view
 from eagor.sphere import world_R_body
 from eagor.studio.replays import recorded
 

@@ -16,10 +16,10 @@ from eagor.cli import checks, main
 from eagor.evidence import DetectorModel
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.media.panorama import cut, turn
-from eagor.media.rigs import write_rig
 from eagor.perception.calibrated import Calibrated
 from eagor.perception.views import Detector
+from eagor.sources.panorama import cut, turn
+from eagor.sources.rigs import write_rig
 from eagor.sphere import world_R_body
 
 ROWS, COUNT, RATE = 192, 8, 4

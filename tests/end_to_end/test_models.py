@@ -20,13 +20,13 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.lab.agents.models import shared
 from eagor.lab.eval.labelled_looks import apartment_labels
-from eagor.media.panorama import cut, read_panorama
 from eagor.perception import is_model, load, rows_of, short_name
 from eagor.perception import transformers as local
 from eagor.perception.calibrated import Labelled, cap_radius, read_labelled
 from eagor.perception.partial import look_at_view
 from eagor.perception.transformers import TransformersPerception
 from eagor.perception.transformers.language import LanguageModel
+from eagor.sources.panorama import cut, read_panorama
 from eagor.sphere import angular_distance, direction, world_R_body
 
 QWEN = "qwen2_5_vl"

@@ -22,8 +22,8 @@ from eagor.drawing.video import Movie
 from eagor.lab import worlds
 from eagor.lab.tasks import task
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
-from eagor.media import camera_sources as cameras
-from eagor.media.panorama import turn
+from eagor.sources import camera_sources as cameras
+from eagor.sources.panorama import turn
 from eagor.sphere import world_R_body
 
 ROOT = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
 from eagor.live.events import Answer, Fault, ImageReceived, PoseReceived, Tick
 from eagor.live.rerun import RerunLog
-from eagor.media import Pose
+from eagor.sources import Pose
 from eagor.sphere import world_R_body
 
 BEGIN = 1.79e9

@@ -368,8 +368,8 @@ def test_poses_of_each_kind(start, kind, rosbags, monkeypatch):
 def test_one_message_that_cannot_be_taken_in_does_not_end_the_hearing(start):
     from rclpy.qos import QoSProfile
 
-    from eagor.media.ros_messages import ODOMETRY
     from eagor.robots.ros.topics import TopicListener
+    from eagor.sources.ros_messages import ODOMETRY
 
     start(rows=16)
     ears, heard = TopicListener(), []

@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.errors import PoseError
-from eagor.media.video import Video
 from eagor.odometry.imu import MotionTrack, read_insta360
+from eagor.sources.video import Video
 from eagor.sphere import world_R_body
 
 G = 9.80665

@@ -15,8 +15,8 @@ from eagor.lab.worlds.apartment import generate
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.painted import painted_room
 from eagor.lab.worlds.render import Renderer
-from eagor.media.defects import NeverSeen, circles_in_words, never_seen, problems, seam_of
-from eagor.media.panorama import read_panorama, turn, view
+from eagor.sources.defects import NeverSeen, circles_in_words, never_seen, problems, seam_of
+from eagor.sources.panorama import read_panorama, turn, view
 from eagor.sphere import world_R_body
 
 PHOTOGRAPHS = sorted(Path(__file__).parents[2].joinpath("../shared/panoramas").glob("*.png"))

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from eagor.cameras import dual_fisheye
 from eagor.errors import ImageError, PoseError
-from eagor.media import Pose
-from eagor.media.calibration import calibrate, first_rig, latency_between, overlap_of
-from eagor.media.stitching import seen_by
+from eagor.sources import Pose
+from eagor.sources.calibration import calibrate, first_rig, latency_between, overlap_of
+from eagor.sources.stitching import seen_by
 from eagor.sphere import world_R_body
 
 pytest.importorskip("cv2")

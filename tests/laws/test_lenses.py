@@ -13,8 +13,8 @@ from eagor.cameras import Lens, Rig, dual_fisheye
 from eagor.errors import GridError, ImageError
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.media.rigs import read_rig, write_rig
-from eagor.media.stitching import Stitcher, seen_by
+from eagor.sources.rigs import read_rig, write_rig
+from eagor.sources.stitching import Stitcher, seen_by
 from eagor.sphere import angular_distance, world_R_body
 
 cv2 = pytest.importorskip("cv2")

@@ -22,7 +22,7 @@ from eagor.live.events import (
     Tick,
 )
 from eagor.live.recording import event_from, event_in_bytes
-from eagor.media import Pose
+from eagor.sources import Pose
 from eagor.sphere import world_R_body
 from eagor.tracking import TrackerConfig
 from eagor.tracking.checkpoint import packed

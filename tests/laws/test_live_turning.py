@@ -8,7 +8,7 @@ import pytest
 from eagor import DetectorModel, DirectionTracker, ErpGrid, Evidence, angular_distance
 from eagor.live.core import LiveCore, LoopSettings, RecentPoses
 from eagor.live.events import ImageReceived, ObservationReceived, PoseReceived, Tick
-from eagor.media import Pose
+from eagor.sources import Pose
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tracking import TrackerConfig
 

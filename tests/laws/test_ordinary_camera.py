@@ -15,9 +15,11 @@ from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.in_turn import ByFrame, answers_in_turn
 from eagor.live.inference import InferenceWorker
-from eagor.media import Frame, Pose
-from eagor.media.camera_sources import FrameCheck, ShapeError, open_source
-from eagor.media.intrinsics import (
+from eagor.perception.colour import ColourPerception
+from eagor.perception.things import ViewBox, things
+from eagor.sources import Frame, Pose
+from eagor.sources.camera_sources import FrameCheck, ShapeError, open_source
+from eagor.sources.intrinsics import (
     Camera,
     IntrinsicsHint,
     camera_of,
@@ -25,10 +27,8 @@ from eagor.media.intrinsics import (
     intrinsics_from_tags,
     ordinary_grid,
 )
-from eagor.media.odometry import PosedFrame
-from eagor.media.panorama import cut, turn
-from eagor.perception.colour import ColourPerception
-from eagor.perception.things import ViewBox, things
+from eagor.sources.odometry import PosedFrame
+from eagor.sources.panorama import cut, turn
 from eagor.sphere import angular_distance, world_R_body
 from eagor.tracking.checkpoint import packed, unpacked
 

@@ -12,7 +12,7 @@ from strategies import at_most
 from eagor.errors import EagorError, ImageError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import BALL_COLOURS, EYE, Ball, Room, bearing, paint, painted_room
-from eagor.media.panorama import read_panorama, turn, view
+from eagor.sources.panorama import read_panorama, turn, view
 from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation, world_R_body
 
 LEFT = (0, 0, 1)  # turning about this axis turns to the left

@@ -7,9 +7,9 @@ from PIL import Image, PngImagePlugin
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.media.camera_sources import FrameCheck
-from eagor.media.intrinsics import ShapeError
-from eagor.media.panorama import turn
+from eagor.sources.camera_sources import FrameCheck
+from eagor.sources.intrinsics import ShapeError
+from eagor.sources.panorama import turn
 from eagor.sphere import angular_distance, direction
 
 SHAPE = (128, 256)

@@ -14,8 +14,8 @@ from PIL import Image
 from rosmaking import image_of, imu_message, pose_message
 
 from eagor.errors import ImageError, PoseError, TimeError
-from eagor.media import Pose
-from eagor.media import ros_messages as m
+from eagor.sources import Pose
+from eagor.sources import ros_messages as m
 from eagor.sphere import direction, world_R_body
 
 ANGLE = st.floats(-3.1, 3.1)

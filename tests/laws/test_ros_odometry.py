@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from eagor.media import Pose
-from eagor.media import ros_messages as m
-from eagor.media.ros_frames import TOLERATED, PoseReader, Turning
+from eagor.sources import Pose
+from eagor.sources import ros_messages as m
+from eagor.sources.ros_frames import TOLERATED, PoseReader, Turning
 from eagor.sphere import interpolate_rotation, world_R_body
 
 FINE = 0.005  # seconds between two steps of the truth

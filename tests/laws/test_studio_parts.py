@@ -25,8 +25,8 @@ from eagor.lab.eval.results import Run
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Diagnostic, ImageReceived, ObservationReceived, PoseReceived, Tick
 from eagor.live.loop import Loop
-from eagor.media import Pose
-from eagor.media.camera_sources import open_footage
+from eagor.sources import Pose
+from eagor.sources.camera_sources import open_footage
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.studio import runs
 from eagor.studio.answers import belief_of, lens_of, picture_of, plan_of, step_of

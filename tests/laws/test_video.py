@@ -10,7 +10,7 @@ import pytest
 
 from eagor.grids import ErpGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.media.video import Video
+from eagor.sources.video import Video
 from eagor.sphere import angular_distance, direction
 
 ROOM = clips.ROOM

@@ -15,10 +15,10 @@ from eagor.errors import EagorError, GridError, ImageError, QueryError
 from eagor.evidence import BodyMask
 from eagor.grids import tangent_views
 from eagor.live.events import Answer
-from eagor.media.panorama import cut, turn
 from eagor.perception import as_perception, check_perception, look
 from eagor.perception.things import ViewBox, things
 from eagor.perception.views import Detector
+from eagor.sources.panorama import cut, turn
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
 
 GREY = 90

@@ -13,10 +13,10 @@ from seams import seamless
 
 from eagor.errors import AnswerError, GridError, ImageError
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid, tangent_views
-from eagor.media.panorama import cut, resized
 from eagor.perception.vlm import SERVED, ask_boxes, boxes_schema, exact_size, family_of
 from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence
 from eagor.perception.vlm.perception import plan_view, project_to_sphere
+from eagor.sources.panorama import cut, resized
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 
 SIDES = {"pixels": (896, 448), "thousand": (1000, 1000), "percent": (100, 100), "unit": (1, 1)}  # across, down

@@ -11,9 +11,9 @@ from eagor.lab.envs.place_env import MobileBase
 from eagor.lab.envs.rules import Camera
 from eagor.lab.tasks.sim.walk import Walker
 from eagor.live.loop import Sink
-from eagor.media import check_camera
-from eagor.media.camera_sources import open_source
-from eagor.media.odometry import open_poses
+from eagor.sources import check_camera
+from eagor.sources.camera_sources import open_source
+from eagor.sources.odometry import open_poses
 from eagor.sphere import angular_distance
 
 AHEAD = np.array([1.0, 0.0, 0.0])

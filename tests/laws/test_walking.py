@@ -14,11 +14,11 @@ pytest.importorskip("cyclonedds")
 from eagor.errors import EagorError
 from eagor.lab.worlds.painted import painted_room
 from eagor.live.events import Answer, Fault, PoseReceived
-from eagor.media import Pose
 from eagor.perception.colour import ColourPerception
 from eagor.robots.safety import walking as policy
 from eagor.robots.safety.gate import GateStatus, Mode
 from eagor.robots.safety.walking import ControllerState, Odometer, TargetView, WalkSettings, steer, walk
+from eagor.sources import Pose
 from eagor.tracking import DirectionTracker
 
 RULES = WalkSettings()

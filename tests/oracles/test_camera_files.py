@@ -9,8 +9,8 @@ from rosmaking import camera_info
 
 from eagor.cameras import Lens
 from eagor.errors import FormatError
-from eagor.media.intrinsics import read_camera, rig_of_info
-from eagor.media.rigs import read_rig
+from eagor.sources.intrinsics import read_camera, rig_of_info
+from eagor.sources.rigs import read_rig
 
 SIZE = 640, 480
 FX, FY, CX, CY = 512.5, 515.0, 321.5, 236.25

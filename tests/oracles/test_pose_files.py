@@ -14,12 +14,12 @@ from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError, PoseError
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, paint
-from eagor.media.camera_sources import open_footage
-from eagor.media.odometry import GivenPoses, PosedFrames, open_poses
-from eagor.media.panorama import Picture, cut
-from eagor.media.panorama import turn as turned
 from eagor.odometry.axes import AXES, settled, with_axes
 from eagor.odometry.files import FramePose, Poses, read_poses, times_of
+from eagor.sources.camera_sources import open_footage
+from eagor.sources.odometry import GivenPoses, PosedFrames, open_poses
+from eagor.sources.panorama import Picture, cut
+from eagor.sources.panorama import turn as turned
 from eagor.sphere import world_R_body
 
 BEGIN = 1_650_000_000.0

@@ -41,19 +41,19 @@ from test_videos import SPOKEN  # noqa: E402
 
 from eagor.errors import EagorError  # noqa: E402
 from eagor.grids import ErpGrid  # noqa: E402
-from eagor.media import Pose  # noqa: E402
-from eagor.media import ros_messages as m  # noqa: E402
-from eagor.media.bag_sources import BagCamera, BagPoses  # noqa: E402
-from eagor.media.bags import MAGIC, MOTION, PICTURES, Bag  # noqa: E402
-from eagor.media.camera_sources import FrameCheck  # noqa: E402
-from eagor.media.intrinsics import intrinsics_from_exif, read_camera  # noqa: E402
-from eagor.media.rigs import read_rig  # noqa: E402
-from eagor.media.video import Video  # noqa: E402
 from eagor.odometry.axes import AXES, settled  # noqa: E402
 from eagor.odometry.files import interpolated, pair, read_poses, usable  # noqa: E402
 from eagor.perception.endpoint import EndpointPerception  # noqa: E402
 from eagor.perception.vlm.answers import parse_boxes, parse_presence  # noqa: E402
 from eagor.perception.vlm.perception import box_detections  # noqa: E402
+from eagor.sources import Pose  # noqa: E402
+from eagor.sources import ros_messages as m  # noqa: E402
+from eagor.sources.bag_sources import BagCamera, BagPoses  # noqa: E402
+from eagor.sources.bags import MAGIC, MOTION, PICTURES, Bag  # noqa: E402
+from eagor.sources.camera_sources import FrameCheck  # noqa: E402
+from eagor.sources.intrinsics import intrinsics_from_exif, read_camera  # noqa: E402
+from eagor.sources.rigs import read_rig  # noqa: E402
+from eagor.sources.video import Video  # noqa: E402
 
 SECONDS, MEMORY = 5.0, 3 << 30  # of CPU for one input; bytes above what the samples take
 ODD = [b"0", b"-1", b"1", b"-0.0", b"0.5", b"360", b"1e308", b"-1e308", b"1e-320", b"1e400", b"nan", b"inf", b"-inf",

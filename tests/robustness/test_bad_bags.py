@@ -14,8 +14,8 @@ import pytest
 from rosmaking import cdr, random_message
 
 from eagor.errors import FormatError, StorageError, TimeError
-from eagor.media import ros_messages as m
-from eagor.media.bags import MAGIC, Bag, BagWriter, is_bag, read_bag
+from eagor.sources import ros_messages as m
+from eagor.sources.bags import MAGIC, Bag, BagWriter, is_bag, read_bag
 
 
 def small(path, count=20):

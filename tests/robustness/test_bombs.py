@@ -19,7 +19,7 @@ from processes import limited
 from eagor.errors import ImageError, WorldError
 from eagor.lab.tasks.hstar import open_panorama
 from eagor.lab.worlds.glb import import_glb
-from eagor.media.panorama import read_panorama
+from eagor.sources.panorama import read_panorama
 
 
 def patch(corners):
@@ -171,7 +171,7 @@ IMPORTS = """
 import numpy, trimesh
 from eagor.errors import EagorError
 from eagor.lab.worlds.glb import import_glb
-from eagor.media.panorama import read_panorama
+from eagor.sources.panorama import read_panorama
 from eagor.perception.records import parse_record
 """
 READERS = """

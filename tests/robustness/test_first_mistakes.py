@@ -10,10 +10,10 @@ import pytest
 
 import eagor
 from eagor.errors import EagorError, ImageError, RotationError, TimeError
-from eagor.media.odometry import prefetched
-from eagor.media.panorama import read_panorama, read_stored, tone_mapped
 from eagor.perception.colour import ColourPerception
 from eagor.perception.views import Detector
+from eagor.sources.odometry import prefetched
+from eagor.sources.panorama import read_panorama, read_stored, tone_mapped
 from eagor.sphere import world_R_body
 
 UNIT = np.eye(3)

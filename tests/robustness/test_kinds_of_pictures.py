@@ -11,11 +11,11 @@ from PIL import Image
 
 from eagor.errors import ImageError, TimeError
 from eagor.lab.worlds.painted import painted_room
-from eagor.media import check_camera
-from eagor.media.camera_sources import FrameCheck, open_source
-from eagor.media.panorama import BOXED, turn
-from eagor.media.tracks import is_animation
-from eagor.media.video import Video
+from eagor.sources import check_camera
+from eagor.sources.camera_sources import FrameCheck, open_source
+from eagor.sources.panorama import BOXED, turn
+from eagor.sources.tracks import is_animation
+from eagor.sources.video import Video
 from eagor.sphere import world_R_body
 
 ROOM = painted_room(128, 256)
@@ -101,8 +101,8 @@ def test_a_folder_may_hold_every_kind_that_can_be_read(tmp_path, name):
 
 @pytest.mark.parametrize("brand", BOXED)
 def test_a_kind_that_needs_a_package_names_it(tmp_path, monkeypatch, brand):
-    monkeypatch.setattr("eagor.media.panorama.FORMATS", ("PNG", "JPEG"))
-    monkeypatch.setattr("eagor.media.panorama.find_spec", lambda name: None)
+    monkeypatch.setattr("eagor.sources.panorama.FORMATS", ("PNG", "JPEG"))
+    monkeypatch.setattr("eagor.sources.panorama.find_spec", lambda name: None)
     (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftyp" + brand + bytes(60))
     with pytest.raises(ImageError, match=r"pillow-heif|Pillow from version 11\.3"):
         FrameCheck(True).read(tmp_path / "a.heic")

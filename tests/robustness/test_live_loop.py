@@ -40,7 +40,7 @@ from eagor.lab.worlds.painted import painted_room
 from eagor.live import loop as looping
 from eagor.live.loop import Loop
 from eagor.live.recording import Replay
-from eagor.media import Pose
+from eagor.sources import Pose
 from eagor.tracking import TrackerConfig
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -432,7 +432,7 @@ def test_a_recording_is_played_again_with_the_same_answers(tmp_path):
     answers = followed(loop, well, lambda _: loop.counts.looks > 10)
     replay = Replay(tmp_path / "run")
     assert [a.as_dict() for a in replay] == [a.as_dict() for a in answers]
-    from eagor.media.bags import read_bag
+    from eagor.sources.bags import read_bag
 
     recorded = [json.loads(found.data) for *_, found in read_bag(tmp_path / "run", ["/eagor/answers"])]
     assert recorded == [a.as_dict() for a in answers]
@@ -440,8 +440,8 @@ def test_a_recording_is_played_again_with_the_same_answers(tmp_path):
 
 def test_others_read_a_recording_as_a_ros_bag(tmp_path):
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    from eagor.media.bags import Bag, read_bag
-    from eagor.media.ros_messages import panorama_of, pose_of, stamp_of
+    from eagor.sources.bags import Bag, read_bag
+    from eagor.sources.ros_messages import panorama_of, pose_of, stamp_of
 
     loop = loop_of(Camera(), Seeing(), poses=Odometry(turn=0.5), record=tmp_path / "run", pictures="png")
     answers = followed(loop, well)

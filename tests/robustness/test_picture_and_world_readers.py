@@ -18,7 +18,7 @@ from eagor.lab.worlds.glb import export_glb, import_glb
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.painted import painted_room
 from eagor.lab.worlds.scene import Material
-from eagor.media.panorama import read_panorama
+from eagor.sources.panorama import read_panorama
 
 PIXELS = painted_room(16, 32)
 MODES = {

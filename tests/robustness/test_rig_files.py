@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from strategies import HOSTILE
 
 from eagor.errors import EagorError, FormatError, ImageError
-from eagor.media.rigs import read_rig
-from eagor.media.stitching import Stitcher
+from eagor.sources.rigs import read_rig
+from eagor.sources.stitching import Stitcher
 
 pytest.importorskip("yaml")
 GOOD = """pictures:

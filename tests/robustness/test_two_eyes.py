@@ -8,11 +8,11 @@ from PIL import Image
 
 from eagor.errors import ImageError
 from eagor.lab.worlds.painted import EYE, Room, bearing, paint
-from eagor.media.camera_sources import open_source
-from eagor.media.defects import TWICE, two_eyes
-from eagor.media.intrinsics import Camera
-from eagor.media.metadata import LAYOUTS
-from eagor.media.panorama import resized, turn
+from eagor.sources.camera_sources import open_source
+from eagor.sources.defects import TWICE, two_eyes
+from eagor.sources.intrinsics import Camera
+from eagor.sources.metadata import LAYOUTS
+from eagor.sources.panorama import resized, turn
 from eagor.sphere import azimuth_elevation, world_R_body
 
 TURN = world_R_body(np.radians(-20))

@@ -21,9 +21,9 @@ from strategies import HOSTILE
 from eagor.errors import ImageError, TimeError
 from eagor.grids import FisheyeGrid
 from eagor.lab.worlds.painted import painted_room
-from eagor.media.metadata import GPANO, properties
-from eagor.media.panorama import view
-from eagor.media.video import Video
+from eagor.sources.metadata import GPANO, properties
+from eagor.sources.panorama import view
+from eagor.sources.video import Video
 from eagor.sphere import world_R_body
 
 # --- arguments -------------------------------------------------------------------------------------------------------
@@ -123,7 +123,7 @@ def test_no_pictures(tmp_path):
 
 
 def test_pictures_too_large(tmp_path, monkeypatch):
-    monkeypatch.setattr("eagor.media.tracks.LARGEST", 8000)
+    monkeypatch.setattr("eagor.sources.tracks.LARGEST", 8000)
     with pytest.raises(ImageError, match="pictures of 128 x 64 pixels; wanted at most 8000"):
         Video(clips.clip(tmp_path / "a.mp4"))
 
@@ -292,7 +292,7 @@ def test_nothing_stays_open(tmp_path):
 
 PEAK = """
 import re, sys
-from eagor.media.video import Video
+from eagor.sources.video import Video
 video = Video(sys.argv[1], rows=int(sys.argv[2]) or None)
 print(sum(1 for _ in video), *video.shape)
 # Not ru_maxrss: it begins with what the process had that started this one.

@@ -161,9 +161,9 @@ def _finish(options: Calibrate, result: dict[str, Any], out: Path, lines: list[s
 
 def heads(options: Calibrate) -> int:
     """``eagor calibrate heads``."""
-    from eagor.media.panorama import read_panorama
     from eagor.perception import is_model, load, rows_of, short_name
     from eagor.perception.calibrated import labelled_lines, read_labelled
+    from eagor.sources.panorama import read_panorama
 
     name = options.perception
     count = options.episodes if options.labels is None else len(labelled_lines(options.labels))

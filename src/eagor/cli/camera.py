@@ -20,7 +20,7 @@ from eagor.cli.options import Common, Flag, bare, grouped
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.media import Frame
+    from eagor.sources import Frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +87,8 @@ IDEAL = 200.0  # degrees across the circles of a camera of which nothing is know
 
 def camera_calibrate(options: CameraCalibrate) -> int:
     """``eagor camera calibrate``."""
-    from eagor.media.calibration import calibrate as fit
-    from eagor.media.rigs import write_rig
+    from eagor.sources.calibration import calibrate as fit
+    from eagor.sources.rigs import write_rig
 
     out, rig = options.out, checks.rig_of(options.rig)
     checks.check_outputs(options, [Path(part) for text in options.pictures for part in text.split(",")])
@@ -125,8 +125,8 @@ def camera_view(options: CameraView) -> int:
     from PIL import Image
 
     from eagor.cameras import dual_fisheye
-    from eagor.media.calibration import overlap_of
-    from eagor.media.stitching import sizes_of
+    from eagor.sources.calibration import overlap_of
+    from eagor.sources.stitching import sizes_of
 
     checks.check_outputs(options, [Path(part) for part in options.picture.split(",")], picture="", out="picture")
     rig, pictures = checks.rig_of(options.rig), next(_pictures(options.picture))
@@ -159,9 +159,9 @@ def camera_view(options: CameraView) -> int:
 
 def camera_latency(options: CameraLatency) -> int:
     """``eagor camera latency``."""
-    from eagor.media.calibration import check_turning, latency_between, steps_of
-    from eagor.media.camera_sources import open_source
-    from eagor.media.odometry import open_poses
+    from eagor.sources.calibration import check_turning, latency_between, steps_of
+    from eagor.sources.camera_sources import open_source
+    from eagor.sources.odometry import open_poses
 
     source = open_source(options.source, rig=options.rig, rate=options.rate, rows=512)
     poses: Any = partial(open_poses, str(options.poses))  # of a live camera they are read at the end
@@ -202,9 +202,9 @@ def camera_latency(options: CameraLatency) -> int:
 
 def _pictures(text: str, rate: float | None = None) -> Iterator[Sequence[np.ndarray]]:
     """The lenses' pictures of each moment of a video, or of the one moment of PICTURE or FRONT,BACK."""
-    from eagor.media.camera_sources import is_video
-    from eagor.media.panorama import read_stored
-    from eagor.media.video import lens_videos
+    from eagor.sources.camera_sources import is_video
+    from eagor.sources.panorama import read_stored
+    from eagor.sources.video import lens_videos
 
     paths = [Path(part) for part in ([text] if Path(text).exists() else text.split(","))]
     if is_video(paths, True):

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from eagor.cameras import Rig
     from eagor.cli.options import Lens
     from eagor.evidence import BodyMask, Evidence
-    from eagor.media.intrinsics import Camera
     from eagor.perception import Perception
     from eagor.perception.calibrated import Calibrated
+    from eagor.sources.intrinsics import Camera
     from eagor.tracking.config import TrackerConfig
 
 SHARED = ("coco", "onnx")  # perceptions that look at several views at the same time, one core each
@@ -169,8 +169,8 @@ def rows_for(spec: str, rows: int | None = None, least: int | None = None) -> in
 
     A model is not loaded for that: it scales its pictures itself.
     """
-    from eagor.media.camera_sources import LEAST_ROWS
     from eagor.perception import is_model, rows_of
+    from eagor.sources.camera_sources import LEAST_ROWS
 
     return rows or max(least or LEAST_ROWS, 0 if is_model(spec) else rows_of(make_perception(spec)))
 
@@ -237,7 +237,7 @@ def mask_of(path: Path | None) -> BodyMask | None:
 
 def rig_of(path: Path | None) -> Rig | None:
     """``--rig``. Raises `FormatError`."""
-    from eagor.media.rigs import read_rig
+    from eagor.sources.rigs import read_rig
 
     return None if path is None else read_rig(path)
 
@@ -246,7 +246,7 @@ def ordinary(
     hfov: float | None, path: Path | None, rig: Path | None, info: str | None = None, eyes: str | None = None
 ) -> Camera:
     """``--hfov``, ``--camera`` and ``--eyes``, beside others that tell the lens. Raises `EagorError`."""
-    from eagor.media.intrinsics import camera_of
+    from eagor.sources.intrinsics import camera_of
 
     if rig is not None and not (hfov is None and path is None and eyes is None):
         raise UsageError(f"--rig {rig} has the lenses of its pictures; leave out --hfov, --camera and --eyes")

@@ -59,8 +59,8 @@ def demo(options: Demo) -> int:
 
 
 def _photo(options: Demo, path: Path) -> int:
-    from eagor.media.camera_sources import FrameCheck, ShapeError
     from eagor.perception import short_name
+    from eagor.sources.camera_sources import FrameCheck, ShapeError
 
     if mistaken := given(options, ("seed", "episode")):
         raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")

@@ -47,10 +47,10 @@ def open_stream(
     `shown`: frames per second of a video to be drawn, which shows more than what is looked at. Raises `UsageError`, and
     as `open_footage` and `open_poses`.
     """
-    from eagor.media.bags import is_bag
-    from eagor.media.camera_sources import LEAST_ROWS, is_video, open_footage
-    from eagor.media.odometry import open_poses, poses_in_words
     from eagor.perception import rows_of
+    from eagor.sources.bags import is_bag
+    from eagor.sources.camera_sources import LEAST_ROWS, is_video, open_footage
+    from eagor.sources.odometry import open_poses, poses_in_words
 
     bag = len(places) == 1 and is_bag(places[0])
     moves = bag or is_video(places, options.rig is not None)

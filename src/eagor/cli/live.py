@@ -82,8 +82,8 @@ def live(options: Live) -> int:
     from eagor.live.events import NextLooks
     from eagor.live.loop import Loop
     from eagor.live.threads import already_open
-    from eagor.media.camera_sources import open_source
-    from eagor.media.odometry import poses_for
+    from eagor.sources.camera_sources import open_source
+    from eagor.sources.odometry import poses_for
 
     if len(options.words) < 2:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted SOURCE, then one or more QUERY")

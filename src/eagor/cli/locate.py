@@ -16,7 +16,7 @@ from eagor.cli.frames import say_of_video
 from eagor.cli.options import Answering, bare
 
 if TYPE_CHECKING:
-    from eagor.media.panorama import Picture
+    from eagor.sources.panorama import Picture
     from eagor.tracking.estimate import Estimate
 
 
@@ -48,11 +48,11 @@ def locate(options: Locate) -> int:
 
     from eagor.live.in_turn import ByFrame, Followed
     from eagor.live.loop import Loop
-    from eagor.media import Pose
-    from eagor.media.camera_sources import Footage
-    from eagor.media.odometry import GivenPoses
     from eagor.perception import rows_of
     from eagor.perception.replay import ReplayPerception
+    from eagor.sources import Pose
+    from eagor.sources.camera_sources import Footage
+    from eagor.sources.odometry import GivenPoses
 
     query, floor = checks.checked_query(options.query), options.floor
     spec = checks.perception_for([query], options.perception)
@@ -99,9 +99,9 @@ def locate(options: Locate) -> int:
 
 def _picture(options: Locate, places: Sequence[Path], rows: int) -> Picture:
     """The photograph, or the frame of a video at ``--stamp`` seconds."""
-    from eagor.media.camera_sources import LEAST_ROWS, FrameCheck, is_video
-    from eagor.media.panorama import Picture
-    from eagor.media.video import Video
+    from eagor.sources.camera_sources import LEAST_ROWS, FrameCheck, is_video
+    from eagor.sources.panorama import Picture
+    from eagor.sources.video import Video
 
     lens = checks.lens_of(options)
     rig = lens["rig"]

@@ -39,8 +39,8 @@ class Look(Footage):
 
 def look(options: Look) -> int:
     """Run the command; returns its exit code."""
-    from eagor.media.odometry import PosedFrames, prefetched
     from eagor.perception.recordings import HiddenParts, first_line, looked_at
+    from eagor.sources.odometry import PosedFrames, prefetched
 
     queries = checks.checked_queries(options.queries)
     places = checks.places_of(options.words, options.rig is not None)

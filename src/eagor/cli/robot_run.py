@@ -28,9 +28,9 @@ from eagor.errors import DeviceError
 
 if TYPE_CHECKING:
     from eagor.live.loop import Loop
-    from eagor.media import CameraSource
     from eagor.robots.go2.sim import Rehearsal
     from eagor.robots.safety.walking import Step
+    from eagor.sources import CameraSource
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,8 +267,8 @@ def _check(options: RobotRun) -> None:
 
 @contextmanager
 def _real(options: RobotRun, spec: str) -> Iterator[Place]:
-    from eagor.media.camera_sources import open_source
-    from eagor.media.rigs import read_rig
+    from eagor.sources.camera_sources import open_source
+    from eagor.sources.rigs import read_rig
 
     source = options.source
     assert source is not None

@@ -60,7 +60,7 @@ def track(options: Track) -> int:
     """Run the command; returns its exit code."""
     from eagor.live.in_turn import ByFrame
     from eagor.live.loop import Loop
-    from eagor.media.intrinsics import ShapeError
+    from eagor.sources.intrinsics import ShapeError
 
     words, queries = checks.frames_and_queries(options.words)
     places = checks.places_of(words, options.rig is not None)
@@ -199,9 +199,9 @@ def _of_looks(looks: RecordedLooks) -> FrameStream:
 
 def _checked_floor(floor: float, stream: FrameStream) -> float:
     """The floor's height, if every pose with a position is above it; else raises `UsageError`."""
-    from eagor.media.bag_sources import BagPoses
-    from eagor.media.odometry import GivenPoses
-    from eagor.media.ros_messages import IMU
+    from eagor.sources.bag_sources import BagPoses
+    from eagor.sources.odometry import GivenPoses
+    from eagor.sources.ros_messages import IMU
 
     poses = [*stream.poses] if isinstance(stream.poses, GivenPoses) else []
     poses += [pose for each in getattr(stream.source, "posed", ()) for pose in each.poses]

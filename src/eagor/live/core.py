@@ -31,8 +31,8 @@ from eagor.live.events import (
     QueriesChanged,
     Tick,
 )
-from eagor.media import Pose
 from eagor.odometry.clocks import ClockSync
+from eagor.sources import Pose
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 from eagor.tracking.tracks import State
 

@@ -18,7 +18,7 @@ import numpy as np
 from eagor.errors import GridError
 from eagor.evidence import Evidence
 from eagor.grids import PerspectiveGrid
-from eagor.media import Pose
+from eagor.sources import Pose
 from eagor.tracking import TurningCamera
 from eagor.tracking.estimate import Estimate, plain_number
 

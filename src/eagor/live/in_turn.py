@@ -27,9 +27,9 @@ from eagor.live.events import (
     Tick,
 )
 from eagor.live.inference import InferenceWorker
-from eagor.media import Pose
-from eagor.media.odometry import PosedFrame
 from eagor.perception import NoEvidenceError
+from eagor.sources import Pose
+from eagor.sources.odometry import PosedFrame
 from eagor.tracking.estimate import Estimate
 
 __all__ = ["ByFrame", "Followed", "answers_in_turn"]

@@ -25,11 +25,11 @@ from eagor._processes import Worker, WorkerEnded, WorkerSilent
 from eagor.errors import EagorError, ImageError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.live.events import Diagnostic, Event, ObservationReceived
-from eagor.media import Frame
-from eagor.media.panorama import Picture
 from eagor.perception import NoEvidenceError, Perception, knows_classes, load
 from eagor.perception.recordings import HiddenParts
 from eagor.perception.replay import look_if_recorded
+from eagor.sources import Frame
+from eagor.sources.panorama import Picture
 
 __all__ = ["InferenceWorker", "Inferred", "error_text", "why_here"]
 

@@ -35,12 +35,12 @@ from eagor.live.in_turn import answers_in_turn
 from eagor.live.inference import PATIENCE, InferenceWorker, why_here
 from eagor.live.recording import Pictures, Recorder
 from eagor.live.threads import FrozenCamera, LatestWorker, LoopClock, Reader
-from eagor.media import CameraSource, Frame, Pose, PoseSource
-from eagor.media.camera_sources import open_source
-from eagor.media.odometry import PosedFrame, PosedFrames, poses_for, prefetched
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception import Perception, as_perception
 from eagor.perception.recordings import RecordedLooks
+from eagor.sources import CameraSource, Frame, Pose, PoseSource
+from eagor.sources.camera_sources import open_source
+from eagor.sources.odometry import PosedFrame, PosedFrames, poses_for, prefetched
 from eagor.tracking import TrackerConfig
 
 __all__ = ["LOADING", "Counts", "Loop", "Sink"]

@@ -21,9 +21,9 @@ import numpy as np
 from eagor.errors import EagorError, FormatError
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import Answer, Event, ImageReceived, ObservationReceived, PoseReceived
-from eagor.media import Pose
-from eagor.media.bags import Bag, BagWriter, read_bag
-from eagor.media.ros_messages import (
+from eagor.sources import Pose
+from eagor.sources.bags import Bag, BagWriter, read_bag
+from eagor.sources.ros_messages import (
     COMPRESSED,
     ODOMETRY,
     TEXT,

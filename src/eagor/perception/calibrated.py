@@ -141,7 +141,7 @@ def labelled_lines(file: Path) -> list[tuple[_Line, str]]:
 def read_labelled(file: Path, read: Callable[[Path], np.ndarray]) -> Iterator[Labelled]:
     """The labelled panoramas that a file lists, one image in memory at a time.
 
-    `read` loads the panorama ``(H, 2 H, 3)`` uint8 of a path (`eagor.media.panorama.read_panorama`). Raises
+    `read` loads the panorama ``(H, 2 H, 3)`` uint8 of a path (`eagor.sources.panorama.read_panorama`). Raises
     `FormatError` for the file, and what `read` raises.
     """
     name, panorama = "", np.zeros((0, 0, 3), np.uint8)

@@ -20,8 +20,8 @@ from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import canvas_of
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
-from eagor.media.panorama import by_area, checked_picture, read_panorama
 from eagor.perception import Perception, rows_of
+from eagor.sources.panorama import by_area, checked_picture, read_panorama
 
 BORDER = 0.5  # share of a cell that the picture has to fill for the cell to count as looked at
 GREY = 0.02  # share of a mask's pixels that may be neither black nor white: smoothed edges

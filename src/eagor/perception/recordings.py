@@ -19,13 +19,13 @@ from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, ImageError, PoseError, QueryError
 from eagor.evidence import BodyMask, Evidence, model_as_json
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.media import Frame, Pose
-from eagor.media.defects import NeverSeen
-from eagor.media.odometry import PosedFrame
-from eagor.media.panorama import Picture
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.things import Seen
 from eagor.perception.views import Detector
+from eagor.sources import Frame, Pose
+from eagor.sources.defects import NeverSeen
+from eagor.sources.odometry import PosedFrame
+from eagor.sources.panorama import Picture
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
 __all__ = ["NEAR", "HiddenParts", "RecordedLooks", "ThingSeen", "first_line", "looked_at", "things_seen"]

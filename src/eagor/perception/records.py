@@ -21,10 +21,10 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import are_fractions, is_beside
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
-from eagor.media import Pose
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
 from eagor.perception.things import Boxes, Seen, combined
 from eagor.perception.words import fitting, plain, same_name
+from eagor.sources import Pose
 from eagor.sphere import direction, world_R_body
 
 KINDS = ("boxes", "points", "response", "views")

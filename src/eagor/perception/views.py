@@ -22,11 +22,11 @@ from eagor.errors import EagorError, GridError, ImageError, QueryError
 from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import PerspectiveGrid, tangent_views
-from eagor.media.panorama import checked_picture, cut
 from eagor.perception.colour import share_of
 from eagor.perception.results import Names, boxes_of, names_in
 from eagor.perception.things import Boxes, Seen, ViewBox, pieces_of, spread_evidence, things
 from eagor.perception.words import colour_of, fitting, meant, named, same_name
+from eagor.sources.panorama import checked_picture, cut
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 
 __all__ = ["Detector", "is_ultralytics"]

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from eagor.errors import DeviceError
 
 if TYPE_CHECKING:  # the guard's process imports this file as well, and is to hold little
-    from eagor.media import Pose
     from eagor.robots.go2.state import BodyState
+    from eagor.sources import Pose
 
 __all__ = ["Go2Poses", "go2_poses"]
 
@@ -45,7 +45,7 @@ class Go2Poses:
         self._came.put(state)
 
     def __iter__(self) -> Iterator[Pose]:
-        from eagor.media import Pose
+        from eagor.sources import Pose
 
         while True:
             with suppress(Empty):

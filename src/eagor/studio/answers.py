@@ -14,7 +14,7 @@ from eagor.drawing.heat import heat_of
 from eagor.evidence import Evidence
 from eagor.grids import PatchGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
-from eagor.media.panorama import shrunk
+from eagor.sources.panorama import shrunk
 from eagor.sphere import angular_distance
 from eagor.studio.messages import rounded
 from eagor.tracking import Estimate

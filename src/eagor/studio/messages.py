@@ -17,7 +17,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from eagor.errors import EagorError
-from eagor.media.intrinsics import Camera
+from eagor.sources.intrinsics import Camera
 
 __all__ = [
     "LONGEST", "Ask", "Drive", "FromPage", "Message", "Open", "Opening", "PageError", "Pause", "Restart", "merged",

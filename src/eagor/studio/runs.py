@@ -26,7 +26,7 @@ from eagor.lab.eval import log
 from eagor.lab.eval.results import OURS, Run, read
 from eagor.lab.tasks.task import finished, load, sample_of
 from eagor.live.recording import Replay
-from eagor.media.bags import is_bag
+from eagor.sources.bags import is_bag
 from eagor.studio.messages import rounded
 from eagor.studio.replays import Advance, EpisodeReplay, data_url, recorded, redraw, report_of, walked
 

@@ -22,8 +22,8 @@ from eagor._extras import how_to_install
 from eagor._processes import Worker, WorkerEnded
 from eagor._version import __version__
 from eagor.errors import EagorError
-from eagor.media.intrinsics import camera_of
 from eagor.perception import short_name
+from eagor.sources.intrinsics import camera_of
 from eagor.studio.messages import Ask, FromPage, Message, Open, Opening, PageError, merged
 from eagor.studio.uploads import BYTES, PIXELS, Uploads
 

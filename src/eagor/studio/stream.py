@@ -27,10 +27,10 @@ from eagor.errors import EagorError
 from eagor.live.events import Answer, Diagnostic, Event, ImageReceived, ObservationReceived, PoseReceived
 from eagor.live.loop import LOADING, Loop
 from eagor.live.threads import already_open
-from eagor.media import Frame
-from eagor.media.camera_sources import Footage, open_source
-from eagor.media.intrinsics import ShapeError
-from eagor.media.odometry import poses_for
+from eagor.sources import Frame
+from eagor.sources.camera_sources import Footage, open_source
+from eagor.sources.intrinsics import ShapeError
+from eagor.sources.odometry import poses_for
 from eagor.studio.answers import belief_of, evidence_of, lens_of, picture_of, plan_of, scene_of, step_of
 from eagor.studio.messages import Ask, Drive, Message, Opening, Pause, Restart, rounded
 from eagor.tracking import TrackerConfig

@@ -23,9 +23,9 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.tasks import published
 from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, Recalibrate, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample
-from eagor.media.panorama import read_panorama, resized, view
 from eagor.perception.partial import look_at_view
 from eagor.perception.vlm import IMAGE, Message
+from eagor.sources.panorama import read_panorama, resized, view
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
 from eagor.tracking import DirectionTracker
 

@@ -17,8 +17,8 @@ from eagor.grids import ErpGrid
 from eagor.lab.worlds import SimulatedScene, View, World, ground_of, view_of
 from eagor.lab.worlds.render import Frame
 from eagor.lab.worlds.scene import STRUCTURE, Scene
-from eagor.media.panorama import turn
 from eagor.queries import COLOURS
+from eagor.sources.panorama import turn
 from eagor.sphere import direction, world_R_body
 
 EYE = 1.25  # metres above the floor: height of the camera

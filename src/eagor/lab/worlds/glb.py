@@ -36,8 +36,8 @@ from eagor.conventions import from_gltf, to_gltf
 from eagor.errors import WorldError
 from eagor.lab.worlds.ground import floor_height, level_triangles
 from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene
-from eagor.media.panorama import FORMATS, decoded_bytes
 from eagor.queries import COLOURS, SYNONYMS, singular
+from eagor.sources.panorama import FORMATS, decoded_bytes
 
 __all__ = ["export_glb", "import_glb"]
 

@@ -21,7 +21,7 @@ from eagor.errors import GridError, PoseError
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.lab.worlds.light import HORIZON, ZENITH, Lattice, light_of, unseen
 from eagor.lab.worlds.scene import Hits, Material, Raycaster, Scene
-from eagor.media.panorama import checked_picture, turn
+from eagor.sources.panorama import checked_picture, turn
 from eagor.sphere import check_rotation
 
 BRIGHTEST = 5.0  # light is clipped to this; 1 shows a white surface at the edge of the shoulder's range

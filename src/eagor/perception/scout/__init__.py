@@ -24,10 +24,10 @@ from eagor.errors import ImageError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
-from eagor.media.panorama import by_area, checked_picture, resized
 from eagor.perception.onnx import session
 from eagor.perception.words import named
 from eagor.queries import parse_query
+from eagor.sources.panorama import by_area, checked_picture, resized
 
 __all__ = ["CALIBRATION", "ScoutPerception"]
 

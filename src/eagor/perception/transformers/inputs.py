@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from eagor.errors import EagorError
-from eagor.media.panorama import resized
 from eagor.perception.vlm import Family, exact_size
+from eagor.sources.panorama import resized
 
 _MOST_TILES = 12
 

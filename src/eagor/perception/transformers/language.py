@@ -26,10 +26,10 @@ from transformers.masking_utils import sdpa_mask
 
 from eagor.errors import EagorError
 from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.media.panorama import cut, resized
 from eagor.perception.transformers.heads import SATURATION, Heads, Observed, of_heads, relative, saturated
 from eagor.perception.transformers.inputs import InputPlan, Prompt, pictures, plan, prompt, typed
 from eagor.perception.vlm import GENERAL, Family, Labelled, ask_presence
+from eagor.sources.panorama import cut, resized
 from eagor.sphere import unit
 
 NAME = "eagor_rows"

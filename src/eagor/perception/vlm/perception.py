@@ -22,10 +22,10 @@ from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import ANYWHERE, WHOLE_SPHERE, moments
 from eagor.grids import OVERLAP, Grid, PatchGrid, PerspectiveGrid, depth_inside, tangent_views
-from eagor.media.panorama import checked_picture, cut, resized
 from eagor.perception.things import spread_evidence
 from eagor.perception.vlm import ask_boxes, phrase
 from eagor.perception.vlm.answers import Box, Token, parse_boxes
+from eagor.sources.panorama import checked_picture, cut, resized
 from eagor.sphere import angular_distance
 
 SAME = math.radians(5)  # largest distance between two boxes of one small thing; the extent of large things is added

@@ -11,10 +11,10 @@ import numpy as np
 
 from eagor._extras import need
 from eagor.errors import EagorError
-from eagor.media.live_camera import LiveCamera
-from eagor.media.ros_messages import COMPRESSED, compressed_message, panorama_of, stamp_of, store
 from eagor.robots.dds import Participant, Raw, raw
 from eagor.robots.go2.state import CompressedImage
+from eagor.sources.live_camera import LiveCamera
+from eagor.sources.ros_messages import COMPRESSED, compressed_message, panorama_of, stamp_of, store
 
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame

@@ -24,11 +24,11 @@ from eagor.lab import worlds
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.render import PAINTS, Ball, Renderer, with_ball
 from eagor.lab.worlds.scene import STRUCTURE, Instance, Scene
-from eagor.media.ros_messages import pose_of
 from eagor.queries import matching, parse_query
 from eagor.robots.dds import Participant, Raw
 from eagor.robots.go2.camera import PICTURE, picture_message
 from eagor.robots.go2.state import Odometry
+from eagor.sources.ros_messages import pose_of
 
 __all__ = [
     "CAMERA_FRAME", "CAMERA_TOPIC", "MOUNT", "TRUTH", "SimSettings", "SimWorld", "camera_pose", "film", "panorama",

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eagor.media import Pose
+from eagor.sources import Pose
 
 __all__ = ["GRAVITY", "HEIGHT", "LIMP", "LYING", "STANDING", "STEP", "WALKING", "BodyState", "Plant", "Slide"]
 

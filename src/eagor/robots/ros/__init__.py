@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from eagor._extras import how_to_install
 from eagor.errors import MissingExtraError
-from eagor.media.ros_messages import IMU, ODOMETRY, POSE, POSE_WITH_COVARIANCE, TRANSFORMS
+from eagor.sources.ros_messages import IMU, ODOMETRY, POSE, POSE_WITH_COVARIANCE, TRANSFORMS
 
 if TYPE_CHECKING:
     from eagor.robots.ros.topics import RosCamera, RosPoses

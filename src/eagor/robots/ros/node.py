@@ -38,10 +38,10 @@ from eagor.errors import DeviceError, EagorError, FormatError, QueryError
 from eagor.live.core import deviation
 from eagor.live.events import Answer, Event, Fault, FaultLog, ImageReceived, PoseReceived
 from eagor.live.loop import Loop
-from eagor.media.ros_frames import optical
-from eagor.media.ros_messages import NANO
 from eagor.robots.ros import PARAMETERS, SOURCES
 from eagor.robots.ros.topics import RosCamera, RosPoses, TopicListener
+from eagor.sources.ros_frames import optical
+from eagor.sources.ros_messages import NANO
 from eagor.sphere import azimuth_elevation, world_R_body
 from eagor.tracking import TrackerConfig
 

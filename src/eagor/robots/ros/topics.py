@@ -30,11 +30,11 @@ from rclpy.signals import SignalHandlerOptions
 
 from eagor.errors import DeviceError, EagorError
 from eagor.live.threads import LoopClock
-from eagor.media import Frame, Pose
-from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC
-from eagor.media.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
-from eagor.media.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds, store
-from eagor.media.topic_pictures import Info, TopicPictures, beside, lens_of_info, placed, topics_of
+from eagor.sources import Frame, Pose
+from eagor.sources.bags import MOTION, PICTURES, TF, TF_STATIC
+from eagor.sources.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
+from eagor.sources.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds, store
+from eagor.sources.topic_pictures import Info, TopicPictures, beside, lens_of_info, placed, topics_of
 
 __all__ = ["RosCamera", "RosPoses", "TopicListener"]
 

@@ -36,8 +36,8 @@ from eagor.conventions import direction_from_hstar
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
 from eagor.lab.tasks.published import answer_in
-from eagor.media.panorama import checked_picture, read_image
 from eagor.perception.vlm import IMAGE
+from eagor.sources.panorama import checked_picture, read_image
 from eagor.sphere import azimuth_elevation, world_R_body
 
 __all__ = [

@@ -24,9 +24,9 @@ from eagor.lab.tasks import osr, published
 from eagor.lab.tasks.osr import Question, Scene, geometry, questions_of
 from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, Recalibrate, score_metric
 from eagor.lab.tasks.task import Payload, Record, Sample
-from eagor.media.panorama import read_panorama
 from eagor.perception import Perception
 from eagor.perception.vlm import IMAGE, Chat, Message
+from eagor.sources.panorama import read_panorama
 
 TITLES = {osr.COUNTING: "Counting", osr.DISTANCE: "Distance", osr.DIRECTION: "Direction", osr.MAP: "Map"}
 AGENTS = {

@@ -26,8 +26,8 @@ from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.navmesh import sees, walls_below
 from eagor.live.events import Answer, Event, ObservationReceived
 from eagor.live.threads import LoopClock
-from eagor.media import Frame, Pose
 from eagor.queries import matching, parse_query
+from eagor.sources import Frame, Pose
 from eagor.sphere import azimuth_elevation
 
 __all__ = ["DRIVERS", "TOUR_SEED", "Walk", "Walker", "open_walk", "walled"]

@@ -19,11 +19,11 @@ import numpy as np
 from eagor._extras import need
 from eagor.cameras import SHAPE
 from eagor.errors import EagorError, FormatError, ImageError, TimeError
-from eagor.media.defects import MAKE
-from eagor.media.intrinsics import IntrinsicsHint, intrinsics_from_tags
-from eagor.media.metadata import EXPORT, of_video
-from eagor.media.panorama import check_file, decoded_bytes, opened, projection_of, seen_of
 from eagor.odometry.imu import MotionTrack, read_insta360
+from eagor.sources.defects import MAKE
+from eagor.sources.intrinsics import IntrinsicsHint, intrinsics_from_tags
+from eagor.sources.metadata import EXPORT, of_video
+from eagor.sources.panorama import check_file, decoded_bytes, opened, projection_of, seen_of
 
 if TYPE_CHECKING:
     from av.container import InputContainer

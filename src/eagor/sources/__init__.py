@@ -88,14 +88,14 @@ def check_camera(camera: CameraSource, frames: int = 3) -> None:
         if not holds:
             raise AssertionError(f"the camera {what}")
 
-    require(isinstance(camera, CameraSource), "lacks a member of eagor.media.CameraSource")
+    require(isinstance(camera, CameraSource), "lacks a member of eagor.sources.CameraSource")
     require(ordinary or isinstance(camera.grid, ErpGrid), f"grid is {camera.grid!r}; wanted an ErpGrid, or a view's")
     require(math.isfinite(camera.latency), f"latency is {camera.latency!r}; wanted seconds")
     require(isinstance(camera.live, bool), f"live is {camera.live!r}; wanted True or False")
     came = [frame for frame, _ in zip(camera, range(frames), strict=False)]
     require(len(came) == frames, f"gave {len(came)} frames; wanted {frames} for this test")
     for frame in came:
-        require(isinstance(frame, Frame), f"gave a {type(frame).__name__}; wanted eagor.media.Frame")
+        require(isinstance(frame, Frame), f"gave a {type(frame).__name__}; wanted eagor.sources.Frame")
         shape, picture = (*(frame.grid or camera.grid).shape, 3), np.asarray(frame.picture)
         came_as = f"{picture.dtype} {picture.shape} {frame.problem}"
         fits = picture.dtype == np.uint8 and picture.shape == shape

@@ -18,11 +18,11 @@ from eagor._checks import is_twice_as_wide
 from eagor.cameras import Lens, Rig
 from eagor.errors import FormatError
 from eagor.grids import PerspectiveGrid
-from eagor.media.bags import TF_STATIC, Bag, pick
-from eagor.media.intrinsics import Camera, rig_of_info
-from eagor.media.ros_frames import BODY, TransformTree, contradiction, optical
-from eagor.media.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
-from eagor.media.stitching import PanoramaBuilder, sizes_of
+from eagor.sources.bags import TF_STATIC, Bag, pick
+from eagor.sources.intrinsics import Camera, rig_of_info
+from eagor.sources.ros_frames import BODY, TransformTree, contradiction, optical
+from eagor.sources.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
+from eagor.sources.stitching import PanoramaBuilder, sizes_of
 
 __all__ = [
     "TopicPictures", "beside", "lens_in_bag", "lens_of_info", "placed", "placed_in_bag", "topics_of",

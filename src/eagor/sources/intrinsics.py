@@ -22,7 +22,7 @@ from PIL import Image
 from eagor.cameras import SHAPE, Rig
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
-from eagor.media.rigs import lens_of_model, read_rig
+from eagor.sources.rigs import lens_of_model, read_rig
 
 __all__ = [
     "Camera", "IntrinsicsHint", "ShapeError", "camera_of", "in_words", "intrinsics_from_exif", "intrinsics_from_tags",
@@ -55,7 +55,7 @@ class Camera:
     """What the user knows of a camera; without anything, files may tell.
 
     `rig`: a calibration, of one lens; `hfov`: the field of an ideal lens, radians; `name`: where it is from, for texts.
-    `eyes`: None, or what of `eagor.media.metadata.LAYOUTS` a panorama's pictures are.
+    `eyes`: None, or what of `eagor.sources.metadata.LAYOUTS` a panorama's pictures are.
     """
 
     rig: Rig | None = None
@@ -102,7 +102,7 @@ def camera_of(hfov: float | None, path: Path | None, eyes: str | None = None) ->
 
 
 def read_camera(path: str | os.PathLike[str]) -> Rig:
-    """The one lens in a calibration file, as `eagor.media.rigs.read_rig` reads it. Raises `FormatError`."""
+    """The one lens in a calibration file, as `eagor.sources.rigs.read_rig` reads it. Raises `FormatError`."""
     rig = read_rig(path)
     if max(len(rig.lenses), len(rig.sizes)) > 1:
         raise FormatError(

@@ -19,8 +19,8 @@ from PIL import Image
 from eagor._extras import need
 from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
 from eagor.errors import ImageError, PoseError, TimeError
-from eagor.media import Pose
-from eagor.media.panorama import read_image
+from eagor.sources import Pose
+from eagor.sources.panorama import read_image
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
@@ -59,7 +59,7 @@ YUV = {
 
 
 def message(kind: str, **fields: Any) -> Any:
-    """A message of a ROS 2 type that `eagor.media.ros_messages.store` knows; all fields have to be given."""
+    """A message of a ROS 2 type that `eagor.sources.ros_messages.store` knows; all fields have to be given."""
     return store().types[kind](**fields)
 
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from eagor.cameras import Rig
 from eagor.errors import DeviceError, FormatError, PoseError
-from eagor.media import Pose
-from eagor.media.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick
-from eagor.media.intrinsics import Camera
-from eagor.media.ros_frames import PoseReader
-from eagor.media.ros_messages import TRANSFORMS, stamp_of
-from eagor.media.topic_pictures import TopicPictures, lens_in_bag, placed_in_bag, topics_of
+from eagor.sources import Pose
+from eagor.sources.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick
+from eagor.sources.intrinsics import Camera
+from eagor.sources.ros_frames import PoseReader
+from eagor.sources.ros_messages import TRANSFORMS, stamp_of
+from eagor.sources.topic_pictures import TopicPictures, lens_in_bag, placed_in_bag, topics_of
 
 __all__ = ["BagCamera", "BagPoses", "bag_odometry"]
 

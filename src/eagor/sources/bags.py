@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from eagor._extras import need
 from eagor.errors import EagorError, FormatError, StorageError
-from eagor.media.panorama import in_order
-from eagor.media.ros_messages import (
+from eagor.sources.panorama import in_order
+from eagor.sources.ros_messages import (
     CAMERA_INFO,
     COMPRESSED,
     IMAGE,

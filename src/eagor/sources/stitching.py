@@ -14,10 +14,10 @@ from eagor._checks import is_twice_as_wide
 from eagor.cameras import Rig, Sampler
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.media.defects import MAKE, STITCH, TWICE, circles_in_words, two_eyes
-from eagor.media.intrinsics import ASK, Camera, IntrinsicsHint, ShapeError, ordinary_grid
-from eagor.media.metadata import EYES, Projection
-from eagor.media.panorama import by_area, checked_picture, resized, resized_mask
+from eagor.sources.defects import MAKE, STITCH, TWICE, circles_in_words, two_eyes
+from eagor.sources.intrinsics import ASK, Camera, IntrinsicsHint, ShapeError, ordinary_grid
+from eagor.sources.metadata import EYES, Projection
+from eagor.sources.panorama import by_area, checked_picture, resized, resized_mask
 
 __all__ = ["PanoramaBuilder", "Stitcher", "seen_by", "sizes_of"]
 

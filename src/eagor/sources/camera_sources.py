@@ -1,7 +1,7 @@
 """Where pictures come from: `open_source` for what SOURCE on the command line means; `open_footage` for recordings.
 
 Recorded pictures come in order of time, each read when it is its turn: a long video needs no more memory than a short
-one. Packages add cameras of their own under the entry points ``eagor.cameras``; `eagor.media.check_camera` tests one.
+one. Packages add cameras of their own under the entry points ``eagor.cameras``; `eagor.sources.check_camera` tests one.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from eagor._checks import above, is_twice_as_wide
 from eagor.cameras import Rig
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.media import CameraSource, Frame
-from eagor.media.bag_sources import BagCamera
-from eagor.media.bags import is_bag, split_bag
-from eagor.media.defects import problems
-from eagor.media.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
-from eagor.media.live_camera import SCHEMES, STREAMS, LiveCamera
-from eagor.media.panorama import IMAGES, Picture, in_order, pictures_in, read_stored
-from eagor.media.rigs import read_rig
-from eagor.media.stitching import PanoramaBuilder, sizes_of
-from eagor.media.tracks import is_animation, plays, selected
-from eagor.media.video import Video
 from eagor.odometry.files import times_of
+from eagor.sources import CameraSource, Frame
+from eagor.sources.bag_sources import BagCamera
+from eagor.sources.bags import is_bag, split_bag
+from eagor.sources.defects import problems
+from eagor.sources.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
+from eagor.sources.live_camera import SCHEMES, STREAMS, LiveCamera
+from eagor.sources.panorama import IMAGES, Picture, in_order, pictures_in, read_stored
+from eagor.sources.rigs import read_rig
+from eagor.sources.stitching import PanoramaBuilder, sizes_of
+from eagor.sources.tracks import is_animation, plays, selected
+from eagor.sources.video import Video
 
 __all__ = [
     "BUILT_IN", "GROUP", "LEAST_ROWS", "SOURCES", "Footage", "FrameCheck", "Images", "ShapeError", "is_video",
@@ -72,7 +72,7 @@ def open_source(
     """The source of pictures that `text` names (`SOURCES`), or that another package brings (``NAME:REST``).
 
     `latency`: seconds from capture to arrival, taken off the stamps. `rows`: the most rows of a panorama. `rig`: the
-    lenses (`eagor.media.rigs`) or their YAML file, if the pictures are not panoramas; for a rig with several
+    lenses (`eagor.sources.rigs`) or their YAML file, if the pictures are not panoramas; for a rig with several
     pictures, `text` is as many sources with commas between, unless one gives all; of topics of ROS or of a bag, as many
     topics (``ros:/front/image,/back/image``), which may also do without a rig. `rate`: the most pictures per second
     to take; for a folder, how many per second were taken. `camera`: an ordinary one, if it is known to be that.

@@ -1,6 +1,6 @@
 """Videos as frames: of panoramas, of an ordinary camera, or of the lenses of a rig; also pictures that move.
 
-Tracks are decoded (`eagor.media.tracks`), and `PanoramaBuilder` says what their pictures are.
+Tracks are decoded (`eagor.sources.tracks`), and `PanoramaBuilder` says what their pictures are.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import numpy as np
 from eagor._checks import above, whole, within
 from eagor.cameras import Rig
 from eagor.errors import ImageError, TimeError
-from eagor.media import Frame
-from eagor.media.intrinsics import Camera
-from eagor.media.stitching import PanoramaBuilder
-from eagor.media.tracks import Animation, Track, is_animation
+from eagor.sources import Frame
+from eagor.sources.intrinsics import Camera
+from eagor.sources.stitching import PanoramaBuilder
+from eagor.sources.tracks import Animation, Track, is_animation
 
 __all__ = ["Video", "lens_videos"]
 
@@ -33,8 +33,8 @@ class Video:
 
     With a `rig`, `path` and `others` are the files of its pictures: one may hold a track for each, and of two Insta360
     recordings of the same moment one is enough. `camera`, `force`: as for `PanoramaBuilder`. `rate`: pictures per
-    second to take (None: all), `start`, `end`: seconds of the file, as of `eagor.media.tracks.Track`. `rows`: the most
-    rows of a frame; larger pictures are shrunk by area while they are decoded.
+    second to take (None: all), `start`, `end`: seconds of the file, as of `eagor.sources.tracks.Track`. `rows`: the
+    most rows of a frame; larger pictures are shrunk by area while they are decoded.
 
     `shape`: rows and columns of the frames; `unseen`: None, or the mask of `shape` of what no frame shows;
     `level_R_body`: None, or the rotation ``(3, 3)`` that makes them level, as the file says; `builder`: what makes

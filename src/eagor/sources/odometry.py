@@ -22,13 +22,13 @@ import numpy as np
 from eagor import plugins
 from eagor._extras import need
 from eagor.errors import DeviceError, EagorError, PoseError
-from eagor.media import CameraSource, Frame, Pose, PoseSource
-from eagor.media.bag_sources import BagPoses, bag_odometry
-from eagor.media.camera_sources import Footage, Images, warned
-from eagor.media.panorama import Picture
 from eagor.odometry.axes import settled
 from eagor.odometry.files import BEYOND, FramePose, Poses, interpolated, pair, read_poses, usable
 from eagor.odometry.visual import VisualOdometer
+from eagor.sources import CameraSource, Frame, Pose, PoseSource
+from eagor.sources.bag_sources import BagPoses, bag_odometry
+from eagor.sources.camera_sources import Footage, Images, warned
+from eagor.sources.panorama import Picture
 
 if TYPE_CHECKING:
     from eagor.odometry.imu import MotionTrack

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from eagor.conventions import OPTICAL_R_BODY, is_optical
 from eagor.errors import DeviceError, EagorError
-from eagor.media import Pose
-from eagor.media.ros_messages import IMU, ODOMETRY, TRANSFORMS, pose_of, rotation_of, seconds, triple
+from eagor.sources import Pose
+from eagor.sources.ros_messages import IMU, ODOMETRY, TRANSFORMS, pose_of, rotation_of, seconds, triple
 from eagor.tracking.poses import PoseHistory
 
 __all__ = [

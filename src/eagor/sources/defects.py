@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from eagor.grids import ErpGrid
-from eagor.media.panorama import checked_picture, resized
+from eagor.sources.panorama import checked_picture, resized
 
 __all__ = ["MAKE", "TWICE", "NeverSeen", "Seam", "circles_in_words", "never_seen", "problems", "seam_of", "two_eyes"]
 

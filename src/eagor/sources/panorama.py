@@ -30,7 +30,7 @@ from eagor._srgb import to_coded
 from eagor.cameras import Sampler
 from eagor.errors import ImageError, MissingExtraError
 from eagor.grids import ErpGrid, Grid, PerspectiveGrid, ViewKey, forward_view, view_key
-from eagor.media.metadata import GPANO, Projection, of_photograph, properties
+from eagor.sources.metadata import GPANO, Projection, of_photograph, properties
 from eagor.sphere import check_rotation
 
 # Pillow starts no other program for any of these; AVIF since its version 11.3.
@@ -275,7 +275,7 @@ def _grid_of(image: np.ndarray) -> ErpGrid:
     if image.ndim not in (2, 3) or image.size == 0 or image.dtype.kind not in "uif":
         raise ImageError(
             f"a panorama is an array (H, W) or (H, W, C) of numbers; got shape {image.shape}, type {image.dtype}. "
-            "Read files with eagor.media.panorama.read_panorama"
+            "Read files with eagor.sources.panorama.read_panorama"
         )
     return ErpGrid(*image.shape[:2])
 

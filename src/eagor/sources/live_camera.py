@@ -33,11 +33,11 @@ from eagor._extras import need
 from eagor._files import redacted
 from eagor.cameras import Rig
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
-from eagor.media import Frame
-from eagor.media.intrinsics import Camera
-from eagor.media.stitching import PanoramaBuilder
-from eagor.media.tracks import Damage, pictures, to_rgb
 from eagor.odometry.clocks import StreamClock
+from eagor.sources import Frame
+from eagor.sources.intrinsics import Camera
+from eagor.sources.stitching import PanoramaBuilder
+from eagor.sources.tracks import Damage, pictures, to_rgb
 
 if TYPE_CHECKING:
     from av.container import InputContainer

@@ -25,13 +25,13 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from eagor.cameras import Lens, Rig
 from eagor.errors import ImageError, PoseError
-from eagor.media import Frame, Pose
-from eagor.media.defects import BLACK
-from eagor.media.panorama import checked_picture
-from eagor.media.stitching import Stitcher, sizes_of
 from eagor.odometry.features import FIELD, Features, Views, match
 from eagor.odometry.two_views import bin_index, estimate_relative_rotation
 from eagor.odometry.visual import VisualOdometer
+from eagor.sources import Frame, Pose
+from eagor.sources.defects import BLACK
+from eagor.sources.panorama import checked_picture
+from eagor.sources.stitching import Stitcher, sizes_of
 from eagor.sphere import world_R_body
 
 __all__ = [
