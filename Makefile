@@ -173,7 +173,7 @@ bench: $(VENV)/.eagor-test-installed
 	$(BIN)/python benchmarks/ideal.py
 
 figures: $(VENV)/.eagor-installed
-	@for figure in architecture mean degree parallax belief presence moving demo results; do
+	@for figure in architecture mean degree parallax belief presence demo results; do
 	    echo "==> docs/figures/$$figure.py"
 	    $(BIN)/python docs/figures/$$figure.py
 	done

@@ -2,28 +2,59 @@
 
     python docs/figures/belief.py [FOLDER]
 
-A search in a built-in apartment with `scout`, seven looks into it (docs/figures/moving.py plays the same one).
+A search in a built-in apartment with `scout`, seven looks into it, played as `eagor bench run navigation` plays it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from common import INK, SIGNED, figure, keep, plain, titled
-from moving import photograph, search
 
 import eagor
+from eagor.conventions import rotation_from_wxyz
 from eagor.drawing import paint_belief
 from eagor.lab.agents.methods import BASE
+from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, load_place
 from eagor.lab.envs.rules import Camera
+from eagor.lab.tasks.sim.play import Runner
+from eagor.lab.worlds import View
 from eagor.perception import load
 from eagor.sphere import unit, wrap
 
 SEED, EPISODE, LOOKS = 604, 2, 7
 ROWS, DEGREE = 320, 15
 WHOLE: Any = (180, -180, -90, 90)
+
+
+@dataclass(frozen=True)
+class Way:
+    """Where the search went: what was looked for and where it is, and the camera's poses, one per step."""
+
+    query: str
+    target: np.ndarray
+    positions: np.ndarray
+    rotations: np.ndarray
+
+
+def search(seed: int, index: int) -> Way:
+    """Play the episode with our tracker."""
+    runner = Runner({"task": "navigation", "perception": "scout"})
+    record = runner.run_episode(EpisodeSpec("navigation", APARTMENT, seed, index, index), ["eagor"])
+    poses = np.array(record["methods"]["eagor"]["trace"]["pose"])
+    thing = load_place(APARTMENT, seed, runner.camera.radius).scene.instances[record["episode"]["targets"][0]]
+    rotations = np.array([rotation_from_wxyz(pose[3:]) for pose in poses])
+    return Way(record["episode"]["query"], thing.centre, poses[:, :3], rotations)
+
+
+def photograph(renderer: View, position: np.ndarray, world_R_body: np.ndarray, rows: int) -> np.ndarray:
+    """What the camera sees ``(rows, 2 rows, 3)``."""
+    rgb = renderer.panorama(position, world_R_body, rows, range=False, ids=False).rgb
+    assert rgb is not None
+    return rgb
 
 
 def signed(axes: Any, values: np.ndarray, most: float) -> Any:

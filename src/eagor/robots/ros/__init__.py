@@ -42,7 +42,7 @@ PARAMETERS: Mapping[str, tuple[Any, str]] = {
     "rig": ("", "a YAML file with the lenses, if the pictures are those of fisheye lenses"),
     "intrinsics": ("", "a file with the lens of an ordinary camera without camera_info"),
     "hfov_deg": (UNSET, "degrees that an ordinary camera without camera_info sees across"),
-    "floor": (UNSET, "metres: height of the camera above the floor on which things stand"),
+    "floor": (UNSET, "metres: height of the floor in the world of the poses; things stand on it"),
     "calibration": ("", "a file from eagor calibrate"),
     "detector": ("", "how well the detector does, as --detector of other commands"),
     "static": (False, "things never move"),
