@@ -94,16 +94,11 @@ class ViewBox:
         return seen & (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1), seen
 
     def is_of(self, other: ViewBox) -> bool:
-        """Whether it shows the same thing as a box of another view, judged by what both views see.
-
-        A box that no border cuts shows the whole thing, and the other one lies in it.
-        """
+        """Whether it shows the same thing as a box of another view, judged by what both views see."""
         shared, seen = [], []
         for one, two in ((self, other), (other, self)):
             directions, weights = one.samples
             held, visible = two.holds(directions)
-            if one.cut.any() and not two.cut.any():
-                return float(weights[held].sum()) > SAME * float(weights.sum())
             shared.append(float(weights[held].sum()))
             seen.append(float(weights[visible].sum()))
         # A sliver at a border may fall between the samples of the larger box: the smaller one decides then.
