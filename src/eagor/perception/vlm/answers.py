@@ -289,7 +289,7 @@ def _named(text: str) -> Iterator[_Found]:
 def _tagged(text: str, order: Order) -> Iterator[_Found]:
     """The boxes as tokens of places, and the points as tags."""
     for loc in _LOC.finditer(text):  # Florence-2: thousandths, x first; PaliGemma: of 1024, y first
-        parts = [(int(loc[group]) + 0.5) / (1000 if loc[1] else 1024) for group in range(2, 6)]
+        parts = [(_number(loc[group]) + 0.5) / (1000 if loc[1] else 1024) for group in range(2, 6)]
         yield _Found(tuple(parts[place] for place in _PLACES["xyxy" if loc[1] else "yxyx"]))
     for tag in _POINT_TAG.finditer(text):
         numbers, own = [*map(_number, _ATTRIBUTE.findall(tag[1]))], (0, 1)
