@@ -4,14 +4,19 @@ python benchmarks/live_loop.py                    # CPU per simulated second, as
 python benchmarks/live_loop.py --positions        # the same with positions (distances are tracked too)
 python benchmarks/live_loop.py --in-turn          # a picture is searched for one of the targets
 python benchmarks/live_loop.py --turning          # a camera that turns, in real time: do cones hold the truth?
+python benchmarks/live_loop.py --clip CLIP --query tv --checkouts . ../before   # `eagor live` with coco, in turns
 
 --runs of each kind of turn, with other things and other --photographs, each of so many --seconds.
 """
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import common
 import numpy as np
@@ -220,10 +225,41 @@ def turning(photographs: Path, seconds: float, runs: int) -> None:
             )
 
 
+def commands(clip: Path, query: str, checkouts: list[str], seconds: int, runs: int) -> None:
+    """Print what `eagor live` uses on a film with coco in its process: of each checkout, one after the other."""
+    command = [sys.executable, "-m", "eagor", "live", str(clip.resolve()), query, "--perception", "coco", "--json"]
+    command += ["--seconds", str(seconds)]
+    used: dict[str, list[float]] = {checkout: [] for checkout in checkouts}
+    answers = {checkout: 0 for checkout in checkouts}
+    for _ in range(runs):
+        for checkout in checkouts:
+            environment = os.environ | {"PYTHONPATH": str(Path(checkout, "src").resolve())}
+            with subprocess.Popen(
+                [*command, "--seconds", str(seconds)],
+                env=environment,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+            ) as running:
+                assert running.stdout is not None
+                answers[checkout] += sum(b'"status"' in line for line in running.stdout)
+                _, status, usage = os.wait4(running.pid, 0)  # with the detector's process
+                running.returncode = os.waitstatus_to_exitcode(status)
+            used[checkout].append(usage.ru_utime + usage.ru_stime)
+    for checkout, times in used.items():
+        ratios = common.mean_of(np.divide(times, used[checkouts[0]]))
+        print(
+            f"{checkout}: {np.mean(times):.1f} s of CPU, start and detector with it, {answers[checkout] / runs:.0f} "
+            f"answers in {seconds} s; times the first: {ratios[0]:.2f} [{ratios[1]:.2f}, {ratios[2]:.2f}]"
+        )
+
+
 def main() -> None:
-    known = {"seconds": 20, "positions": False, "in_turn": False, "turning": False, "runs": 4}
+    known: dict[str, Any] = {"clip": Path, "query": "tv", "checkouts": ["."]}
+    known |= {"seconds": 20, "positions": False, "in_turn": False, "turning": False, "runs": 4}
     given = common.parser(__doc__, photographs=common.PANORAMAS, **known).parse_args()
-    if given.turning:
+    if given.clip:
+        commands(given.clip, given.query, given.checkouts, given.seconds, given.runs)
+    elif given.turning:
         turning(given.photographs, given.seconds, given.runs)
     else:
         cost(given.positions, given.in_turn, given.seconds)
