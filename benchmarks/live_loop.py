@@ -234,13 +234,8 @@ def commands(clip: Path, query: str, checkouts: list[str], seconds: int, runs: i
     for _ in range(runs):
         for checkout in checkouts:
             environment = os.environ | {"PYTHONPATH": str(Path(checkout, "src").resolve())}
-            with subprocess.Popen(
-                [*command, "--seconds", str(seconds)],
-                env=environment,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-            ) as running:
-                assert running.stdout is not None
+            streams = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+            with subprocess.Popen(command, env=environment, **streams) as running:
                 answers[checkout] += sum(b'"status"' in line for line in running.stdout)
                 _, status, usage = os.wait4(running.pid, 0)  # with the detector's process
                 running.returncode = os.waitstatus_to_exitcode(status)
