@@ -52,7 +52,7 @@ from eagor.lab.eval.detector_fit import fitted_model
 from eagor.lab.eval.labelled_looks import LabelledLook
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception.coco import CLASSES, DETECTOR
-from eagor.perception.things import Thing, pieces_of, spread_evidence, things
+from eagor.perception.fusion import SphericalDetection, fuse_views, pieces_of, spread_evidence
 from eagor.sources.panorama import read_panorama, turn
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 from eagor.tracking import Estimate, TrackerConfig
@@ -132,14 +132,14 @@ def look(folder: Path, files: Sequence[Path], wanted: Sequence[tuple[str, str]])
                 if frame not in frames:
                     continue
                 seen = views.seen(picture, say[frame])
-                of_class = ((name, things(pieces_of(seen, {name}))) for name in CLASSES)
+                of_class = ((name, fuse_views(pieces_of(seen, {name}))) for name in CLASSES)
                 found = {name: [stored(thing) for thing in found] for name, found in of_class if found}
                 entry: dict[str, Any] = {"photograph": name, "condition": condition, "frame": frame, "seen": found}
                 out.write(json.dumps(entry) + "\n")
                 out.flush()
 
 
-def stored(thing: Thing) -> list[Any]:
+def stored(thing: SphericalDetection) -> list[Any]:
     return [np.round(thing.direction, 5).tolist(), np.round(thing.covariance, 7).tolist(), round(thing.score, 4)]
 
 
@@ -160,7 +160,7 @@ class Case:
     photograph: str
     condition: str
     query: str
-    things: Sequence[Sequence[Thing]]
+    things: Sequence[Sequence[SphericalDetection]]
     targets: np.ndarray
     sizes: np.ndarray
 
@@ -171,10 +171,13 @@ class Case:
 
 def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Marked) -> list[Case]:
     """Every marked thing and absent class on the `photographs`, in each condition."""
-    seen: dict[tuple[str, str], dict[int, dict[str, list[Thing]]]] = {}
+    seen: dict[tuple[str, str], dict[int, dict[str, list[SphericalDetection]]]] = {}
     for entry in entries(files):
         things = {
-            query: [Thing(unit(np.array(where)), np.array(covariance), score) for where, covariance, score in found]
+            query: [
+                SphericalDetection(unit(np.array(where)), np.array(covariance), score)
+                for where, covariance, score in found
+            ]
             for query, found in entry["seen"].items()
         }
         seen.setdefault((entry["photograph"], entry["condition"]), {})[entry["frame"]] = things

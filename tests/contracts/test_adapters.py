@@ -8,8 +8,8 @@ import supervision
 import torch
 
 from eagor.errors import ResponseError
+from eagor.perception.fusion import RawDetections
 from eagor.perception.results import boxes_of
-from eagor.perception.things import Boxes
 
 BOXES = np.array([[10.0, 20.0, 30.0, 60.0], [50.0, 10.0, 80.0, 90.0]])
 SCORES = np.array([0.9, 0.25])
@@ -118,7 +118,7 @@ def test_labels_may_be_left_out():
     assert boxes_of((BOXES, SCORES)).labels is None
     assert boxes_of(records()).labels is None
     assert boxes_of(supervision.Detections(xyxy=BOXES, confidence=SCORES)).labels is None
-    assert isinstance(boxes_of((BOXES, SCORES)), Boxes)
+    assert isinstance(boxes_of((BOXES, SCORES)), RawDetections)
 
 
 def test_a_list_of_names_will_do_and_own_names_give_way():

@@ -22,7 +22,7 @@ from eagor.lab.tasks.published import head_of, phrase_of, thing_of
 from eagor.lab.tasks.task import check_task, configure
 from eagor.perception import load
 from eagor.perception.endpoint import ServedChat
-from eagor.perception.partial import look_at_view
+from eagor.perception.partial import infer_view
 from eagor.perception.vlm import IMAGE
 
 MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
@@ -133,7 +133,7 @@ def test_a_perception_is_not_shown_the_cross(tmp_path):
     view = View(0.0, 0.0)
     drawn = render_view(open_panorama(asked.panorama), 0.0, 0.0, 54)
     ahead = PerspectiveGrid(54, drawn.shape[1], math.radians(100))
-    assert look_at_view(perception, drawn, ahead, "green square").response.max() > 0.5
+    assert infer_view(perception, drawn, ahead, "green square").response.max() > 0.5
     seen = open_detector(perception, asked, 0, 54)(view).evidence
     assert seen.response.max() < 0.2
 

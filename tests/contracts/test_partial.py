@@ -12,7 +12,7 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.perception import load
 from eagor.perception.colour import ColourPerception
-from eagor.perception.partial import coverage, look_at_view, pasted
+from eagor.perception.partial import coverage, infer_view, pasted
 from eagor.sources.panorama import view
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 
@@ -44,7 +44,7 @@ def test_a_picture_is_put_where_it_was_taken():
 def test_evidence_is_where_the_thing_is_and_nowhere_beyond_the_view(pitch):
     grid = PerspectiveGrid(180, 320, HFOV, world_R_body(0.0, -pitch))
     picture = view(red_spot(0.2, pitch - 0.1), grid)
-    found = look_at_view(Painted(Calibration()), picture, grid, "red", stamp=3.0)
+    found = infer_view(Painted(Calibration()), picture, grid, "red", stamp=3.0)
     assert found.stamp == 3.0
     shown = coverage(*found.grid.shape, grid)
     log_ratio = np.asarray(found.log_ratio)
@@ -69,7 +69,7 @@ class Painted:
 def test_detections_in_a_view_say_nothing_beyond_it(perception, pitch):
     grid = PerspectiveGrid(180, 320, HFOV, world_R_body(0.0, -pitch))
     picture = view(red_spot(0.2, pitch - 0.1), grid)
-    found = look_at_view(perception, picture, grid, "red", stamp=3.0)
+    found = infer_view(perception, picture, grid, "red", stamp=3.0)
     assert found.stamp == 3.0
     assert len(found.detections) == 1
     assert isinstance(found.grid, PerspectiveGrid)
@@ -79,7 +79,7 @@ def test_detections_in_a_view_say_nothing_beyond_it(perception, pitch):
     off = cells.directions @ grid.body_R_view[:, 0] < math.cos(math.radians(55 + 30))
     field = RealHarmonics(15).synthesise(found.coefficients(15), cells)
     assert np.abs(field[off]).max() < 0.1  # of the 4 nats in the view: what a field of degree 15 leaks
-    nothing = look_at_view(perception, np.full_like(picture, 128), grid, "red", stamp=3.0)
+    nothing = infer_view(perception, np.full_like(picture, 128), grid, "red", stamp=3.0)
     assert len(nothing.detections) == 0
 
 
@@ -87,7 +87,7 @@ def test_what_fills_a_panorama_around_a_picture_is_no_detection():
     """The rest is painted with the picture's mean colour, which may be the one that is asked for."""
     picture = np.full((90, 160, 3), (220, 30, 30), dtype=np.uint8)
     picture[:40] = (200, 25, 25)
-    found = look_at_view(ColourPerception(), picture, PerspectiveGrid(90, 160, HFOV), "red")
+    found = infer_view(ColourPerception(), picture, PerspectiveGrid(90, 160, HFOV), "red")
     assert (found.detections.directions[:, 0] > 0.5).all()
 
 
@@ -104,7 +104,7 @@ def test_a_perception_that_takes_pictures_is_given_the_picture():
 
     viewer, picture = Viewer(), np.zeros((18, 32, 3), dtype=np.uint8)
     posed = PerspectiveGrid(18, 32, HFOV, world_R_body(0.0, -0.4))
-    found = look_at_view(viewer, picture, posed, "cup", stamp=1.0)
+    found = infer_view(viewer, picture, posed, "cup", stamp=1.0)
     image, grid, query = viewer.seen
     assert image is picture
     assert query == "cup"
@@ -114,9 +114,9 @@ def test_a_perception_that_takes_pictures_is_given_the_picture():
 
 def test_what_is_no_picture_is_refused():
     with pytest.raises(ImageError, match="uint8"):
-        look_at_view(load("colour"), np.zeros((4, 4)), PerspectiveGrid(4, 4, HFOV), "red")
+        infer_view(load("colour"), np.zeros((4, 4)), PerspectiveGrid(4, 4, HFOV), "red")
     with pytest.raises(ImageError, match="resized"):
-        look_at_view(load("colour"), np.zeros((4, 4, 3), dtype=np.uint8), PerspectiveGrid(8, 8, HFOV), "red")
+        infer_view(load("colour"), np.zeros((4, 4, 3), dtype=np.uint8), PerspectiveGrid(8, 8, HFOV), "red")
 
 
 def test_coverage_is_the_share_of_the_sphere_that_a_view_has():

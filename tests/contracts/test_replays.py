@@ -10,7 +10,7 @@ import pytest
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import FormatError, QueryError
 from eagor.perception.replay import ReplayPerception, parse_record, read_records
-from eagor.perception.words import fitting
+from eagor.perception.vocabulary import fitting
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 
 PANORAMA = {"width": 1024, "height": 512}

@@ -31,7 +31,7 @@ from eagor.lab.agents.methods import NAMES
 from eagor.lab.eval import calibration
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.perception import coco
-from eagor.perception import words as query_words
+from eagor.perception import vocabulary as query_words
 from eagor.perception.replay import write_record
 from eagor.sources.panorama import read_panorama, turn
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body

@@ -23,7 +23,7 @@ from eagor.lab.eval.labelled_looks import apartment_labels
 from eagor.perception import is_model, load, rows_of, short_name
 from eagor.perception import transformers as local
 from eagor.perception.calibrated import Labelled, cap_radius, read_labelled
-from eagor.perception.partial import look_at_view
+from eagor.perception.partial import infer_view
 from eagor.perception.transformers import TransformersPerception
 from eagor.perception.transformers.language import LanguageModel
 from eagor.sources.panorama import cut, read_panorama
@@ -149,7 +149,7 @@ def seen_in_a_view(perception, place):
     """Where a view of 54 x 96 pixels towards azimuth 0 has its best direction, with a red thing at `place`."""
     grid = PerspectiveGrid(54, 96, math.radians(100), world_R_body(0.0, -0.1))
     image = cut(vlm_models.marked(*place, radius=0.2, rows=256, seed=5), grid)[0]
-    evidence = look_at_view(perception, image, grid, "red thing", stamp=2.0)
+    evidence = infer_view(perception, image, grid, "red thing", stamp=2.0)
     return evidence, Belief.uniform(15).update(evidence).mode()
 
 

@@ -14,7 +14,7 @@ from eagor.errors import ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.detections import resolved
 from eagor.evidence.detector import ALARMS as NUMBERS
-from eagor.evidence.detector import Alarms, DetectorModel, Spread, model_as_json, parse_model
+from eagor.evidence.detector import ClutterRate, DetectorModel, Spread, model_as_json, parse_model
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
 from eagor.tracking.config import MotionModel, TrackerConfig
@@ -228,7 +228,7 @@ def test_place_and_spread_are_believed_in_jointly(stated):
             tracker.add_pose(look.stamp, pose)
             tracker.observe(look)
             estimate = tracker.estimate(look.stamp)
-            spoken = look.detections.speaks(grid.directions @ pose, unsure.scales, Alarms.prior(model()))[0]
+            spoken = look.detections.speaks(grid.directions @ pose, unsure.scales, ClutterRate.prior(model()))[0]
             log += np.log(1 - PD + PD * spoken)
             joint = np.exp(log - log.max()) * grid.weights
             expected = joint.sum(axis=(1, 2)) / joint.sum()
@@ -287,7 +287,7 @@ def test_a_noisy_detector_is_not_believed():
 
 def test_the_number_of_false_alarms_is_learnt_by_bayes_rule():
     """Detections with other causes raise the intensity there: each is Poisson with the sum of both."""
-    before, others = Alarms.prior(DetectorModel()), np.array([0.0, 0.5, 20.0])
+    before, others = ClutterRate.prior(DetectorModel()), np.array([0.0, 0.5, 20.0])
     numbers = np.array(NUMBERS)
     assert before.weights.sum() == pytest.approx(1)
     expected = np.exp(-numbers) * (numbers[:, None] + others).prod(axis=1)
@@ -299,12 +299,12 @@ def test_the_number_of_false_alarms_is_learnt_by_bayes_rule():
     assert before.share(np.zeros(2)) == pytest.approx([1, 1])
     shares = before.share(others)
     assert (np.diff(shares) < 0).all(), "and it speaks the less for the target"
-    assert shares == pytest.approx(before.weights @ (1 / (numbers[:, None] + others)) / before.inverse)
+    assert shares == pytest.approx(before.weights @ (1 / (numbers[:, None] + others)) / before.mean_inverse_rate)
 
 
 def test_a_stated_number_of_false_alarms_is_not_learnt():
-    stated = Alarms.prior(model())
-    assert stated.inverse == pytest.approx(1 / ALARMS)
+    stated = ClutterRate.prior(model())
+    assert stated.mean_inverse_rate == pytest.approx(1 / ALARMS)
     assert stated.after(np.zeros(6)) is stated
     assert stated.share(np.array([0.3])) == pytest.approx([ALARMS / (ALARMS + 0.3)])
 

@@ -11,7 +11,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import moments_of
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.perception.things import blobs
+from eagor.perception.fusion import blobs
 from eagor.perception.vlm.answers import Box
 from eagor.perception.vlm.perception import Crop, InferencePlan, ModelPerception, box_detections, fuse_detections
 from eagor.sphere import angular_distance, direction, world_R_body

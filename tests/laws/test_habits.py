@@ -15,7 +15,7 @@ from strategies import estimate_after, points_look, random_directions, rotations
 
 from eagor.belief.bank import Bank, Shown
 from eagor.evidence import Evidence
-from eagor.evidence.detector import Alarms, DetectorModel, Spread
+from eagor.evidence.detector import ClutterRate, DetectorModel, Spread
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import direction, unit, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
@@ -195,7 +195,7 @@ def test_without_look_alikes_and_with_a_known_habit_each_look_is_independent(hab
     for pose, each in zip(poses, looks, strict=True):
         tracker.add_pose(each.stamp, pose)
         tracker.observe(each)
-        said = each.detections.speaks(grid.directions @ pose, widths.scales, Alarms.prior(MODEL))[0]
+        said = each.detections.speaks(grid.directions @ pose, widths.scales, ClutterRate.prior(MODEL))[0]
         log += np.log(0.3 + 0.7 * said)
     ratio = np.exp(log).sum(axis=0)
     mean = float(np.sum(ratio * grid.weights)) / (4 * math.pi)

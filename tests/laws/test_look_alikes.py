@@ -12,7 +12,7 @@ from strategies import estimate_after, points_look, random_directions
 
 from eagor._values import altered
 from eagor.evidence import Evidence
-from eagor.evidence.detector import Alarms, DetectorModel, Spread
+from eagor.evidence.detector import ClutterRate, DetectorModel, Spread
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
 from eagor.tracking.config import MotionModel, TrackerConfig
@@ -271,7 +271,7 @@ def test_what_one_place_explains_is_not_explained_again():
         altered(known, **{name: getattr(known, name)[[best] * count] for name in names}) for count in range(3)
     )
     sight = Sight.of([look([HERE], 99)], FLAT.degree, 99.0, np.eye(3), None)
-    alarms = Alarms.prior(MODEL)
+    alarms = ClutterRate.prior(MODEL)
 
     def evidence(places):
         return places.evidence(places.heard(sight, SPREAD), alarms, np.zeros(1))

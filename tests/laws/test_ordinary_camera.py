@@ -16,7 +16,7 @@ from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.in_turn import ByFrame, answers_in_turn
 from eagor.live.inference import InferenceWorker
 from eagor.perception.colour import ColourPerception
-from eagor.perception.things import ViewBox, things
+from eagor.perception.fusion import ViewBox, fuse_views
 from eagor.sources import Frame, Pose
 from eagor.sources.camera_sources import FrameCheck, ShapeError, open_source
 from eagor.sources.intrinsics import (
@@ -113,7 +113,8 @@ def test_a_thing_that_a_distorted_picture_cuts_goes_on_as_in_an_ideal_one():
     rows = bent.project(np.array([[1.0, -mid, -y0], [1.0, -mid, -y1]]) @ pose)[1]
     box = np.array([250.0, rows[0], 320.0, rows[1]])
     found = [
-        things([ViewBox(0, PerspectiveGrid.of_lens(lens), each, 0.9)])[0] for lens, each in ((wide, plain), (bent, box))
+        fuse_views([ViewBox(0, PerspectiveGrid.of_lens(lens), each, 0.9)])[0]
+        for lens, each in ((wide, plain), (bent, box))
     ]
     assert angular_distance(found[0].direction, found[1].direction) < math.radians(1)
     inside = bent.unproject(np.array(285.0), np.array(120.0))

@@ -151,7 +151,9 @@ def test_looks_from_places_far_apart_are_independent():
     assert np.allclose(turned_away(near, stamps, step=50.0), turned_away(FRESH, stamps), atol=1e-9)
     assert np.allclose(turned_away(near, stamps), turned_away(lasting, stamps), atol=1e-9)
     assert np.ptp(turned_away(near, stamps, step=0.05) - turned_away(lasting, stamps)) > 0.01
-    assert DetectorModel(kept_for=2.0, kept_within=1.0).habits.anew(1.0, 3.0) == pytest.approx(-math.expm1(-3.5))
+    assert DetectorModel(kept_for=2.0, kept_within=1.0).habits.renewal_probability(1.0, 3.0) == pytest.approx(
+        -math.expm1(-3.5)
+    )
 
 
 def test_looks_near_each_other_share_their_habits_as_if_for_ever():

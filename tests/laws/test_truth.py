@@ -47,7 +47,7 @@ def episode(labels, noise=IDEAL, seed=0, rows=18):
 def looks(labels, ids, query, noise, frames, seed=0):
     """The reports of so many looks at the same ids."""
     detector = episode(labels, noise, seed)
-    return [detector.look(ids, query) for _ in range(frames)]
+    return [detector.detect(ids, query) for _ in range(frames)]
 
 
 def table(reports, kind, things):
@@ -120,12 +120,12 @@ def test_displacements_have_the_spread_asked_for_on_both_axes(persistence):
     centres[:, 2] *= 0.6  # apart, and off the poles, where two axes by azimuth and elevation make sense
     centres /= np.linalg.norm(centres, axis=1, keepdims=True)
     ids = discs(centres, radius=0.05)
-    true = np.array([r.direction for r in episode([Thing("chair")] * 6).look(ids, "chair")])
+    true = np.array([r.direction for r in episode([Thing("chair")] * 6).detect(ids, "chair")])
     up = np.array([0, 0, 1.0])
     left = np.cross(up, true) / np.linalg.norm(np.cross(up, true), axis=1, keepdims=True)
     above = np.cross(true, left)
     for step in range(1500):
-        found = detector.look(ids, "chair", rotation((1, 2, 3), 0.7 * step))
+        found = detector.detect(ids, "chair", rotation((1, 2, 3), 0.7 * step))
         said = np.array([r.direction for r in found])
         angle = angular_distance(said, true)
         flat = said - np.sum(said * true, axis=1, keepdims=True) * true
@@ -177,7 +177,7 @@ def test_without_a_colour_in_the_query_nothing_is_confused():
 
 
 def test_what_surrounds_us_is_found_but_mistaken_for_nothing():
-    (report,) = episode([Thing("wall")]).look(np.zeros((18, 36), dtype=np.int64), "wall")
+    (report,) = episode([Thing("wall")]).detect(np.zeros((18, 36), dtype=np.int64), "wall")
     assert np.linalg.norm(report.direction) == pytest.approx(1), "all around has some direction"
     labels = [Thing("floor", "red"), Thing("ceiling", "blue"), Thing("chair", "red")]
     ids = discs(np.array([[0, 0, -1.0], [0, 0, 1], [1, 0, 0]]), radius=1.4)
@@ -193,15 +193,15 @@ def test_a_false_alarm_stays_with_its_thing_while_that_is_in_view():
     noise = Noise(false_alarm=1, persistence=1)
     for seed in range(20):
         detector = episode(SCENE, noise, seed)
-        (first,) = {r.thing for r in detector.look(IDS, "green chair") if r.kind == "false alarm"}
+        (first,) = {r.thing for r in detector.detect(IDS, "green chair") if r.kind == "false alarm"}
         assert first != 5
         for turn in (8, 40, 77):
-            alarms = [r for r in detector.look(np.roll(IDS, turn, axis=1), "green chair") if r.kind == "false alarm"]
+            alarms = [r for r in detector.detect(np.roll(IDS, turn, axis=1), "green chair") if r.kind == "false alarm"]
             assert [r.thing for r in alarms] == [first]
         hidden = np.where(first == IDS, -1, IDS)
-        (second,) = {r.thing for r in detector.look(hidden, "green chair") if r.kind == "false alarm"}
+        (second,) = {r.thing for r in detector.detect(hidden, "green chair") if r.kind == "false alarm"}
         assert second not in (first, 5)
-        (still,) = {r.thing for r in detector.look(IDS, "green chair") if r.kind == "false alarm"}
+        (still,) = {r.thing for r in detector.detect(IDS, "green chair") if r.kind == "false alarm"}
         assert still == second  # it does not leap back
 
 
@@ -221,14 +221,14 @@ def test_a_false_alarm_at_nothing_is_anywhere_in_the_world_and_stays_there():
     assert np.abs(said.T @ said / 1500 - np.eye(3) / 3).max() < 4.5 * math.sqrt(4 / 45 / 1500)
     detector = episode(SCENE, Noise(false_alarm=1, persistence=1, spread=0.1))
     turns = [rotation((1, 1, 1), 0.4 * step) for step in range(6)]
-    fixed = [turn @ r.direction for turn in turns for r in detector.look(empty, "chair", turn)]
+    fixed = [turn @ r.direction for turn in turns for r in detector.detect(empty, "chair", turn)]
     assert np.allclose(fixed, fixed[0], atol=1e-12)
 
 
 @pytest.mark.parametrize("ids", [np.full((18, 36), -1), IDS], ids=["nothing there", "things there"])
 def test_a_false_alarm_gets_place_and_score_at_one_time(ids):
     detector = episode(SCENE, Noise(false_alarm=1, persistence=0.5, spread=0.1, weakest=0))
-    seen = [next(r for r in detector.look(ids, "chair") if r.kind == "false alarm") for _ in range(200)]
+    seen = [next(r for r in detector.detect(ids, "chair") if r.kind == "false alarm") for _ in range(200)]
     moved = [not np.array_equal(a.direction, b.direction) for a, b in pairwise(seen)]
     rescored = [a.score != b.score for a, b in pairwise(seen)]
     elsewhere = [a.thing != b.thing for a, b in pairwise(seen)]
@@ -248,7 +248,7 @@ def test_the_ideal_answer_peaks_where_the_thing_is(centre, radius):
     ids = discs([centre], max(radius, 0.05))
     grid = PatchGrid(18, 36)
     evidence = episode([Thing("chair")])(ids, "chair")
-    (report,) = episode([Thing("chair")]).look(ids, "chair")
+    (report,) = episode([Thing("chair")]).detect(ids, "chair")
     pixel, patch = math.pi / 72, math.pi / 18
     assert angular_distance(report.direction, centre) < pixel
     cell = grid.directions.reshape(-1, 3)[int(np.argmax(evidence.response))]
@@ -269,7 +269,7 @@ def test_the_answer_is_the_gaussian_that_is_reported(azimuth, elevation, spread)
     x, y, _ = grid.project(direction(azimuth, elevation))
     ids[int(y), int(x)] = 0
     noise = Noise(spread=spread, floor=0.1, weakest=0.5)
-    (report,) = episode([Thing("chair")], noise, seed=5).look(ids, "chair")
+    (report,) = episode([Thing("chair")], noise, seed=5).detect(ids, "chair")
     response = np.asarray(episode([Thing("chair")], noise, seed=5)(ids, "chair").response)
     variance = spread**2 + (math.pi / 18 / 2) ** 2
     assert np.allclose(report.covariance @ report.direction, 0, atol=1e-12)
@@ -282,7 +282,7 @@ def test_the_blob_has_the_shape_of_what_is_visible():
     """A rectangle of azimuth a and elevation b on the horizon has the variances a^2 / 12 and b^2 / 12."""
     ids = np.full((180, 360), -1)
     ids[85:95, 160:200] = 0
-    (report,) = episode([Thing("sofa")]).look(ids, "sofa")
+    (report,) = episode([Thing("sofa")]).detect(ids, "sofa")
     half_patch = (math.pi / 36) ** 2
     expected = np.diag([0, math.radians(40) ** 2 / 12, math.radians(10) ** 2 / 12]) + half_patch * np.diag([0, 1, 1])
     assert report.direction == pytest.approx([1, 0, 0], abs=1e-9)
@@ -302,8 +302,8 @@ def test_nothing_is_said_of_the_opposite_direction():
 def test_a_thing_across_the_seam_is_one_thing():
     ids = np.full((72, 144), -1)
     ids[30:40, :6], ids[30:40, -10:] = 0, 0
-    (report,) = episode([Thing("chair")]).look(ids, "chair")
-    (inside,) = episode([Thing("chair")]).look(np.roll(ids, 72, axis=1), "chair")
+    (report,) = episode([Thing("chair")]).detect(ids, "chair")
+    (inside,) = episode([Thing("chair")]).detect(np.roll(ids, 72, axis=1), "chair")
     assert report.direction == pytest.approx(inside.direction * [-1, -1, 1], abs=1e-12)
     assert np.trace(report.covariance) == pytest.approx(np.trace(inside.covariance))
     assert abs(azimuth_elevation(report.direction)[0]) > 3
@@ -336,8 +336,8 @@ def test_one_error_in_the_world_displaces_a_thing_wherever_it_goes(world_R, seed
     parts, across = [], []
     for centre in random_directions(8, seed):
         ids = discs([centre], 0.2)
-        (meant,) = episode([Thing("chair")]).look(ids, "chair")
-        (said,) = detector.look(ids, "chair", world_R)
+        (meant,) = episode([Thing("chair")]).detect(ids, "chair")
+        (said,) = detector.detect(ids, "chair", world_R)
         angle = angular_distance(meant.direction, said.direction)
         flat = said.direction - (said.direction @ meant.direction) * meant.direction
         parts.append(world_R @ flat * (angle / np.linalg.norm(flat)))
@@ -382,8 +382,8 @@ def test_luck_does_not_depend_on_what_was_asked_for_or_seen_before(queries, seed
     empty = np.full_like(IDS, -1)
     one, other = (TruthPerception("persistence=0,false_alarm=0.7").episode(SCENE, seed) for _ in range(2))
     for query in queries:
-        one.look(IDS, query)
-        other.look(empty, "sofa")
+        one.detect(IDS, query)
+        other.detect(empty, "sofa")
     assert np.array_equal(one(IDS, "red chair").response, other(IDS, "red chair").response)
 
 

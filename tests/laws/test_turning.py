@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eagor import DetectorModel, DirectionTracker, Evidence, MotionModel, TrackerConfig
-from eagor.evidence.detector import Alarms, Spread
+from eagor.evidence.detector import ClutterRate, Spread
 from eagor.grids import ErpGrid
 from eagor.sphere import angular_distance, rotation, unit
 from eagor.tracking.look import Look, Sight
@@ -25,7 +25,7 @@ FAST = math.radians(10)  # a second
 
 def look(directions, model=MODEL, stamp=0.0):
     evidence = Evidence.from_points(np.reshape(directions, (-1, 3)), detector=model, stamp=stamp)
-    return Sight.of([evidence], 15, stamp, np.eye(3), None).read(Alarms.prior(model))
+    return Sight.of([evidence], 15, stamp, np.eye(3), None).read(ClutterRate.prior(model))
 
 
 def sightings(directions):

@@ -15,8 +15,8 @@ from eagor.errors import EagorError, GridError, ImageError, QueryError
 from eagor.evidence import BodyMask
 from eagor.grids import tangent_views
 from eagor.live.events import Answer
-from eagor.perception import as_perception, check_perception, look
-from eagor.perception.things import ViewBox, things
+from eagor.perception import as_perception, check_perception, infer
+from eagor.perception.fusion import ViewBox, fuse_views
 from eagor.perception.views import Detector
 from eagor.sources.panorama import cut, turn
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
@@ -128,7 +128,7 @@ def test_an_open_side_widens_and_shifts_what_one_view_alone_has_seen():
     grid = tangent_views(100, math.radians(90), 0.0)[0]
     whole = ViewBox(0, grid, np.array([30.0, 40.0, 60.0, 60.0]), 0.9)
     part = ViewBox(0, grid, np.array([70.0, 40.0, 100.0, 60.0]), 0.9)
-    (inside,), (opened,) = things([whole]), things([part])
+    (inside,), (opened,) = fuse_views([whole]), fuse_views([part])
     assert not whole.cut.any()
     assert part.cut.tolist() == [False, False, True, False]
     assert angular_distance(inside.direction, grid.unproject(45.0, 50.0)) < math.radians(1)
@@ -314,7 +314,7 @@ def test_a_look_tells_the_pose_only_to_who_takes_it():
         return Evidence.from_points(np.zeros((0, 3)))
 
     for perception in (Takes(), plain):
-        look(perception, painted(), "thing", world_R_body=np.eye(3))
+        infer(perception, painted(), "thing", world_R_body=np.eye(3))
     np.testing.assert_array_equal(told[0], np.eye(3))
     assert told[1] == "nothing"
 
@@ -326,7 +326,7 @@ def test_a_tumbling_camera_finds_the_thing():
     for stamp in range(4):
         pose = rotation(rng.normal(size=3), float(rng.uniform(0, 3)))
         tracker.add_pose(float(stamp), pose)
-        tracker.observe(look(perception, turn(panorama, pose.T), "thing", stamp=float(stamp), world_R_body=pose))
+        tracker.observe(infer(perception, turn(panorama, pose.T), "thing", stamp=float(stamp), world_R_body=pose))
     estimate = tracker.estimate(3.0)
     assert angular_distance(pose @ estimate.direction, where) < math.radians(2)
     assert estimate.presence > 0.85

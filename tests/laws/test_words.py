@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 
 from eagor.errors import QueryError
 from eagor.evidence import Evidence
-from eagor.perception.words import (
+from eagor.perception.vocabulary import (
     GROUPS,
     IRREGULAR,
     WIDER,
     colour_of,
     fitting,
     is_bare_colour,
-    meant,
+    match_class,
     named,
     plain,
     same_name,
@@ -110,18 +110,18 @@ def test_every_class_finds_itself_however_it_is_written(name):
     plural = PLURALS.get(name, f"{name}s")
     for query in (name, name.upper(), f"the {name}", f"A {name}", plural, f"the {plural}", plural.upper(),
                   name.replace(" ", "_"), name.replace(" ", "-"), f"  {name} ?"):  # fmt: skip
-        assert meant(query, COCO) == (name,), query
+        assert match_class(query, COCO) == (name,), query
 
 
 @pytest.mark.parametrize(("word", "names"), [*pairs(SAID)])
 def test_what_people_say_finds_what_they_mean(word, names):
-    assert meant(word, COCO) == split(names)
+    assert match_class(word, COCO) == split(names)
 
 
 @pytest.mark.parametrize(("word", "names"), [*pairs(REFUSED)])
 def test_what_is_not_there_is_refused_with_what_is_near(word, names):
     with pytest.raises(QueryError, match=f"the query '{word}' names none of this detector's 80 classes") as caught:
-        meant(word, COCO)
+        match_class(word, COCO)
     text = str(caught.value)
     shown = text.partition("; ")[2].partition(". ")[0]
     if names:
@@ -149,17 +149,17 @@ def test_what_is_not_there_is_refused_with_what_is_near(word, names):
 )
 def test_words_that_describe_are_refused_unless_the_caller_allows_them(query, said, noun, found):
     with pytest.raises(QueryError) as caught:
-        meant(query, COCO)
+        match_class(query, COCO)
     assert f"does not know {said}" in str(caught.value)
     assert f"Ask for {noun} alone" in str(caught.value)
     assert found in str(caught.value)
-    assert meant(query, COCO, described=True) == meant(noun.strip("'"), COCO)
+    assert match_class(query, COCO, described=True) == match_class(noun.strip("'"), COCO)
 
 
 def test_a_colour_alone_is_no_thing():
     with pytest.raises(QueryError, match=r"names a colour and no thing.*--perception colour"):
-        meant("the red", COCO)
-    assert meant("orange", COCO) == ("orange",)
+        match_class("the red", COCO)
+    assert match_class("orange", COCO) == ("orange",)
 
 
 @pytest.mark.parametrize(
@@ -194,17 +194,17 @@ def test_what_is_no_bare_colour(query):
      ("dining table", ""), ("people", ""), ("oranges", "")],
 )  # fmt: skip
 def test_what_was_looked_for_is_named_where_it_is_another_word(query, words):
-    assert named(NOTHING, query, meant(query, COCO, coloured=True)).looked_for == words
+    assert named(NOTHING, query, match_class(query, COCO, coloured=True)).looked_for == words
 
 
 def test_of_many_names_the_first_are_told():
-    assert named(NOTHING, "animal", meant("animal", COCO)).looked_for.endswith("elephant or bear or 2 more")
+    assert named(NOTHING, "animal", match_class("animal", COCO)).looked_for.endswith("elephant or bear or 2 more")
 
 
 @pytest.mark.parametrize("query", ["", "  ", "?!", None, 7])
 def test_no_words_are_no_query(query):
     with pytest.raises(QueryError, match="has no words"):
-        meant(query, COCO)
+        match_class(query, COCO)
 
 
 @pytest.mark.parametrize(
@@ -234,20 +234,20 @@ def test_no_words_are_no_query(query):
     ],
 )
 def test_other_sets_of_classes(query, classes, wanted):
-    assert meant(query, classes) == wanted
+    assert match_class(query, classes) == wanted
 
 
 @given(st.lists(st.from_regex(r"\A[A-Za-z][A-Za-z _/()-]{0,20}\Z"), min_size=1, max_size=6), st.data())
 def test_a_class_of_any_name_finds_itself(classes, data):
     name = data.draw(st.sampled_from(classes))
-    assert name in meant(name, classes)
-    assert name in meant(name.upper(), classes)
+    assert name in match_class(name, classes)
+    assert name in match_class(name.upper(), classes)
 
 
 @given(st.text(max_size=40))
 def test_any_text_is_answered_or_refused(text):
     with contextlib.suppress(QueryError):
-        found = meant(text, COCO)
+        found = match_class(text, COCO)
         assert found
         assert list(found) == [each for each in COCO if each in found], "classes, in their order"
 

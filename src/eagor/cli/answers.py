@@ -258,13 +258,13 @@ def recorded(options: Footage, places: Sequence[Path]) -> RecordedLooks | None:
 def list_seen(options: Answering, looks: RecordedLooks, config: TrackerConfig) -> int:
     """Print what was seen where, the surest first; returns the exit code."""
     from eagor.cli.checks import mask_of
-    from eagor.perception.recordings import NEAR, HiddenParts, asked_for, things_seen
+    from eagor.perception.recordings import NEAR, ValidMasks, asked_for, summarise_objects
 
     if wrong := given(options, _OF_ONE):
         raise UsageError(f"--{wrong[0]} is for one question: eagor track {looks.replay.name} QUERY --{wrong[0]}")
     about, queries, mask = looks.about, asked_for(looks.replay), mask_of(options.mask)
     with terminal.progress("adding up", len(queries), shown=not options.json) as advance:
-        found = things_seen(looks, config, HiddenParts([mask] if mask else []), advance)
+        found = summarise_objects(looks, config, ValidMasks([mask] if mask else []), advance)
     near, things = round(math.degrees(NEAR)), []
     lines = [f"{'thing':<16}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'sure':>7}{'presence':>10}{'looks':>9}"
              f"{'last seen':>11}  status"]  # fmt: skip

@@ -136,7 +136,7 @@ def perception_for(queries: Sequence[str], spec: str | None) -> str:
     """
     from eagor.cli.models import how_to_find
     from eagor.perception.coco import CLASSES, wanted
-    from eagor.perception.words import is_bare_colour
+    from eagor.perception.vocabulary import is_bare_colour
 
     if spec is not None:
         return spec

@@ -20,7 +20,7 @@ from eagor.evidence import Evidence
 from eagor.lab.agents.methods import TrackerEstimator, make_estimator
 from eagor.lab.eval.results import OURS
 from eagor.lab.worlds.render import Photograph
-from eagor.perception import Perception, look, rows_of, short_name
+from eagor.perception import Perception, infer, rows_of, short_name
 from eagor.perception.views import Detector
 from eagor.sphere import azimuth_elevation, world_R_body
 from eagor.tracking.estimate import Estimate
@@ -120,7 +120,7 @@ def play(
     estimates: list[Estimate] = []
     for index, pose in enumerate(poses()):
         stamp = SECONDS * index
-        evidence = look(perception, _seen(small, pose, rows), query, stamp=stamp, world_R_body=pose)
+        evidence = infer(perception, _seen(small, pose, rows), query, stamp=stamp, world_R_body=pose)
         found.append(None if evidence.detections is None else len(evidence.detections.directions))
         method.move(stamp, pose, None)
         method.see(replace(evidence, stamp=stamp))

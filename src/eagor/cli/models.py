@@ -73,12 +73,12 @@ def _coco() -> dict[str, Any]:
 def how_to_find(query: str) -> str:
     """Why `query` cannot be answered, and what to type: the small detector if it knows `query`, else other models."""
     from eagor.perception.coco import CLASSES, wanted
-    from eagor.perception.words import by_colour_alone, for_any_words, meant
+    from eagor.perception.vocabulary import by_colour_alone, for_any_words, match_class
 
     own = "a detector of your own is --perception onnx:MODEL.onnx, my.py:FUNCTION or replay:FILE.jsonl"
     own += by_colour_alone(query, CLASSES)
     try:
-        meant(query, CLASSES, described=True)
+        match_class(query, CLASSES, described=True)
     except QueryError:
         return (
             f"no detector for {query!r} is installed, and the small one for everyday things (eagor models get coco) "

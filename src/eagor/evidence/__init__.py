@@ -15,14 +15,14 @@ gives them in spherical harmonics, in the body frame at capture. `Habits` says w
 
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import Detections, View
-from eagor.evidence.detector import Alarms, DetectorModel, Habits, Spread, model_as_json, parse_model
+from eagor.evidence.detector import ClutterRate, DetectorModel, Habits, Spread, model_as_json, parse_model
 from eagor.evidence.evidence import Evidence
 from eagor.evidence.masking import BodyMask
 
 __all__ = [
-    "Alarms",
     "BodyMask",
     "Calibration",
+    "ClutterRate",
     "Detections",
     "DetectorModel",
     "Evidence",

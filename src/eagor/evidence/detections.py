@@ -9,7 +9,7 @@ import numpy as np
 
 from eagor._values import altered, lazy
 from eagor.evidence.coverage import Region, confine, region, taper
-from eagor.evidence.detector import Alarms, DetectorModel
+from eagor.evidence.detector import ClutterRate, DetectorModel
 from eagor.grids import FisheyeGrid, Grid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
@@ -230,8 +230,12 @@ class Detections:
         share = self.share(directions) if share is None else share
         speaks = 0.0
         if len(self):
-            alarms = Alarms.prior(self.model).after(self.again)
-            speaks = alarms.inverse * self.area * self.densities(directions, np.ones(1), self.ratios[None], least)[0, 0]
+            alarms = ClutterRate.prior(self.model).after(self.again)
+            speaks = (
+                alarms.mean_inverse_rate
+                * self.area
+                * self.densities(directions, np.ones(1), self.ratios[None], least)[0, 0]
+            )
         recall = self.model.habits.mean
         return np.ones(directions.shape[:-1]) + share * recall * (speaks - 1)
 
@@ -239,7 +243,7 @@ class Detections:
         self,
         directions: np.ndarray,
         scales: np.ndarray,
-        alarms: Alarms,
+        alarms: ClutterRate,
         least: np.ndarray | float = 0.0,
         told: np.ndarray | float = 1.0,
         otherwise: np.ndarray | None = None,
@@ -262,7 +266,7 @@ class Detections:
         means = list(found[:, 1 : len(rows)].sum(axis=0) / np.maximum(found[:, 0].sum(axis=0), 1e-300))
         scores = means.pop(0) if scored else None
         sizes = means.pop(0) if sized else None
-        share = alarms.inverse * self.area
+        share = alarms.mean_inverse_rate * self.area
         ratio = share * found[:, 0]
         return ratio, scores, sizes, ratio if otherwise is None else share * found[:, -1]
 

@@ -9,7 +9,7 @@ at a place with density g(z | w), among false alarms that are Poisson with inten
 
 Looks at the same place are not independent: P_D, the score and what is mistaken for the thing are habits of the place
 (`Habits`). `eagor.belief.bank` keeps them over many looks. The number of false alarms that do not last
-is learnt with the belief (`Alarms`).
+is learnt with the belief (`ClutterRate`).
 
 Places have habits: why looks at the same thing are not independent.
 
@@ -38,7 +38,7 @@ from eagor._values import changed
 from eagor.errors import ResponseError
 from eagor.grids import ErpGrid
 
-__all__ = ["Alarms", "DetectorModel", "Spread", "model_as_json", "parse_model"]
+__all__ = ["ClutterRate", "DetectorModel", "Spread", "model_as_json", "parse_model"]
 
 # Shares of looks that habits are told apart by. They are the same for things and look-alikes: else the roundings of the
 # two would grow apart with each look. None is nearer to 0 or 1: nobody has measured the last percents, which would
@@ -88,7 +88,7 @@ class Habits:
         spread = float(self.levels**2 @ self.shares) - mean**2
         return spread / (mean * (1 - mean)) if 0 < mean < 1 else 0.0
 
-    def anew(self, elapsed: float, moved: float = 0.0) -> float:
+    def renewal_probability(self, elapsed: float, moved: float = 0.0) -> float:
         """The probability that a place has drawn its habit anew after `elapsed` seconds and `moved` metres."""
         faded = 0.0 if self.kept_for is None else elapsed / self.kept_for
         return -math.expm1(-faded - (0.0 if self.kept_within is None else moved / self.kept_within))
@@ -302,7 +302,7 @@ def _is_curve(curve: Sequence[Sequence[float]] | None) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Alarms:
+class ClutterRate:
     """The posterior of the mean number of false alarms in a look: weights ``(A,)`` of `numbers` ``(A,)``.
 
     A number that the model states has weight 1, and nothing is learnt.
@@ -312,13 +312,13 @@ class Alarms:
     weights: np.ndarray
 
     @classmethod
-    def prior(cls, model: DetectorModel) -> Alarms:
+    def prior(cls, model: DetectorModel) -> ClutterRate:
         """Before any look."""
         stated = model.false_alarms_per_look
         numbers = np.array(ALARMS if stated is None else (stated,))
         return cls(numbers, np.full(len(numbers), 1 / len(numbers)))
 
-    def after(self, explained: np.ndarray) -> Alarms:
+    def after(self, explained: np.ndarray) -> ClutterRate:
         """After a look with n detections.
 
         `explained` ``(n,)``: the density of detections at each of them that has other causes, relative to that of one
@@ -331,13 +331,13 @@ class Alarms:
         return replace(self, weights=weights / weights.sum())
 
     @property
-    def inverse(self) -> float:
+    def mean_inverse_rate(self) -> float:
         """The mean of 1 / number, the weight of one detection."""
         return float(self.weights @ (1 / self.numbers))
 
     def share(self, explained: np.ndarray) -> np.ndarray:
-        """The weights ``(n,)`` of detections with such other causes (as for `after`), relative to `inverse`."""
-        return self.weights @ (1 / (self.numbers[:, None] + explained)) / self.inverse
+        """The weights ``(n,)`` of detections with such other causes (see `after`), relative to `mean_inverse_rate`."""
+        return self.weights @ (1 / (self.numbers[:, None] + explained)) / self.mean_inverse_rate
 
 
 @dataclass(frozen=True, eq=False)

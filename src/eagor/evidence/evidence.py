@@ -87,7 +87,7 @@ class Evidence:
         elif len(self.log_ratio.shape) > 2:
             what = f"batch {tuple(self.log_ratio.shape[:-2])} of {what}"
         stamp = "no stamp" if self.stamp is None else f"t={self.stamp:g} s"
-        return f"Evidence({stamp}, {what} on {type(self.grid).__name__}, read by {changed(self.read_with)})"
+        return f"Evidence({stamp}, {what} on {type(self.grid).__name__}, read by {changed(self.sensor_model)})"
 
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""
@@ -369,14 +369,14 @@ class Evidence:
         return replace(self, detections=self.detections.widened(spread))
 
     @property
-    def read_with(self) -> Calibration | DetectorModel:
+    def sensor_model(self) -> Calibration | DetectorModel:
         """What turns it into likelihood ratios."""
         return self.calibration if self.detections is None else self.detections.model
 
     @property
     def habits(self) -> Habits:
         """How often places are detected, and for how long they keep that."""
-        return self.read_with.habits
+        return self.sensor_model.habits
 
 
 _DEFAULT = Calibration()

@@ -26,8 +26,8 @@ from eagor.errors import EagorError, ImageError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.live.events import Diagnostic, Event, ObservationReceived
 from eagor.perception import NoEvidenceError, Perception, knows_classes, load
-from eagor.perception.recordings import HiddenParts
-from eagor.perception.replay import look_if_recorded
+from eagor.perception.recordings import ValidMasks
+from eagor.perception.replay import infer_or_replay
 from eagor.sources import Frame
 from eagor.sources.panorama import Picture
 
@@ -219,7 +219,7 @@ class _Model:
         except Exception as error:
             raise EagorError(error_text(error)) from error
         self.knows_classes = knows_classes(self._perception)
-        self._hidden = HiddenParts(masks, say)
+        self._hidden = ValidMasks(masks, say)
 
     def infer(self, frame: Frame, queries: Sequence[str], pose: np.ndarray | None) -> Iterator[Inferred]:
         picture, stamp, grid = frame.picture, frame.stamp, frame.grid
@@ -239,7 +239,7 @@ class _Model:
                 if one_pass:
                     found = [(each,) for each in self._perception.answers(picture, group, stamp, pose, grid)]
                 else:
-                    found = [look_if_recorded(self._perception, picture, group[0], stamp, pose, grid)]
+                    found = [infer_or_replay(self._perception, picture, group[0], stamp, pose, grid)]
                 found = [tuple(_masked(each, masks) for each in looks) for looks in found]
             except Exception as error:  # whatever the perception raises
                 found = [(error,) for _ in group]

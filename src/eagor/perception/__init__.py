@@ -26,8 +26,17 @@ from eagor.errors import EagorError, QueryError, ResponseError
 from eagor.evidence import Evidence
 
 __all__ = [
-    "Perception", "as_perception", "check_perception", "is_model", "known", "knows_classes", "load", "look",
-    "parse_options", "rows_of", "short_name",
+    "Perception",
+    "as_perception",
+    "check_perception",
+    "infer",
+    "is_model",
+    "known",
+    "knows_classes",
+    "load",
+    "parse_options",
+    "rows_of",
+    "short_name",
 ]  # fmt: skip
 
 GROUP = "eagor.perceptions"
@@ -62,7 +71,7 @@ class Perception(Protocol):
         then says that it was not seen.
 
         A perception that sees better in level pictures has a true attribute ``takes_pose`` and takes the pose at
-        capture as ``world_R_body`` ``(3, 3)``, None if it is unknown. `look` calls any perception.
+        capture as ``world_R_body`` ``(3, 3)``, None if it is unknown. `infer` calls any perception.
         """
         ...
 
@@ -71,7 +80,7 @@ class NoEvidenceError(ResponseError):
     """What a perception returned is no `Evidence` at all: it is not written as it should be."""
 
 
-def look(
+def infer(
     perception: Perception,
     panorama: np.ndarray,
     query: str,
@@ -79,7 +88,7 @@ def look(
     stamp: float | None = None,
     world_R_body: np.ndarray | None = None,
 ) -> Evidence:
-    """One look; a perception that takes the pose at capture ``(3, 3)`` is told it.
+    """What `perception` says of one picture; one that takes the pose at capture ``(3, 3)`` is told it.
 
     Raises `NoEvidenceError` if something else comes, besides the perception's own errors.
     """
@@ -277,34 +286,36 @@ def check_perception(
     `tolerance` (largest difference). Use this for perceptions that treat all azimuths alike.
     """
 
-    def need(holds: Any, came: str, wanted: str) -> None:
+    def require(holds: Any, came: str, wanted: str) -> None:
         if not holds:
             raise AssertionError(f"the perception {came}; wanted {wanted}")
 
     before = panorama.copy()
     evidence = perception(panorama, query, stamp=stamp)
-    need(isinstance(evidence, Evidence), f"returned {type(evidence).__name__}", "eagor.Evidence")
-    need(np.array_equal(before, panorama), "changed the panorama", "it unchanged: work on a copy")
+    require(isinstance(evidence, Evidence), f"returned {type(evidence).__name__}", "eagor.Evidence")
+    require(np.array_equal(before, panorama), "changed the panorama", "it unchanged: work on a copy")
     came = f"was given stamp={stamp}, and its evidence carries {evidence.stamp}"
-    need(evidence.stamp == stamp, came, "the same: pass stamp=stamp on to what makes the evidence")
+    require(evidence.stamp == stamp, came, "the same: pass stamp=stamp on to what makes the evidence")
     response, grid = np.asarray(evidence.response), evidence.grid
     came = f"gives a response of shape {response.shape} on a grid of {grid.shape}"
-    need(response.shape == tuple(grid.shape), came, "the grid that the response was computed on")
+    require(response.shape == tuple(grid.shape), came, "the grid that the response was computed on")
     came = f"gives responses from {response.min():g} to {response.max():g}"
-    need(((response >= 0) & (response <= 1)).all(), came, "[0, 1]: logits want a sigmoid")
+    require(((response >= 0) & (response <= 1)).all(), came, "[0, 1]: logits want a sigmoid")
     finite = np.isfinite(np.asarray(evidence.log_ratio)).all() and np.isfinite(evidence.coefficients(3)).all()
-    need(finite, "gives evidence that is not finite", "finite log ratios: make it with Evidence.from_response")
+    require(finite, "gives evidence that is not finite", "finite log ratios: make it with Evidence.from_response")
     again = perception(panorama, query, stamp=stamp).grid
     came = f"answers on a {type(grid).__name__} of {grid.shape}, then on a {type(again).__name__} of {again.shape}"
     same = (type(grid), grid.shape) == (type(again), again.shape)
-    need(same, came, "the same grid: a call must not change the perception")
+    require(same, came, "the same grid: a call must not change the perception")
     if roll is None:
         return
     columns, rest = divmod(roll * response.shape[1], panorama.shape[1])
-    need(not rest, f"answers with {response.shape[1]} columns, which roll={roll} shifts by a part", "another roll")
+    require(not rest, f"answers with {response.shape[1]} columns, which roll={roll} shifts by a part", "another roll")
     rolled = np.asarray(perception(np.roll(panorama, roll, axis=1), query, stamp=stamp).response)
     came = f"answers with {response.shape}, and for the rolled panorama with {rolled.shape}"
-    need(rolled.shape == response.shape, came, "the same grid for every panorama of one size")
+    require(rolled.shape == response.shape, came, "the same grid for every panorama of one size")
     worst = float(np.abs(rolled - np.roll(response, columns, axis=1)).max())
     came = f"answers a panorama rolled by {roll} columns otherwise than the rolled answer by {worst:.3g}"
-    need(worst <= tolerance, came, f"at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out")
+    require(
+        worst <= tolerance, came, f"at most {tolerance:g}: treat all azimuths alike, the seam too, or leave roll out"
+    )

@@ -30,7 +30,7 @@ from eagor.evidence.detector import DetectorModel, model_as_json
 from eagor.evidence.shapes import moments
 from eagor.grids import ErpGrid
 from eagor.perception import short_name
-from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
+from eagor.perception.json_files import Finite, Tilt, Turn, checked, object_of, parsed_lines, require_field
 from eagor.perception.vlm import Labelled, phrase
 from eagor.sphere import direction
 from eagor.tracking.config import MotionModel
@@ -124,7 +124,7 @@ def _parsed(line: bytes) -> _Line:
     found = checked(object_of(line), _Line, "the line")
     phrase(found.query)  # raises for a query without words
     for key in ("azimuth_deg", "elevation_deg", "radius_deg") if found.box is None else ():
-        need(not math.isnan(getattr(found, key)), key, None, "the three angles of a place, or a box")
+        require_field(not math.isnan(getattr(found, key)), key, None, "the three angles of a place, or a box")
     return found
 
 

@@ -22,7 +22,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import Grid, PatchGrid, PerspectiveGrid
-from eagor.perception.things import blobs, blurred, spread_evidence
+from eagor.perception.fusion import blobs, blurred, spread_evidence
 from eagor.sources.panorama import checked_picture
 
 # A fuzzy interval: 0 up to the first number, 1 between the second and the third, 0 from the fourth on.

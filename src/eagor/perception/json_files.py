@@ -18,7 +18,7 @@ from eagor._checks import parsed, shown
 from eagor._files import read_file
 from eagor.errors import EagorError, FormatError
 
-__all__ = ["Finite", "Tilt", "Turn", "checked", "need", "object_of", "parsed_lines"]
+__all__ = ["Finite", "Tilt", "Turn", "checked", "object_of", "parsed_lines", "require_field"]
 
 Finite = Annotated[float, msgspec.Meta(ge=-1e300, le=1e300)]
 # Degrees: azimuth, yaw and roll; elevation and pitch.
@@ -56,7 +56,7 @@ def object_of(line: str | bytes) -> dict[str, Any]:
         entry = parsed(line.decode("utf-8") if isinstance(line, bytes) else line, strict=True)
     except ValueError as error:  # UnicodeDecodeError and JSONDecodeError are ValueErrors
         raise FormatError(f"is not JSON ({error}); wanted one JSON object") from error
-    need(isinstance(entry, dict), "the line", entry, "one JSON object")
+    require_field(isinstance(entry, dict), "the line", entry, "one JSON object")
     return entry
 
 
@@ -86,7 +86,7 @@ def _without_notes(entry: Any) -> Any:
     return [_without_notes(each) for each in entry] if isinstance(entry, list) else entry
 
 
-def need(holds: bool, what: str, came: Any, wanted: str) -> None:
+def require_field(holds: bool, what: str, came: Any, wanted: str) -> None:
     """Raise `FormatError` unless it holds."""
     if not holds:
         raise FormatError(f"{what} {'is missing' if came is None else f'is {shown(came)}'}; wanted {wanted}")

@@ -40,7 +40,7 @@ class ViewPerception(Protocol):
         ...
 
 
-def look_at_view(
+def infer_view(
     perception: Perception, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None
 ) -> Evidence:
     """Evidence from one ordinary picture ``(h, w, 3)`` uint8 with the pixels of `grid`, in the frame of its body.

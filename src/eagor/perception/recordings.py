@@ -2,7 +2,7 @@
 
 `looked_at` makes the lines of a replay file (docs/replay-format.md), a first line about the footage, then one for each
 look, with the pose of the camera and all boxes of all views, and one for each pose between the looks. `RecordedLooks`
-gives poses and looks back as a source without pictures; `things_seen` lists what there is.
+gives poses and looks back as a source without pictures; `summarise_objects` lists what there is.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError, FormatError, ImageError, PoseError, QueryError
 from eagor.evidence import BodyMask, Evidence, model_as_json
 from eagor.grids import ErpGrid, PerspectiveGrid
+from eagor.perception.fusion import ViewDetections
 from eagor.perception.replay import ReplayPerception
-from eagor.perception.things import Seen
 from eagor.perception.views import Detector
 from eagor.sources import Frame, Pose
 from eagor.sources.defects import NeverSeen
@@ -28,7 +28,7 @@ from eagor.sources.odometry import PosedFrame
 from eagor.sources.panorama import Picture
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 
-__all__ = ["NEAR", "HiddenParts", "RecordedLooks", "ThingSeen", "first_line", "looked_at", "things_seen"]
+__all__ = ["NEAR", "ObjectSummary", "RecordedLooks", "ValidMasks", "first_line", "looked_at", "summarise_objects"]
 
 UNSURE = math.radians(10)  # of a pose: a look from there says nothing of directions
 NEAR = math.radians(15)  # the error that still leads a person to the thing
@@ -36,7 +36,7 @@ WORTH_SAYING = 0.002  # share of the sphere from which on a black region is wort
 PIXELS, SCORES, TURNS, METRES = 3, 6, 12, 6  # decimals that are written
 
 
-class HiddenParts:
+class ValidMasks:
     """What the camera never sees: looks say nothing there.
 
     That is each of the `masks` that are given, what a file says that its picture lacks, and black around a pole in all
@@ -95,14 +95,14 @@ def first_line(of: str, perception: str, views: Detector, poses: str, begins: fl
 
 
 def looked_at(
-    frames: Iterable[PosedFrame], views: Detector, queries: Sequence[str] = (), hidden: HiddenParts | None = None
+    frames: Iterable[PosedFrame], views: Detector, queries: Sequence[str] = (), hidden: ValidMasks | None = None
 ) -> Iterator[tuple[PosedFrame, list[dict[str, Any]]]]:
     """Each frame, and its entries, one for each line: the poses before it, then one for a look.
 
     Without classes there is one for each of `queries`; of a frame that cannot be used one with the reason. What is
     `hidden` is written as not seen. Raises `EagorError` for a query without meaning, and what `frames` raise.
     """
-    hidden = hidden or HiddenParts()
+    hidden = hidden or ValidMasks()
     for posed in frames:
         frame, pose = posed.frame, posed.pose or Pose(posed.frame.stamp, np.eye(3))
         *entries, at = ({"stamp": float(each.stamp), "pose": _pose(each)} for each in (*posed.before, pose))
@@ -138,7 +138,7 @@ def _quaternion(turn: np.ndarray) -> dict[str, float]:
     return dict(zip(("qw", "qx", "qy", "qz"), wxyz, strict=True))
 
 
-def _view(seen: Seen) -> dict[str, Any]:
+def _view(seen: ViewDetections) -> dict[str, Any]:
     grid, (boxes, scores, labels) = seen
     image = {"projection": "perspective", "width": grid.width, "height": grid.height}
     if (lens := grid.optics) is None:
@@ -218,7 +218,7 @@ class RecordedLooks:
 
 
 @dataclass(frozen=True, eq=False)
-class ThingSeen:
+class ObjectSummary:
     """What is known of one thing: `looks`, in how many looks it was seen, of `among`; `last`, the stamp of the last.
 
     `query`: its class, or the words that were looked for.
@@ -236,18 +236,18 @@ class ThingSeen:
         return self.estimate.within(NEAR) if self.estimate.direction is not None else 0.0
 
 
-def things_seen(
+def summarise_objects(
     recorded: RecordedLooks,
     config: TrackerConfig,
-    hidden: HiddenParts | None = None,
+    hidden: ValidMasks | None = None,
     done: Callable[[], object] = lambda: None,
-) -> list[ThingSeen]:
+) -> list[ObjectSummary]:
     """What was seen, the surest first; `done` is called after each.
 
-    The looks of a `ThingSeen` are those since the poses were last lost.
+    The looks of an `ObjectSummary` are those since the poses were last lost.
     """
     begins = max((number for number, each in enumerate(recorded.posed) if each.lost), default=0)
-    hidden, found = hidden or HiddenParts(), []
+    hidden, found = hidden or ValidMasks(), []
     for query in asked_for(recorded.replay):
         tracker, looks, among, last, now = DirectionTracker(config), 0, 0, -math.inf, 0.0
         for posed in (*recorded.posed[begins:], None):
@@ -264,7 +264,7 @@ def things_seen(
             if any(each.detections is None or len(each.detections) for each in evidence):
                 looks, last = looks + 1, now
         if looks:
-            found.append(ThingSeen(query, tracker.estimate(now), looks, among, last))
+            found.append(ObjectSummary(query, tracker.estimate(now), looks, among, last))
         done()
     return sorted(found, key=lambda each: -each.sure)
 

@@ -21,9 +21,9 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import are_fractions, is_beside
 from eagor.grids import ErpGrid, Grid, PatchGrid, PerspectiveGrid
-from eagor.perception.json_files import Finite, Tilt, Turn, checked, need, object_of, parsed_lines
-from eagor.perception.things import Boxes, Seen, combined
-from eagor.perception.words import fitting, plain, same_name
+from eagor.perception.fusion import RawDetections, ViewDetections, combined
+from eagor.perception.json_files import Finite, Tilt, Turn, checked, object_of, parsed_lines, require_field
+from eagor.perception.vocabulary import fitting, plain, same_name
 from eagor.sources import Pose
 from eagor.sphere import direction, world_R_body
 
@@ -75,7 +75,7 @@ class _Image(_Part):
     def size(self) -> tuple[int, int]:
         """Height and width in pixels."""
         for side in ("height", "width"):
-            need(getattr(self, side) is not None, side, None, "a whole number from 1 to 65536")
+            require_field(getattr(self, side) is not None, side, None, "a whole number from 1 to 65536")
         return self.height or 0, self.width or 0
 
     def view(self, *shape: int) -> PerspectiveGrid | None:
@@ -91,7 +91,9 @@ class _Image(_Part):
                 )
             return None
         height, width = shape or self.size()
-        need(max(height, width) <= LONGEST * min(height, width), "image", (width, height), f"sides up to {LONGEST}:1")
+        require_field(
+            max(height, width) <= LONGEST * min(height, width), "image", (width, height), f"sides up to {LONGEST}:1"
+        )
         turn, lean, lens = ([key for key in keys if key in stated] for keys in (_TURN, _LEAN, _LENS))
         if turn and lean:
             raise FormatError(f"has {turn[0]} and {lean[0]}; wanted the quaternion qw, qx, qy, qz or angles, not both")
@@ -99,12 +101,14 @@ class _Image(_Part):
         # In REP-103 a positive pitch turns the nose down.
         body_R_view = _rotation(self, "body_R_view") if turn else world_R_body(yaw, -pitch, roll)
         if not lens:
-            need(self.hfov_deg is not None, "hfov_deg", None, "a number from 0.1 to 179")
+            require_field(self.hfov_deg is not None, "hfov_deg", None, "a number from 0.1 to 179")
             return PerspectiveGrid(height, width, math.radians(self.hfov_deg or 0.0), body_R_view)
         if self.hfov_deg is not None:
             raise FormatError(f"has hfov_deg and {lens[0]}; wanted one of them: focal and centre tell the field")
         for key in ("focal", "centre"):
-            need(key in stated, key, None, "two numbers, of x and of y, in pixels of an image of width and height")
+            require_field(
+                key in stated, key, None, "two numbers, of x and of y, in pixels of an image of width and height"
+            )
         rows, columns = self.size()
         of = Lens("view", (columns, rows), stated["focal"], stated["centre"], tuple(self.distortion or ()), body_R_view)
         return PerspectiveGrid.of_lens(of).resized(height, width)
@@ -131,9 +135,9 @@ class _Response(_Part):
 
     def table(self) -> np.ndarray:
         count, values = self.rows * self.cols, self.values
-        need(len(values) == count, "values", f"{len(values)} values", f"rows * cols = {count} numbers")
+        require_field(len(values) == count, "values", f"{len(values)} values", f"rows * cols = {count} numbers")
         wrong = [value for value in values if not 0 <= value <= 1]
-        need(not wrong, "values", wrong[:3], "numbers in [0, 1]")
+        require_field(not wrong, "values", wrong[:3], "numbers in [0, 1]")
         return np.array(values, dtype=np.float32).reshape(self.rows, self.cols)
 
 
@@ -154,7 +158,7 @@ class _Pose(_Part):
 
     def at(self, stamp: float) -> Pose:
         place = [self.x, self.y, self.z]
-        need(None not in place or place == [None] * 3, "pose", place, "x, y and z, or none of them")
+        require_field(None not in place or place == [None] * 3, "pose", place, "x, y and z, or none of them")
         position = None if None in place else np.array(place, dtype=np.float64)
         return Pose(stamp, _rotation(self, "world_R_body"), position, math.radians(self.spread_deg))
 
@@ -165,9 +169,9 @@ class _Unseen(_Part):
 
     def mask(self) -> BodyMask:
         cells = 2 * self.rows**2
-        need(sum(self.runs) == cells, "runs", f"{sum(self.runs)} cells", f"rows * 2 * rows = {cells} in all")
+        require_field(sum(self.runs) == cells, "runs", f"{sum(self.runs)} cells", f"rows * 2 * rows = {cells} in all")
         seen = np.repeat(np.arange(len(self.runs)) % 2 == 0, self.runs)
-        need(bool(seen.any()), "runs", "nothing that is seen", "a camera that sees something")
+        require_field(bool(seen.any()), "runs", "nothing that is seen", "a camera that sees something")
         return BodyMask(seen.reshape(self.rows, 2 * self.rows))
 
 
@@ -226,7 +230,7 @@ class Record:
     values: np.ndarray = field(default_factory=lambda: np.zeros(0))
     scores: np.ndarray = field(default_factory=lambda: np.zeros(0))
     labels: Sequence[str | None] = ()
-    views: tuple[Seen, ...] = ()
+    views: tuple[ViewDetections, ...] = ()
     pose: Pose | None = None
     frame: str | None = None
     lost: bool = False
@@ -311,7 +315,7 @@ def parse_record(line: str | bytes) -> Record:
 
 def _record(found: dict[str, Any]) -> Record:
     entry = checked(found, _Line, "a line", noted=True, hints=HINTS)
-    need(entry.query is None or plain(entry.query) != "", "query", entry.query, "words, or no such key")
+    require_field(entry.query is None or plain(entry.query) != "", "query", entry.query, "words, or no such key")
     kinds = [kind for kind in KINDS if getattr(entry, kind) is not None]
     if len(kinds) != 1 and (kinds or entry.pose is None):
         raise FormatError(f"has {' and '.join(kinds) or 'none'} of {', '.join(KINDS)}; wanted exactly one, or a pose")
@@ -353,7 +357,7 @@ def write_record(file: TextIO, stamp: float, *, response: np.ndarray | None = No
     entry = {"stamp": stamp, **entry}
     if response is not None:
         values = np.asarray(response, dtype=float)
-        need(values.ndim == 2, "response", values.shape, "an array (rows, cols)")
+        require_field(values.ndim == 2, "response", values.shape, "an array (rows, cols)")
         entry["response"] = {"rows": values.shape[0], "cols": values.shape[1], "values": values.ravel().tolist()}
     try:
         line = json.dumps({k: v for k, v in entry.items() if v is not None}, default=lambda value: value.tolist())
@@ -364,7 +368,7 @@ def write_record(file: TextIO, stamp: float, *, response: np.ndarray | None = No
     file.flush()
 
 
-def _views(views: Sequence[_View]) -> tuple[Seen, ...]:
+def _views(views: Sequence[_View]) -> tuple[ViewDetections, ...]:
     """The views of one camera, each with its boxes."""
     found = []
     for each in views:
@@ -372,8 +376,10 @@ def _views(views: Sequence[_View]) -> tuple[Seen, ...]:
         if grid is None:
             raise FormatError("projection is 'equirectangular'; wanted \"perspective\" in views")
         labels = [box.label for box in each.boxes if box.label is not None] or None
-        need(len(labels or ()) in (0, len(each.boxes)), "label", None, "one for each box of a view, or for none")
-        found.append(Seen(grid, Boxes(_boxes(each.boxes, grid), _scores(each.boxes), labels)))
+        require_field(
+            len(labels or ()) in (0, len(each.boxes)), "label", None, "one for each box of a view, or for none"
+        )
+        found.append(ViewDetections(grid, RawDetections(_boxes(each.boxes, grid), _scores(each.boxes), labels)))
     area = sum(float(view.grid.weights.sum()) for view in found)
     if len(found) != 1 and area < 4 * math.pi * WHOLE:
         raise FormatError(
@@ -386,10 +392,10 @@ def _views(views: Sequence[_View]) -> tuple[Seen, ...]:
 def _rotation(turn: _Image | _Pose, name: str) -> np.ndarray:
     """The rotation ``(3, 3)`` of a quaternion."""
     for key in _TURN:
-        need(getattr(turn, key) is not None, key, None, "a number from -2 to 2")
+        require_field(getattr(turn, key) is not None, key, None, "a number from -2 to 2")
     wxyz = np.array([getattr(turn, key) for key in _TURN], dtype=np.float64)
     length = float(np.linalg.norm(wxyz))
-    need(abs(length - 1) <= UNIT, "the length of qw, qx, qy, qz", round(length, 4), f"1 (a rotation, {name})")
+    require_field(abs(length - 1) <= UNIT, "the length of qw, qx, qy, qz", round(length, 4), f"1 (a rotation, {name})")
     return rotation_from_wxyz(wxyz)
 
 
@@ -401,12 +407,12 @@ def _boxes(boxes: Sequence[_Box], grid: ErpGrid | PerspectiveGrid) -> np.ndarray
         touches = not (panorama and is_beside(x0, x1, width)) and not are_fractions(np.array([x0, y0, x1, y1]))
         fine = touches and left < right <= left + width and max(y0, 0.0) < min(y1, float(height))
         wanted = f"[x0, y0, x1, y1] in pixels of the {width} x {height} image (not x, y, width, height, and not 0 to 1)"
-        need(fine, "box", [x0, y0, x1, y1], wanted)
+        require_field(fine, "box", [x0, y0, x1, y1], wanted)
     return np.array([each.box for each in boxes], dtype=np.float64).reshape(-1, 4)
 
 
 def _scores(items: Sequence[_Box] | Sequence[_Point]) -> np.ndarray:
     """The scores of boxes or points ``(n,)`` in [0, 1]; 1 where there is none."""
     for item in items:
-        need(item.score is None or 0 <= item.score <= 1, "score", item.score, _SCORE)
+        require_field(item.score is None or 0 <= item.score <= 1, "score", item.score, _SCORE)
     return np.array([1.0 if item.score is None else item.score for item in items])

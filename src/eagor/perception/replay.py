@@ -19,13 +19,13 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import PerspectiveGrid
-from eagor.perception import Perception, look
-from eagor.perception.partial import look_at_view
+from eagor.perception import Perception, infer
+from eagor.perception.partial import infer_view
 from eagor.perception.records import Record, parse_record, read_looks, read_records, write_record
-from eagor.perception.words import colour_of, fitting, meant, named
+from eagor.perception.vocabulary import colour_of, fitting, match_class, named
 from eagor.tracking.tracks import SAME_MOMENT
 
-__all__ = ["Record", "ReplayPerception", "look_if_recorded", "parse_record", "read_records", "write_record"]
+__all__ = ["Record", "ReplayPerception", "infer_or_replay", "parse_record", "read_records", "write_record"]
 
 MOST_LABELS = 12  # in a sentence
 
@@ -120,7 +120,7 @@ class ReplayPerception:
         """
         if self.footage is None or self.footage.classes is None:
             return None
-        wanted = meant(query, self.footage.classes, coloured=True)
+        wanted = match_class(query, self.footage.classes, coloured=True)
         if colour_of(query, self.footage.classes) is not None:
             raise QueryError(
                 f"the query {query!r} names a colour, and {self.name} holds boxes without pictures; ask for "
@@ -168,7 +168,7 @@ class ReplayPerception:
         return self._evidence(records, query)[0]
 
 
-def look_if_recorded(
+def infer_or_replay(
     perception: Perception,
     picture: np.ndarray | None,
     query: str,
@@ -184,5 +184,5 @@ def look_if_recorded(
         return perception.looks_near(query, stamp)
     assert picture is not None, "only a replay answers without a picture"
     if grid is not None:
-        return (look_at_view(perception, picture, grid, query, stamp=stamp),)
-    return (look(perception, picture, query, stamp=stamp, world_R_body=world_R_body),)
+        return (infer_view(perception, picture, grid, query, stamp=stamp),)
+    return (infer(perception, picture, query, stamp=stamp, world_R_body=world_R_body),)

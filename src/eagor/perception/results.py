@@ -14,7 +14,7 @@ from eagor._arrays import to_numpy
 from eagor._checks import shown
 from eagor.errors import ResponseError
 from eagor.evidence.shapes import are_fractions
-from eagor.perception.things import Boxes
+from eagor.perception.fusion import RawDetections
 
 Names = Sequence[str] | Mapping[int, str]
 
@@ -26,7 +26,7 @@ WANTED = (
 )
 
 
-def boxes_of(result: Any, names: Names | None = None) -> Boxes:
+def boxes_of(result: Any, names: Names | None = None) -> RawDetections:
     """The boxes, scores and labels in what a detector returned for one picture.
 
     Known are supervision's ``Detections``, Ultralytics' results, dictionaries as of torchvision and of Hugging Face's
@@ -71,7 +71,9 @@ def boxes_of(result: Any, names: Names | None = None) -> Boxes:
     names = names_in(result) if names is None else names
     texts = None if labels is None else _texts(labels, names, len(corners))
     real = np.flatnonzero((corners[:, 2:] > corners[:, :2]).all(axis=1))
-    return Boxes(corners[real], np.clip(values[real], 0, 1), None if texts is None else [texts[at] for at in real])
+    return RawDetections(
+        corners[real], np.clip(values[real], 0, 1), None if texts is None else [texts[at] for at in real]
+    )
 
 
 def names_in(result: Any) -> Names | None:

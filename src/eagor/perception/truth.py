@@ -20,7 +20,7 @@ from eagor.errors import EagorError, GridError, ImageError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid, PerspectiveGrid
-from eagor.perception.words import named
+from eagor.perception.vocabulary import named
 from eagor.queries import Named, matching, parse_query
 from eagor.sphere import check_rotation
 
@@ -163,11 +163,11 @@ class TruthEpisode:
         Raises `QueryError` if the query names no category of the labels, `ImageError` for any other array,
         `RotationError` if the attitude is not a rotation.
         """
-        response = drawn(self.look(panorama, query, world_R_body), self._grid, self._noise.floor)
+        response = render_response(self.detect(panorama, query, world_R_body), self._grid, self._noise.floor)
         meant = parse_query(query, [thing.category for thing in self._labels]).category
         return named(Evidence.from_response(response, self._grid, self._calibration, stamp), query, (meant,))
 
-    def look(self, ids: np.ndarray, query: str, world_R_body: np.ndarray | None = None) -> list[Report]:
+    def detect(self, ids: np.ndarray, query: str, world_R_body: np.ndarray | None = None) -> list[Report]:
         """The next look as a list of reports; arguments and errors as for a call."""
         relation = self._relation(query)
         turn = np.eye(3) if world_R_body is None else np.asarray(check_rotation(world_R_body, "world_R_body"))
@@ -313,7 +313,7 @@ def _products(grid: PatchGrid | PerspectiveGrid) -> tuple[np.ndarray, np.ndarray
     return cells, (cells[:, :, None] * cells[:, None, :]).reshape(-1, 9)
 
 
-def drawn(reports: list[Report], grid: PatchGrid | PerspectiveGrid, floor: float) -> np.ndarray:
+def render_response(reports: list[Report], grid: PatchGrid | PerspectiveGrid, floor: float) -> np.ndarray:
     """The response ``(rows, columns)``: a Gaussian for each report, the highest where they overlap."""
     if not reports:
         return np.full(grid.shape, floor, dtype=np.float32)

@@ -1,6 +1,6 @@
 """Any detector for ordinary pictures, made to look all around: `Detector`.
 
-From boxes in overlapping views it makes things on the sphere (`eagor.perception.things`): one detection for each,
+From boxes in overlapping views it makes things on the sphere (`eagor.perception.fusion`): one detection for each,
 however many views show it. A box that touches its view's border may be only a part of the thing.
 """
 
@@ -23,9 +23,9 @@ from eagor.evidence import DetectorModel, Evidence, View
 from eagor.evidence.shapes import WHOLE_SPHERE
 from eagor.grids import PerspectiveGrid, tangent_views
 from eagor.perception.colour import share_of
+from eagor.perception.fusion import RawDetections, ViewBox, ViewDetections, fuse_views, pieces_of, spread_evidence
 from eagor.perception.results import Names, boxes_of, names_in
-from eagor.perception.things import Boxes, Seen, ViewBox, pieces_of, spread_evidence, things
-from eagor.perception.words import colour_of, fitting, meant, named, same_name
+from eagor.perception.vocabulary import colour_of, fitting, match_class, named, same_name
 from eagor.sources.panorama import checked_picture, cut
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 
@@ -47,8 +47,9 @@ class Detector:
     - `function`: a picture ``(h, w, 3)`` uint8 RGB, and the query if it takes two arguments; ``boxes, scores[,
       labels]`` out: boxes ``(n, 4)`` x0, y0, x1, y1 in its pixels, scores in [0, 1]. What detectors of known libraries
       return is understood too (`eagor.perception.results.boxes_of`). Of labels, those that fit the query are kept
-      (without `classes`: `eagor.perception.words.fitting`); where none ever fitted, a warning names them, once for each
-      query. One with a method ``many(pictures, query)``, a list of such results, gets all views of a look at once.
+      (without `classes`: `eagor.perception.vocabulary.fitting`); where none ever fitted, a warning names them, once
+      for each query. One with a method ``many(pictures, query)``, a list of such results, gets all views of a look at
+      once.
     - `classes`: names of all that the detector knows, a list or by number (default: its own ``classes`` or ``names``,
       or those in its results, as Ultralytics has them); None: it takes any words. A detector with classes answers
       several queries with one pass. It knows no colours: where the query names one ("brown chair"), the colour weighs
@@ -180,12 +181,12 @@ class Detector:
                 labels = {label for boxes in results for label in boxes.labels or ()}
                 fit = fitting(query, labels, wanted)
                 self._name_strangers(labels, query, fit)
-                seen = [Seen(view, boxes) for (view, _), boxes in zip(pictures, results, strict=True)]
-                pieces = things(self._weighed(pieces_of(seen, fit), pictures, query))
+                seen = [ViewDetections(view, boxes) for (view, _), boxes in zip(pictures, results, strict=True)]
+                pieces = fuse_views(self._weighed(pieces_of(seen, fit), pictures, query))
                 view = View(WHOLE_SPHERE if grid is None else grid)
                 evidence = spread_evidence(pieces, self.detector, view, stamp)
                 if self.classes is not None:
-                    evidence = named(evidence, query, meant(query, self.classes, described=True))
+                    evidence = named(evidence, query, match_class(query, self.classes, described=True))
                 answers.append(evidence)
             except QueryError as error:
                 answers.append(error)
@@ -197,13 +198,16 @@ class Detector:
         world_R_body: np.ndarray | None = None,
         query: str = "",
         grid: PerspectiveGrid | None = None,
-    ) -> list[Seen]:
+    ) -> list[ViewDetections]:
         """All that the detector finds in each view of a look; one without `classes` is asked for `query`.
 
-        `eagor.perception.things.combined` makes of it what `answers` makes of the same picture. Errors as there.
+        `eagor.perception.fusion.combined` makes of it what `answers` makes of the same picture. Errors as there.
         """
         pictures = self._shown(picture, world_R_body, grid)
-        return [Seen(view, boxes) for (view, _), boxes in zip(pictures, self._detected(pictures, query), strict=True)]
+        return [
+            ViewDetections(view, boxes)
+            for (view, _), boxes in zip(pictures, self._detected(pictures, query), strict=True)
+        ]
 
     def _shown(self, picture: np.ndarray, pose: np.ndarray | None, grid: PerspectiveGrid | None) -> Shown:
         """What the detector is shown: the views of a panorama, or the ordinary picture of a `grid`."""
@@ -214,7 +218,7 @@ class Detector:
         grids = self.views(pose)
         return list(zip(grids, cut(picture, *grids), strict=True))
 
-    def _detected(self, pictures: Shown, query: str) -> list[Boxes]:
+    def _detected(self, pictures: Shown, query: str) -> list[RawDetections]:
         """What the detector finds in each picture: in all of them at once, if it has a method `many`."""
         images, many = [image for _, image in pictures], getattr(self.function, "many", None)
         more = (query,) if self._takes_query else ()
@@ -226,7 +230,7 @@ class Detector:
     def _wanted(self, query: str) -> tuple[str, ...] | None:
         if not isinstance(query, str) or not query.strip():
             raise QueryError(f"the query is {query!r}; wanted words, such as 'chair'")
-        return None if self.classes is None else meant(query, self.classes, coloured=True)
+        return None if self.classes is None else match_class(query, self.classes, coloured=True)
 
     def _weighed(self, pieces: Sequence[ViewBox], pictures: Shown, query: str) -> list[ViewBox]:
         """The boxes, with lower scores where they show little of the colour that the query names."""

@@ -15,7 +15,7 @@ from eagor.belief.field import cells_of
 from eagor.belief.posterior import checked_mass
 from eagor.belief.reading import Reading
 from eagor.errors import EagorError, TimeError
-from eagor.evidence.detector import Alarms
+from eagor.evidence.detector import ClutterRate
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics.peaks import FLAT
 from eagor.sphere import azimuth_elevation, check_unit, checked_pose
@@ -75,7 +75,7 @@ class Estimate:
     hypotheses: TargetHypotheses
     world_R_body: np.ndarray
     config: TrackerConfig
-    alarms: Alarms | None = None
+    alarms: ClutterRate | None = None
     looked_for: str = ""
     spread: float = 0.0
     of: Estimate | None = field(default=None, repr=False)  # what this is `turned` from

@@ -24,7 +24,7 @@ from eagor.belief.ranged import RangedBelief
 from eagor.belief.reading import Reading
 from eagor.belief.windows import REACH
 from eagor.evidence.detections import Detections, resolved
-from eagor.evidence.detector import Alarms
+from eagor.evidence.detector import ClutterRate
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.tracking.config import MotionModel
@@ -209,7 +209,7 @@ class TargetHypotheses:
         if standing.bank is not None:
             own = standing.bank.habits
             moved = 0.0 if step is None else float(np.linalg.norm(step))
-            anew = own.anew(elapsed, moved)
+            anew = own.renewal_probability(elapsed, moved)
             standing = standing.renewed(anew)
             moves = None if moves is None else moves.renewed(anew)
         if known is not None:
@@ -275,8 +275,8 @@ class TargetHypotheses:
         return standing.restarted(np.maximum(density / _mean(density, self.grid), _LEAST_NEW))
 
     def updated(
-        self, sight: Sight, alarms: Alarms | None, passing: Look | None, since: np.ndarray | None
-    ) -> tuple[TargetHypotheses, Look, Alarms | None]:
+        self, sight: Sight, alarms: ClutterRate | None, passing: Look | None, since: np.ndarray | None
+    ) -> tuple[TargetHypotheses, Look, ClutterRate | None]:
         """After one more look; also returns the look, and the number of false alarms after it.
 
         `passing`: the look before it, of whose response maps this one repeats a share; the body has moved by `since`
@@ -312,12 +312,14 @@ class TargetHypotheses:
         kept = self.told_drift, self.shared.and_of(sight.shared)
         return TargetHypotheses(weights, standing, wandering, turning, moves, alike, known, *kept), look, alarms
 
-    def _read(self, sight: Sight, alarms: Alarms | None) -> tuple[Look, Alarms | None, LookAlikesByDrift | None]:
+    def _read(
+        self, sight: Sight, alarms: ClutterRate | None
+    ) -> tuple[Look, ClutterRate | None, LookAlikesByDrift | None]:
         """A look as likelihood ratios; the number of false alarms and the known look-alikes after it."""
         found, spread, known = sight.detections, self.standing.detecting().spread, self.known
         if found is None or sight.habits is None:
             return sight.read(None, self.standing.spread), alarms, known
-        before = Alarms.prior(found.model) if alarms is None else alarms
+        before = ClutterRate.prior(found.model) if alarms is None else alarms
         if not sight.habits.look_alikes:
             return sight.read(before.after(found.again), spread), before.after(found.again + self._caused(sight)), known
         coarse = self.standing.coarse

@@ -15,7 +15,7 @@ from eagor.belief.field import SphereField
 from eagor.evidence import Evidence
 from eagor.evidence.coverage import confine
 from eagor.evidence.detections import Detections, resolved
-from eagor.evidence.detector import STATED, Alarms, Habits, Spread
+from eagor.evidence.detector import STATED, ClutterRate, Habits, Spread
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid, neighbours, refine
@@ -127,7 +127,7 @@ class Sight:
         models = [look.detections.model for look in looks if look.detections is not None]
         habits = models[0].habits if models else None
         repeats = max((look.calibration.persistence for look in looks if look.detections is None), default=0.0)
-        offset = max(look.read_with.offset for look in looks)
+        offset = max(look.sensor_model.offset for look in looks)
         # The area of a box that goes r to each side has the standard deviation r / sqrt(3).
         of_size = max((model.offset_of_size for model in models), default=0.0) / math.sqrt(3)
         shows = joint is None or len(joint) > 0
@@ -139,7 +139,7 @@ class Sight:
         """The `detections` in world axes."""
         return None if self.detections is None else self.detections.turned(self.world_R_body)
 
-    def read(self, alarms: Alarms | None, spread: Spread = STATED, shares: Shares | None = None) -> Look:
+    def read(self, alarms: ClutterRate | None, spread: Spread = STATED, shares: Shares | None = None) -> Look:
         """The look as likelihood ratios; `alarms` and `spread` are the detector's, with this look counted.
 
         `shares`: None where nothing is known that may have caused its detections.
@@ -190,7 +190,7 @@ class Look:
 
     sight: Sight
     world: Detections | None
-    alarms: Alarms | None
+    alarms: ClutterRate | None
     spread: Spread
     shares: Shares | None = None
 
@@ -317,7 +317,7 @@ class Look:
             return self._peaks()
         shown = self.shown
         beside = np.broadcast_to(1 - np.asarray(shown.share) * recall, self.grid.shape)
-        amplitudes = recall * self.alarms.inverse * self.world.area / self.world.clutter
+        amplitudes = recall * self.alarms.mean_inverse_rate * self.world.area / self.world.clutter
         if self.shares is not None:
             amplitudes = amplitudes * self.shares.moving
         scales = self.spread.scales if len(self.spread.scales) > 1 else self.spread.scales[:0]

@@ -30,7 +30,7 @@ from eagor._values import altered, lazy
 from eagor.belief.bank import learnt, linear
 from eagor.belief.ranged import variance_in_shell
 from eagor.evidence.detections import LOWEST, Detections, tangent_frames
-from eagor.evidence.detector import Alarms, Habits, Spread
+from eagor.evidence.detector import ClutterRate, Habits, Spread
 from eagor.grids import ErpGrid
 from eagor.tracking.look import Sight
 from eagor.tracking.moving import innovations
@@ -143,7 +143,7 @@ class LookAlikes:
     def after(self, elapsed: float, drift: float, step: np.ndarray | None) -> LookAlikes:
         """After `elapsed` seconds, in which the body has moved by `step` ``(3,)``; `drift`: of the odometry."""
         moved = 0.0 if step is None else float(np.linalg.norm(step))
-        anew, found = self.habits.anew(elapsed, moved), self
+        anew, found = self.habits.renewal_probability(elapsed, moved), self
         if anew > 0:
             prior = self.habits.alike_shares
             hidden = (1 - anew) * self.hidden + anew * self.hidden.sum(axis=0) * prior.reshape(-1, 1, 1)
@@ -195,7 +195,7 @@ class LookAlikes:
         return each * (found.area / (4 * math.pi) / found.clutter)[:, None]
 
     def updated(
-        self, sight: Sight, heard: Heard, alarms: Alarms, share: np.ndarray | float, moving: np.ndarray
+        self, sight: Sight, heard: Heard, alarms: ClutterRate, share: np.ndarray | float, moving: np.ndarray
     ) -> LookAlikes:
         """After the look; `share` ``(H, W)``: v of the cells. `alarms`: with this look counted.
 
@@ -237,7 +237,7 @@ class LookAlikes:
         )
         return found._likeliest()
 
-    def evidence(self, heard: Heard, alarms: Alarms, moving: np.ndarray) -> float:
+    def evidence(self, heard: Heard, alarms: ClutterRate, moving: np.ndarray) -> float:
         """log of the density of a look's detections, up to what is the same for any list; arguments as for `updated`.
 
         One place after the other, the likeliest first: what it explains is no longer there to be explained. Exact if
@@ -317,7 +317,7 @@ class LookAlikesByDrift:
         self,
         sight: Sight,
         heard: Sequence[Heard],
-        alarms: Alarms,
+        alarms: ClutterRate,
         share: np.ndarray | float,
         moving: np.ndarray,
     ) -> LookAlikesByDrift:

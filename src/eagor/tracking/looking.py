@@ -21,7 +21,7 @@ from eagor._checks import above, require, within
 from eagor._values import where
 from eagor.cameras import Lens
 from eagor.errors import GridError
-from eagor.evidence.detector import Alarms
+from eagor.evidence.detector import ClutterRate
 from eagor.grids import ErpGrid, PerspectiveGrid, ViewKey, forward_view, view_key
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 from eagor.tracking.hypotheses import TargetHypotheses
@@ -149,7 +149,7 @@ class Known:
     mass: np.ndarray
     directions: np.ndarray
     modes: np.ndarray
-    alarms: Alarms | None
+    alarms: ClutterRate | None
 
 
 @dataclass(frozen=True, eq=False)

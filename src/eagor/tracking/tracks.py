@@ -16,7 +16,7 @@ import numpy as np
 from eagor._values import altered, bare
 from eagor.belief.ranged import RangedBelief
 from eagor.errors import TimeError
-from eagor.evidence.detector import Alarms
+from eagor.evidence.detector import ClutterRate
 from eagor.evidence.evidence import Evidence
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.hypotheses import TargetHypotheses
@@ -37,7 +37,7 @@ class State:
     position: np.ndarray | None
     hypotheses: TargetHypotheses
     look: Look | None = None
-    alarms: Alarms | None = None
+    alarms: ClutterRate | None = None
 
     @classmethod
     def blank(cls, config: TrackerConfig, stamp: float, position: np.ndarray | None) -> State:

@@ -25,7 +25,7 @@ from eagor.lab.agents.search_space import SteeringInput
 from eagor.lab.agents.steering import search_config, steering_for
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.worlds.habitat import read_category
-from eagor.perception import Perception, look
+from eagor.perception import Perception, infer
 from eagor.sphere import world_R_body
 
 CAMERA = Camera(height=0.88)  # as in habitat-lab's ObjectNav on HM3D
@@ -83,7 +83,7 @@ class HabitatAgent:
         query = self._categories[int(np.ravel(observations["objectgoal"])[0])]
         picture = np.ascontiguousarray(np.asarray(observations["rgb"])[..., :3])
         try:
-            evidence = look(self._perception, picture, query, stamp=stamp, world_R_body=turn)
+            evidence = infer(self._perception, picture, query, stamp=stamp, world_R_body=turn)
         except AnswerError:  # one among hundreds costs its step
             evidence = None
         direction = answer_at(self._method, stamp, turn, position, evidence)

@@ -20,7 +20,7 @@ import numpy as np
 from eagor.errors import AnswerError, EagorError
 from eagor.evidence import Evidence
 from eagor.lab.envs.episodes import EpisodeSpec
-from eagor.perception import Perception, load, look
+from eagor.perception import Perception, infer, load
 from eagor.perception.vlm import Chat
 from eagor.plugins import bring
 from eagor.queries import Named
@@ -37,7 +37,7 @@ class EpisodePerception:
         self, perception: Any, spec: EpisodeSpec, things: Sequence[Named], purpose: str = "perception"
     ) -> None:
         self._privileged = is_privileged(perception)
-        self._sees: Callable[..., Evidence] = partial(look, perception)
+        self._sees: Callable[..., Evidence] = partial(infer, perception)
         if self._privileged:
             self._sees = perception.episode(things, int(spec.rng(purpose).integers(1 << 31)))
         self.source: dict[str, Any] = {}

@@ -87,7 +87,7 @@ class Chance:
 
     def left(self, moved: float) -> float:
         """The share of the habits of places that is still the same `moved` metres after the look before."""
-        return 1.0 if self.habits is None else 1 - self.habits.anew(self.elapsed, moved)
+        return 1.0 if self.habits is None else 1 - self.habits.renewal_probability(self.elapsed, moved)
 
 
 @dataclass(eq=False)

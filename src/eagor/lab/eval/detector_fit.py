@@ -28,7 +28,7 @@ from scipy.optimize import minimize
 from scipy.special import betaln, digamma, logit, ndtr, stdtrit
 
 from eagor.evidence.detections import bump_norms
-from eagor.evidence.detector import LEAST_OF_SIZE, LEAST_SCORE, LOOK_ALIKES, Alarms, DetectorModel
+from eagor.evidence.detector import LEAST_OF_SIZE, LEAST_SCORE, LOOK_ALIKES, ClutterRate, DetectorModel
 from eagor.grids import ErpGrid
 from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook
 from eagor.sphere import angular_distance, unit
@@ -376,7 +376,7 @@ def log_score(look: LabelledLook, model: DetectorModel) -> float:
     spread, of_size = np.minimum(np.hypot(*deviations(model).reshape(2, 2)), [math.radians(60), 2.0])
     targets, habits = look.in_view, model.habits
     lasting = habits.look_alikes * float(habits.alike_levels @ habits.alike_shares)
-    alarms = Alarms.prior(model).after(np.full(len(look.detections), lasting))
+    alarms = ClutterRate.prior(model).after(np.full(len(look.detections), lasting))
     rate = 1 / float(alarms.weights @ (1 / (alarms.numbers + lasting)))
     model = replace(model, false_alarms_per_look=rate, spread=spread, spread_of_size=of_size)
     scan = look.detections.read(model)

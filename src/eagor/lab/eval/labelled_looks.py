@@ -27,7 +27,7 @@ from eagor.lab.envs.rules import Camera
 from eagor.perception.calibrated import Labelled, cap_radius
 from eagor.perception.json_files import Finite, Tilt, Turn, checked, object_of, parsed_lines
 from eagor.perception.replay import ReplayPerception
-from eagor.perception.words import plain
+from eagor.perception.vocabulary import plain
 from eagor.sphere import angular_distance, checked_pose, direction, unit, world_R_body
 
 IN_VIEW = 0.5  # share v of a target's direction from which on the look counts as having looked at it

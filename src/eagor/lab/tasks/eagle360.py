@@ -23,7 +23,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.tasks import published
 from eagor.lab.tasks.published import TALKING, PublishedConfig, PublishedTask, Recalibrate, score_metric
 from eagor.lab.tasks.task import Metric, Payload, Record, Sample
-from eagor.perception.partial import look_at_view
+from eagor.perception.partial import infer_view
 from eagor.perception.vlm import IMAGE, Message
 from eagor.sources.panorama import read_panorama, resized, view
 from eagor.sphere import angular_distance, azimuth_elevation, direction, world_R_body
@@ -153,7 +153,7 @@ def explore(perception: Any, image: np.ndarray, question: str, looks: int, read:
         if views:
             seen = {"view": [*_angles(views[-1][0]), views[-1][1]]}
             grid = grid_of(*seen["view"])
-            evidence = look_at_view(perception, view(image, grid), grid, query, stamp=stamp)
+            evidence = infer_view(perception, view(image, grid), grid, query, stamp=stamp)
         tracker.observe(read(evidence))
         estimate = tracker.estimate(stamp)
         best = estimate.direction if estimate.direction is not None else np.array([1.0, 0.0, 0.0])

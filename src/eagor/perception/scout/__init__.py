@@ -25,7 +25,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.perception.onnx import session
-from eagor.perception.words import named
+from eagor.perception.vocabulary import named
 from eagor.queries import parse_query
 from eagor.sources.panorama import by_area, checked_picture, resized
 

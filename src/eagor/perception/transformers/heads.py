@@ -24,8 +24,8 @@ from eagor._checks import parsed
 from eagor._files import read_file, written
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
-from eagor.perception.json_files import checked, need
-from eagor.perception.things import blurred
+from eagor.perception.fusion import blurred
+from eagor.perception.json_files import checked, require_field
 from eagor.sphere import angular_distance
 
 SATURATION = 2.0  # excess of the ratio over 1 at which the response is one half
@@ -90,8 +90,8 @@ def read_heads(file: str | Path) -> Heads:
     try:
         found = checked(parsed(read_file(file)), Heads, "the file")
         usable = len(found.heads) > 0 and min(map(min, found.heads)) >= 0
-        need(usable, "heads", found.heads, "pairs (layer, head), from 0 on")
-        need(0 < found.saturation < math.inf, "saturation", found.saturation, "a number above 0")
+        require_field(usable, "heads", found.heads, "pairs (layer, head), from 0 on")
+        require_field(0 < found.saturation < math.inf, "saturation", found.saturation, "a number above 0")
         return found
     except (OSError, ValueError) as error:
         raise EagorError(

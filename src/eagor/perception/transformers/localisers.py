@@ -16,7 +16,7 @@ import torch
 
 _MOST = 50  # boxes per picture
 
-Found = tuple[np.ndarray, np.ndarray] | tuple[np.ndarray, np.ndarray, list[str]]  # boxes, scores, labels
+RawDetections = tuple[np.ndarray, np.ndarray] | tuple[np.ndarray, np.ndarray, list[str]]  # boxes, scores, labels
 
 
 class Kind(NamedTuple):
@@ -47,12 +47,12 @@ class HubDetector:
     classes: dict[int, str] | None
     lock: Any = field(default_factory=RLock, repr=False)
 
-    def __call__(self, picture: np.ndarray, query: str) -> Found:
+    def __call__(self, picture: np.ndarray, query: str) -> RawDetections:
         """What it finds in one picture."""
         return self.many([picture], query)[0]
 
     @torch.inference_mode()
-    def many(self, pictures: Sequence[np.ndarray], query: str) -> list[Found]:
+    def many(self, pictures: Sequence[np.ndarray], query: str) -> list[RawDetections]:
         """What it finds in each of several pictures."""
         words = query.lower().rstrip(".") if self.kind is _DINO else query.lower()
         if self.kind is not _DINO and words.split(" ")[0] in ("the", "an", "a"):
@@ -68,7 +68,7 @@ class HubDetector:
         read = getattr(self.processor, name)
         return [self._best(found) for found in read(out, threshold=self.threshold, target_sizes=sizes, **more)]
 
-    def _best(self, found: dict[str, Any]) -> Found:
+    def _best(self, found: dict[str, Any]) -> RawDetections:
         best = found["scores"].argsort(descending=True)[:_MOST]
         boxes, scores = (found[key][best].float().cpu().numpy() for key in ("boxes", "scores"))
         if self.classes is None:

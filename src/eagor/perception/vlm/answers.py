@@ -80,7 +80,7 @@ class Box(NamedTuple):
     score: float = 1.0
 
 
-class _Found(NamedTuple):
+class _Coordinates(NamedTuple):
     """Four coordinates as written, x0 y0 x1 y1 (equal corners for a point), where they stand, and a written score.
 
     `decided`: the text in which the model decided to write them, from the list's opening, or the last entry, on.
@@ -214,7 +214,7 @@ def _number(written: str) -> float:
     return math.nextafter(float(bare) / 100, 0.5) if written.endswith("%") else float(bare)
 
 
-def _listed(text: str, order: Order) -> list[_Found]:
+def _listed(text: str, order: Order) -> list[_Coordinates]:
     """The boxes that are lists of four numbers or pairs of corners, or else the points that are lists of two."""
     lists: list[tuple[int, int, list[re.Match[str]]]] = []  # start, stop, numbers
     for match in _LIST.finditer(text):
@@ -225,8 +225,8 @@ def _listed(text: str, order: Order) -> list[_Found]:
             lists[-1] = (start, match.end(2), before + numbers)
         elif two or len(numbers) > 3:
             lists.append((match.start(), match.end(), numbers))
-    boxes: list[_Found] = []
-    points: list[_Found] = []
+    boxes: list[_Coordinates] = []
+    points: list[_Coordinates] = []
     end, last, key = 0, 0, None
     for start, stop, found in lists:
         before = text[max(last, start - 200) : start]
@@ -235,14 +235,14 @@ def _listed(text: str, order: Order) -> list[_Found]:
             key = named[1].strip().lower().replace(" ", "_").replace("-", "_") if named else ""
         numbers, last = [_number(each[0]) for each in found], stop
         if len(numbers) == 2 and key in _POINTS:
-            points.append(_Found(tuple(numbers if order == "xyxy" else numbers[::-1]) * 2, point=True))
+            points.append(_Coordinates(tuple(numbers if order == "xyxy" else numbers[::-1]) * 2, point=True))
         if len(numbers) == 2 or key in _POINTS or not all(0 <= fifth <= 1 for fifth in numbers[4:]):
             continue
         places = _PLACES["yxyx" if key == _Y_FIRST else order]
         decided, score = _entry(text, start, stop, end)
         score, end = (*numbers[4:], score)[0], stop
         boxes.append(
-            _Found(tuple(numbers[at] for at in places), tuple(found[at].start() for at in places), decided, score)
+            _Coordinates(tuple(numbers[at] for at in places), tuple(found[at].start() for at in places), decided, score)
         )
     return boxes or points
 
@@ -264,7 +264,7 @@ def _entry(text: str, start: int, stop: int, end: int) -> tuple[tuple[int, int],
     return decided, None
 
 
-def _named(text: str) -> Iterator[_Found]:
+def _named(text: str) -> Iterator[_Coordinates]:
     """The boxes whose corners have names: in objects, in XML, in prose; or one point x, y."""
     fields: dict[str, tuple[float, int]] = {}
     end, count = 0, 0
@@ -280,35 +280,35 @@ def _named(text: str) -> Iterator[_Found]:
             across, down = x + across, y + down
         opened = text.rfind("{", end, min(places))
         decided, score = _entry(text, opened, match.end(), end) if opened >= 0 else (None, None)
-        yield _Found((x, y, across, down), places, decided, score)
+        yield _Coordinates((x, y, across, down), places, decided, score)
         fields, end = {}, match.end()
     if not end and count == 2 and {"x", "y"} <= fields.keys():
-        yield _Found((fields["x"][0], fields["y"][0]) * 2, point=True)
+        yield _Coordinates((fields["x"][0], fields["y"][0]) * 2, point=True)
 
 
-def _tagged(text: str, order: Order) -> Iterator[_Found]:
+def _tagged(text: str, order: Order) -> Iterator[_Coordinates]:
     """The boxes as tokens of places, and the points as tags."""
     for loc in _LOC.finditer(text):  # Florence-2: thousandths, x first; PaliGemma: of 1024, y first
         parts = [(_number(loc[group]) + 0.5) / (1000 if loc[1] else 1024) for group in range(2, 6)]
-        yield _Found(tuple(parts[place] for place in _PLACES["xyxy" if loc[1] else "yxyx"]))
+        yield _Coordinates(tuple(parts[place] for place in _PLACES["xyxy" if loc[1] else "yxyx"]))
     for tag in _POINT_TAG.finditer(text):
         numbers, own = [*map(_number, _ATTRIBUTE.findall(tag[1]))], (0, 1)
         if not numbers:
             numbers, own = [*map(_number, _NUMBER.findall(tag[2]))], _PLACES[order][:2]
         for xy in zip(*(numbers[place::2] for place in own), strict=False):
-            yield _Found(xy * 2, point=True)
+            yield _Coordinates(xy * 2, point=True)
 
 
-def _bare(text: str, order: Order) -> Iterator[_Found]:
+def _bare(text: str, order: Order) -> Iterator[_Coordinates]:
     """Four numbers side by side."""
     runs = ([*map(_number, _NUMBER.findall(run[0]))] for run in _RUN.finditer(text))
-    yield from (_Found(tuple(run[place] for place in _PLACES[order])) for run in runs if len(run) == 4)
+    yield from (_Coordinates(tuple(run[place] for place in _PLACES[order])) for run in runs if len(run) == 4)
 
 
 # --- from coordinates to boxes, and which token a character came from -------------------------------------------------
 
 
-def _box(found: _Found, frame: Frame, size: tuple[int, int], trace: Trace | None) -> Box | str:
+def _box(found: _Coordinates, frame: Frame, size: tuple[int, int], trace: Trace | None) -> Box | str:
     """The box in fractions, or the reason for none: "outside" or "empty"."""
     written = found.numbers
     if not all(math.isfinite(number) for number in written) or max(written) <= 0:  # [0, 0, 0, 0], [-1, -1, -1, -1]

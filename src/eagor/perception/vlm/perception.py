@@ -22,7 +22,7 @@ from eagor.evidence.detections import View
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import ANYWHERE, WHOLE_SPHERE, moments
 from eagor.grids import OVERLAP, Grid, PatchGrid, PerspectiveGrid, depth_inside, tangent_views
-from eagor.perception.things import spread_evidence
+from eagor.perception.fusion import spread_evidence
 from eagor.perception.vlm import ask_boxes, phrase
 from eagor.perception.vlm.answers import Box, Token, parse_boxes
 from eagor.sources.panorama import checked_picture, cut, resized

@@ -34,8 +34,8 @@ from eagor.lab.tasks import hstar
 from eagor.lab.tasks.hstar import HFOV_DEG, PITCH_TOLERANCE, YAW_TOLERANCE, View
 from eagor.lab.tasks.published import PublishedConfig, Recalibrate, first_known
 from eagor.perception import Perception
-from eagor.perception.partial import coverage, look_at_view
-from eagor.perception.truth import Noise, Report, displaced, drawn
+from eagor.perception.partial import coverage, infer_view
+from eagor.perception.truth import Noise, Report, displaced, render_response
 from eagor.perception.vlm import Chat, Message
 from eagor.sphere import world_R_body
 from eagor.tracking.looking import even_and_usual, information
@@ -145,7 +145,7 @@ def open_detector(
         image = hstar.without_cross(hstar.render_view(panorama, view.yaw, view.pitch, resolution))
         upright = world_R_body(0.0, -math.radians(view.pitch))  # a body that faces where the view does
         grid = PerspectiveGrid(image.shape[0], image.shape[1], math.radians(HFOV_DEG), upright)
-        _, evidence = first_known(episode.item["task"], lambda query: look_at_view(perception, image, grid, query))
+        _, evidence = first_known(episode.item["task"], lambda query: infer_view(perception, image, grid, query))
         return ViewEvidence(read(evidence), world_R_body(-math.radians(view.yaw)))
 
     return look
@@ -175,7 +175,7 @@ class SimulatedDetector:
         self._alarm: np.ndarray | None = None  # direction of the false alarm in the world, once a view had it
 
     def __call__(self, view: View) -> ViewEvidence:
-        response = drawn(self.reports(view), LENS, self._noise.floor)
+        response = render_response(self.reports(view), LENS, self._noise.floor)
         return ViewEvidence(Evidence.from_response(response, LENS, CALIBRATION), view.world_R_view)
 
     def reports(self, view: View) -> list[Report]:

@@ -31,7 +31,7 @@ HIDDEN = 1.0  # of the visible length: by how much a thing goes on behind an ope
 BEYOND = 0.1  # of the picture: a box that lies farther outside is in the pixels of another one
 
 
-class Boxes(NamedTuple):
+class RawDetections(NamedTuple):
     """Boxes ``(n, 4)`` x0, y0, x1, y1 in pixels, scores ``(n,)`` in [0, 1], and n labels, or None where none came."""
 
     boxes: np.ndarray
@@ -39,11 +39,11 @@ class Boxes(NamedTuple):
     labels: list[str] | None = None
 
 
-class Seen(NamedTuple):
+class ViewDetections(NamedTuple):
     """What a detector found in one view, before a query chooses: the view, and boxes in its pixels."""
 
     grid: PerspectiveGrid
-    boxes: Boxes
+    boxes: RawDetections
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class ViewBox:
         x0, y0, x1, y1 = self.box
         return seen & (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1), seen
 
-    def is_of(self, other: ViewBox) -> bool:
+    def same_object(self, other: ViewBox) -> bool:
         """Whether it shows the same thing as a box of another view, judged by what both views see."""
         shared, seen = [], []
         for one, two in ((self, other), (other, self)):
@@ -106,7 +106,7 @@ class ViewBox:
         return smaller > 0 and max(shared) > SAME * smaller
 
 
-class Thing(NamedTuple):
+class SphericalDetection(NamedTuple):
     """A thing on the sphere: mean `direction` ``(3,)``, `covariance` ``(2, 2)`` about it (radians squared), score."""
 
     direction: np.ndarray
@@ -114,28 +114,28 @@ class Thing(NamedTuple):
     score: float
 
 
-def things(pieces: Sequence[ViewBox]) -> list[Thing]:
-    """One `Thing` for each group of pieces that show the same, the surest first."""
+def fuse_views(pieces: Sequence[ViewBox]) -> list[SphericalDetection]:
+    """One `SphericalDetection` for each group of pieces that show the same, the surest first."""
     groups: list[list[ViewBox]] = []
     for piece in sorted(pieces, key=lambda each: -each.score):
         for group in groups:
-            if all(other.view != piece.view for other in group) and any(piece.is_of(other) for other in group):
+            if all(other.view != piece.view for other in group) and any(piece.same_object(other) for other in group):
                 group.append(piece)
                 break
         else:
             groups.append([piece])
-    return [_thing(group) for group in groups]
+    return [_fused(group) for group in groups]
 
 
-def _thing(group: Sequence[ViewBox]) -> Thing:
+def _fused(group: Sequence[ViewBox]) -> SphericalDetection:
     """The thing that all pieces of a group show; the first is the surest."""
     score = group[0].score
     for piece in group:
         if not piece.cut.any():
-            return Thing(*moments_of(*piece.samples), score)
+            return SphericalDetection(*moments_of(*piece.samples), score)
     directions, weights = [], []
     for number, piece in enumerate(group):
-        found, areas = box_samples(opened(piece, group), piece.plane)
+        found, areas = box_samples(extend_truncated_box(piece, group), piece.plane)
         new = np.ones(len(found), dtype=bool)
         for place, other in enumerate(group):
             held, seen = other.holds(found)
@@ -146,11 +146,11 @@ def _thing(group: Sequence[ViewBox]) -> Thing:
         directions.append(found[new])
         weights.append(areas[new])
     if not sum(len(found) for found in directions):
-        return Thing(*moments_of(*group[0].samples), score)
-    return Thing(*moments_of(unit(np.concatenate(directions)), np.concatenate(weights)), score)
+        return SphericalDetection(*moments_of(*group[0].samples), score)
+    return SphericalDetection(*moments_of(unit(np.concatenate(directions)), np.concatenate(weights)), score)
 
 
-def opened(piece: ViewBox, group: Sequence[ViewBox], chords: np.ndarray | None = None) -> np.ndarray:
+def extend_truncated_box(piece: ViewBox, group: Sequence[ViewBox], chords: np.ndarray | None = None) -> np.ndarray:
     """The box ``(4,)`` of a piece in its plane, longer at each cut side beyond which no other goes on.
 
     `chords` ``(4,)``: on how much of its length the thing meets each side of the box, if that is known. One that
@@ -191,7 +191,7 @@ def blobs(response: np.ndarray, grid: Grid, level: float, least: float) -> list[
     whose integral of the response is below `least` (steradians) are left out. The covariance ``(2, 2)`` (radians^2) is
     about the mean direction; a region all around the sphere gets the widest possible.
 
-    The border of an ordinary picture cuts what it meets: as a box does (`eagor.perception.things`), a region goes on
+    The border of an ordinary picture cuts what it meets: as a box does (`eagor.perception.fusion`), a region goes on
     there by an unknown length, as dense as in its box.
     """
     labels = connected(response >= level, isinstance(grid, ErpGrid | PatchGrid)).reshape(-1)
@@ -224,7 +224,7 @@ def _beyond(rows: np.ndarray, columns: np.ndarray, mass: float, grid: Perspectiv
         return np.zeros((0, 3)), np.zeros(0)
     at_side = np.array([columns == box[0], rows == box[1], columns + 1 == box[2], rows + 1 == box[3]])
     chords = at_side.sum(axis=1) / np.tile((box[2:] - box[:2])[::-1], 2)
-    points, areas = box_samples(opened(piece, [piece], chords), piece.plane)
+    points, areas = box_samples(extend_truncated_box(piece, [piece], chords), piece.plane)
     outside = ~grid.project(points)[2]
     return points[outside], areas[outside] * mass / piece.samples[1].sum()
 
@@ -277,17 +277,20 @@ def blurred(cells: np.ndarray, wrap: bool = True) -> np.ndarray:
 
 
 def combined(
-    seen: Sequence[Seen], fit: Collection[str], detector: DetectorModel | None = None, stamp: float | None = None
+    seen: Sequence[ViewDetections],
+    fit: Collection[str],
+    detector: DetectorModel | None = None,
+    stamp: float | None = None,
 ) -> Evidence:
     """The evidence of a look from what was `seen` in its views: one view, or several that cover the whole sphere.
 
-    `fit`: the labels that count (`eagor.perception.words.fitting`).
+    `fit`: the labels that count (`eagor.perception.vocabulary.fitting`).
     """
     view = View(seen[0].grid if len(seen) == 1 else WHOLE_SPHERE)
-    return spread_evidence(things(pieces_of(seen, fit)), detector or DetectorModel(), view, stamp)
+    return spread_evidence(fuse_views(pieces_of(seen, fit)), detector or DetectorModel(), view, stamp)
 
 
-def pieces_of(seen: Sequence[Seen], fit: Collection[str]) -> list[ViewBox]:
+def pieces_of(seen: Sequence[ViewDetections], fit: Collection[str]) -> list[ViewBox]:
     """The boxes of all views whose labels `fit`."""
     pieces = []
     for number, (grid, (boxes, scores, labels)) in enumerate(seen):

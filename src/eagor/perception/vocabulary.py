@@ -1,8 +1,8 @@
 """Which classes of a detector a query means, and which of its labels: articles, plurals, compounds, other names.
 
-A detector with a closed set of classes knows no colours and no relations: `meant` refuses a query with one, and
+A detector with a closed set of classes knows no colours and no relations: `match_class` refuses a query with one, and
 suggests the noun alone; `eagor.perception.views` takes colours, and weighs boxes by them. One with an open vocabulary
-writes what it likes: `fitting` is the rule for its labels, live and recorded. The tables are in words.toml.
+writes what it likes: `fitting` is the rule for its labels, live and recorded. The tables are in vocabulary.toml.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from eagor.evidence import Evidence
 from eagor.perception.colour import COLOURS, SYNONYMS, Colour, colour_in, is_colour
 
 __all__ = [
-    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "meant", "named", "plain",
+    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "match_class", "named", "plain",
     "same_name", "singular",
 ]  # fmt: skip
 
-_TABLES = toml.decode(Path(__file__).with_name("words.toml").read_bytes())
+_TABLES = toml.decode(Path(__file__).with_name("vocabulary.toml").read_bytes())
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -61,7 +61,9 @@ _EVERY = 8  # classes that an error names
 _ROOMS = ("chair", "couch", "bed", "dining table", "tv", "refrigerator", "potted plant", "person")
 
 
-def meant(query: str, classes: Sequence[str], *, described: bool = False, coloured: bool = False) -> tuple[str, ...]:
+def match_class(
+    query: str, classes: Sequence[str], *, described: bool = False, coloured: bool = False
+) -> tuple[str, ...]:
     """The names among `classes` that `query` means, as they are spelt there and in their order.
 
     A class's own name wins over its other names, those over wider words ("animal" means every animal that is there),
