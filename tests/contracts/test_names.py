@@ -36,9 +36,24 @@ GONE = {  # room: names, without the underscore of private ones; "" is every roo
 }
 
 OPEN = """
-_extras.need _files.written belief.reading lab.look lab.play belief.read_with sources.NeverSeen sources.TopicPictures
-sources.placed_in_bag sources.panorama_of sources.pose_of odometry.StreamClock tracking.Look tracking.Moment
-tracking.hypotheses tracking.explained tracking.follower tracking.look tracking.looking tracking.mapped
+belief.read_with
+belief.reading
+lab.look
+lab.play
+odometry.StreamClock
+sources.NeverSeen
+sources.TopicPictures
+sources.panorama_of
+sources.placed_in_bag
+sources.pose_of
+tracking.Look
+tracking.Moment
+tracking.explained
+tracking.follower
+tracking.hypotheses
+tracking.look
+tracking.looking
+tracking.mapped
 tracking.read_with
 """
 

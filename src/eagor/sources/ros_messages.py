@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from eagor._extras import need
+from eagor._extras import require_extra
 from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
 from eagor.errors import ImageError, PoseError, TimeError
 from eagor.sources import Pose
@@ -158,7 +158,7 @@ def _demosaiced(mosaic: np.ndarray, pattern: str) -> np.ndarray:
 
 
 def _converted(values: np.ndarray, how: str) -> np.ndarray:
-    need("pictures of this encoding", "robot", "cv2")
+    require_extra("pictures of this encoding", "robot", "cv2")
     import cv2
 
     return cv2.cvtColor(np.ascontiguousarray(values), getattr(cv2, f"COLOR_{how}"))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 
-from eagor._extras import need
+from eagor._extras import require_extra
 from eagor.cameras import SHAPE
 from eagor.errors import EagorError, FormatError, ImageError, TimeError
 from eagor.odometry.imu import MotionTrack, read_insta360
@@ -97,7 +97,7 @@ class Track:
         lenses: bool = False,
         number: int = 0,
     ) -> None:
-        need("reading a video", "photos", "av")
+        require_extra("reading a video", "photos", "av")
         self.path = check_file(path, "a video (MP4, MOV, MKV, WebM, INSV)")
         self.rate, self.start, self.end, self._number = rate, start, end, number
         camera, self.motion, facts = _camera_track(self.path)
@@ -382,7 +382,7 @@ def open_video(path: str, track: int = 0) -> tuple[InputContainer, VideoStream]:
 def plays(path: str | os.PathLike[str]) -> bool:
     """Whether FFmpeg finds moving pictures in the regular file at `path`, whatever its name."""
     try:
-        need("reading a video", "photos", "av")
+        require_extra("reading a video", "photos", "av")
         container, _ = open_video(os.fspath(path))
     except EagorError:
         return False
