@@ -37,8 +37,7 @@ GONE = {  # room: names, without the underscore of private ones; "" is every roo
 
 OPEN = """
 _extras.need _files.written belief.reading lab.look lab.play perception.look perception.need evidence.Alarms
-evidence.anew evidence.inverse evidence.read_with belief.read_with sources.NeverSeen sources.TopicPictures
-sources.placed_in_bag sources.panorama_of sources.pose_of odometry.StreamClock perception.HiddenParts perception.Seen
+evidence.anew evidence.inverse evidence.read_with belief.read_with perception.HiddenParts perception.Seen
 perception.Thing perception.ThingSeen perception.Found perception.is_of perception.meant perception.opened
 perception.things perception.words perception.drawn tracking.Look tracking.Moment tracking.hypotheses
 tracking.explained tracking.follower tracking.look tracking.looking tracking.mapped tracking.read_with
