@@ -181,7 +181,7 @@ def record(seed: int, scene: str, path: Path, domain: int) -> None:
                 pose(ODOMETRY, Pose(state.stamp, state.world_R_body, state.position))
 
             def true(message: Any, _: float) -> None:
-                now_at["pose"] = ros.pose_of(message)
+                now_at["pose"] = ros.pose_from_msg(message)
                 pose(TRUTH, now_at["pose"])
                 now = now_at["pose"].stamp
                 ball = house.ball_at(now - begun)
@@ -218,12 +218,12 @@ def read(path: Path) -> Run:
     balls: list[tuple[float, np.ndarray]] = []
     for _, topic, _, message in bags.read_bag(path):
         if topic == IMAGE:
-            pictures.append((ros.stamp_of(message), ros.panorama_of(message)))
+            pictures.append((ros.stamp_of(message), ros.image_from_msg(message)))
         elif topic == BALL:
             now, *where = json.loads(message.data)
             balls.append((now, np.array(where)))
         else:
-            pose = ros.pose_of(message)
+            pose = ros.pose_from_msg(message)
             (odometry if topic == ODOMETRY else truth).add(pose.stamp, pose.world_R_body, pose.position)
     return Run(int(seed), SCENES[int(scene)], pictures, odometry, truth, balls)
 

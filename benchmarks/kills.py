@@ -199,12 +199,12 @@ def camera(domain: int, _: str) -> None:
     from eagor.robots.go2.house import CAMERA_FRAME, CAMERA_TOPIC
     from eagor.robots.go2.sim import TRUTH
     from eagor.robots.go2.state import Odometry
-    from eagor.sources.ros_messages import pose_of
+    from eagor.sources.ros_messages import pose_from_msg
     from eagor.sphere import heading
 
     room, turned = painted_room(128, 256), [0.0]
     with Participant(domain, "lo") as link:
-        link.subscribe(TRUTH, Odometry, lambda message, _: turned.append(heading(pose_of(message).world_R_body)))
+        link.subscribe(TRUTH, Odometry, lambda message, _: turned.append(heading(pose_from_msg(message).world_R_body)))
         writer = link.publish(CAMERA_TOPIC, PICTURE)
         while True:
             stamp, columns = time.time(), round(turned[-1] / (2 * math.pi) * room.shape[1])

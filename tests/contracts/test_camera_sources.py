@@ -22,7 +22,7 @@ from PIL import Image
 from eagor.cameras import Lens, Rig, dual_fisheye
 from eagor.errors import DeviceError, FormatError, ImageError, TimeError
 from eagor.lab.worlds.painted import painted_room
-from eagor.odometry.clocks import PROBATION, StreamClock
+from eagor.odometry.clocks import PROBATION, TimestampDejitter
 from eagor.sources import Frame, check_camera
 from eagor.sources.camera_sources import open_source
 from eagor.sources.intrinsics import camera_of
@@ -547,7 +547,7 @@ def test_only_what_is_taken_is_stitched():
 
 
 def stamps_of(told, arrivals, latency=0.0):
-    clock = StreamClock(latency, now=lambda: 5000.0, monotonic=lambda: 0.0)
+    clock = TimestampDejitter(latency, now=lambda: 5000.0, monotonic=lambda: 0.0)
     return [clock.stamp(t, arrival) for t, arrival in zip(told, arrivals, strict=True)]
 
 
@@ -568,7 +568,7 @@ def test_jitter_of_arrival_does_not_enter_the_stamps(seed):
 
 def test_a_wrong_pace_is_noticed_and_the_arrival_counts():
     """A stream that claims 25 pictures per second and has 15."""
-    clock = StreamClock(now=lambda: 0.0, monotonic=lambda: 0.0)
+    clock = TimestampDejitter(now=lambda: 0.0, monotonic=lambda: 0.0)
     for k in range(300):
         found = clock.stamp(k / 25, k / 15)
         assert found == pytest.approx(k / 15)
@@ -590,7 +590,7 @@ def test_a_clock_that_is_set_begins_anew():
 
 
 def test_a_picture_without_a_time_is_stamped_by_its_arrival():
-    clock = StreamClock(0.1, now=lambda: 10.0, monotonic=lambda: 4.0)
+    clock = TimestampDejitter(0.1, now=lambda: 10.0, monotonic=lambda: 4.0)
     assert clock.stamp(None, 3.5) == pytest.approx(3.5 - 0.1 + 6.0)
     assert clock.timeless
     assert clock.stamp(None, 3.5) is None, "it is not later"

@@ -40,12 +40,6 @@ belief.read_with
 belief.reading
 lab.look
 lab.play
-odometry.StreamClock
-sources.NeverSeen
-sources.TopicPictures
-sources.panorama_of
-sources.placed_in_bag
-sources.pose_of
 tracking.Look
 tracking.Moment
 tracking.explained

@@ -15,7 +15,7 @@ from eagor.lab.worlds.apartment import generate
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.painted import painted_room
 from eagor.lab.worlds.render import Renderer
-from eagor.sources.defects import NeverSeen, circles_in_words, never_seen, problems, seam_of
+from eagor.sources.defects import InvalidMask, circles_in_words, invalid_mask, problems, seam_of
 from eagor.sources.panorama import read_panorama, turn, view
 from eagor.sphere import world_R_body
 
@@ -53,7 +53,7 @@ def lenses(image, scale=1.0, size=256):
 def check_good(image):
     assert not circles_in_words(image)
     assert not seam_of(image).visible, seam_of(image)
-    assert not never_seen(image).any()
+    assert not invalid_mask(image).any()
     assert problems(image) == ()
 
 
@@ -92,7 +92,7 @@ def test_no_alarm_in_the_dark():
     check_good(np.full((64, 128, 3), 12, np.uint8))
     night = np.random.default_rng(0).integers(0, 10, (128, 256, 3)).astype(np.uint8)
     assert not circles_in_words(night)
-    assert not never_seen(night).any()
+    assert not invalid_mask(night).any()
 
 
 # --- fisheye ---------------------------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ def test_black_holes_are_found(name, which):
     truth = holes(image.shape[:2])[which]
     image[truth] = 0
     for change in (np.asarray, jpeg):
-        found = never_seen(change(image))
+        found = invalid_mask(change(image))
         assert found.shape == truth.shape
         assert (found & truth).sum() > 0.9 * truth.sum()
         assert (found & ~truth).sum() < 0.03 * truth.size
@@ -169,7 +169,7 @@ def test_a_large_picture_with_a_hole():
     image = np.repeat(np.repeat(room("painted"), 3, axis=0), 3, axis=1)[:1531]
     truth = holes(image.shape[:2])[0]
     image[truth] = 0
-    found = never_seen(image)
+    found = invalid_mask(image)
     assert found.shape == truth.shape
     assert (found ^ truth).mean() < 0.01
 
@@ -177,14 +177,14 @@ def test_a_large_picture_with_a_hole():
 def test_black_things_and_dark_rooms_are_no_holes():
     image = room("painted").copy()
     image[200:300, 100:300] = 0  # a black screen
-    assert not never_seen(image).any()
+    assert not invalid_mask(image).any()
     image[-40:] = np.random.default_rng(0).integers(0, 24, (40, 1024, 3))  # a dark floor, photographed
-    assert not never_seen(image).any()
+    assert not invalid_mask(image).any()
 
 
 def test_what_is_black_in_all_pictures():
     always = holes((256, 512))[0]
-    gathered = NeverSeen()
+    gathered = InvalidMask()
     assert gathered.mask is None
     for k in range(4):
         image = turn(room("painted")[::2, ::2], world_R_body(0.5 * k))
@@ -199,7 +199,7 @@ def test_what_is_black_in_all_pictures():
 
 
 def test_what_is_no_picture():
-    for look in (circles_in_words, seam_of, never_seen, problems):
+    for look in (circles_in_words, seam_of, invalid_mask, problems):
         with pytest.raises(ImageError, match="wanted uint8 sRGB"):
             look(np.zeros((4, 8)))
         look(np.zeros((1, 1, 3), np.uint8))

@@ -28,11 +28,11 @@ COLOURS = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [10, 20, 30]]], dtyp
 def test_poses_come_back(yaw, pitch, roll, place):
     pose = Pose(1_700_000_000.25, world_R_body(yaw, pitch, roll), np.array(place))
     for made in (m.odometry_message(pose), pose_message(pose)):
-        found = m.pose_of(made)
+        found = m.pose_from_msg(made)
         assert found.stamp == pose.stamp
         np.testing.assert_allclose(found.world_R_body, pose.world_R_body, atol=1e-9)
         np.testing.assert_array_equal(found.position, pose.position)
-    found = m.pose_of(imu_message(pose))
+    found = m.pose_from_msg(imu_message(pose))
     assert found.position is None
     np.testing.assert_allclose(found.world_R_body, pose.world_R_body, atol=1e-9)
 
@@ -65,7 +65,7 @@ def test_times_that_no_message_holds(stamp):
 def test_pictures_come_back():
     made = m.image_message(PICTURE, 5.0, "x3")
     assert (made.height, made.width, made.encoding) == (6, 12, "rgb8")
-    np.testing.assert_array_equal(m.panorama_of(made), PICTURE)
+    np.testing.assert_array_equal(m.image_from_msg(made), PICTURE)
 
 
 def test_colours_are_those_that_the_encoding_names():
@@ -78,9 +78,9 @@ def test_colours_are_those_that_the_encoding_names():
         "bgra8": [0, 0, 255, 9, 0, 255, 0, 9, 255, 0, 0, 9, 30, 20, 10, 9],
     }.items():
         made.encoding, made.step, made.data = encoding, len(pixels), np.array(pixels, dtype=np.uint8)
-        np.testing.assert_array_equal(m.panorama_of(made), COLOURS)
+        np.testing.assert_array_equal(m.image_from_msg(made), COLOURS)
     made.encoding, made.step, made.data = "mono8", 4, np.array([1, 2, 3, 4], dtype=np.uint8)
-    np.testing.assert_array_equal(m.panorama_of(made)[0, :, 1], [1, 2, 3, 4])
+    np.testing.assert_array_equal(m.image_from_msg(made)[0, :, 1], [1, 2, 3, 4])
 
 
 @pytest.mark.parametrize("order", ["<u2", ">u2"])
@@ -94,8 +94,8 @@ def test_pictures_of_sixteen_bits(order):
         "rgba16": np.concatenate([wide[..., rgb], alpha], axis=-1),
         "bgra16": np.concatenate([wide[..., ::-1], alpha], axis=-1),
     }.items():
-        np.testing.assert_array_equal(m.panorama_of(image_of(encoding, pixels, big=order == ">u2")), PICTURE)
-    grey = m.panorama_of(image_of("mono16", wide[..., 0], big=order == ">u2"))
+        np.testing.assert_array_equal(m.image_from_msg(image_of(encoding, pixels, big=order == ">u2")), PICTURE)
+    grey = m.image_from_msg(image_of("mono16", wide[..., 0], big=order == ">u2"))
     np.testing.assert_array_equal(grey, np.repeat(PICTURE[..., :1], 3, axis=-1))
 
 
@@ -114,7 +114,7 @@ def test_pictures_of_yuv_are_as_opencv_reads_them(padded):
         shape = (6, 12, 2) if pixels.shape == (6, 24) else pixels.shape
         truth = cv2.cvtColor(np.ascontiguousarray(pixels).reshape(shape), code).astype(int)
         for name in names:
-            found = m.panorama_of(image_of(name, pixels, padded=padded, size=(6, 12)))
+            found = m.image_from_msg(image_of(name, pixels, padded=padded, size=(6, 12)))
             assert found.shape == PICTURE.shape
             assert np.abs(found.astype(int) - truth).max() <= 2
     # OpenCV has no NV24. Where four pixels share a colour it says the same as NV21, but for the order of U and V.
@@ -122,7 +122,8 @@ def test_pictures_of_yuv_are_as_opencv_reads_them(padded):
     both = two(wide(u), wide(v)).reshape(12, 12)
     flat = image_of("nv24", np.vstack([y, both]), size=(6, 12))
     np.testing.assert_array_equal(
-        m.panorama_of(flat), m.panorama_of(image_of("nv21", np.vstack([y, two(v[:3, :6], u[:3, :6])]), size=(6, 12)))
+        m.image_from_msg(flat),
+        m.image_from_msg(image_of("nv21", np.vstack([y, two(v[:3, :6], u[:3, :6])]), size=(6, 12))),
     )
 
 
@@ -132,7 +133,7 @@ def test_rows_may_be_padded(more):
     rows = np.full((6, 36 + more), 77, dtype=np.uint8)
     rows[:, :36] = PICTURE.reshape(6, 36)
     made.step, made.data = 36 + more, rows.reshape(-1)
-    np.testing.assert_array_equal(m.panorama_of(made), PICTURE)
+    np.testing.assert_array_equal(m.image_from_msg(made), PICTURE)
 
 
 def test_fields_as_rclpy_gives_them():
@@ -142,21 +143,21 @@ def test_fields_as_rclpy_gives_them():
     made = m.image_message(PICTURE, 5.0, "x3")
     for data in (array.array("B", PICTURE.tobytes()), PICTURE.tobytes()):
         made.data = data
-        np.testing.assert_array_equal(m.panorama_of(made), PICTURE)
+        np.testing.assert_array_equal(m.image_from_msg(made), PICTURE)
 
 
 def test_compressed_pictures():
-    np.testing.assert_array_equal(m.panorama_of(m.compressed_message(PICTURE, 5.0, "x3", kind="png")), PICTURE)
+    np.testing.assert_array_equal(m.image_from_msg(m.compressed_message(PICTURE, 5.0, "x3", kind="png")), PICTURE)
     smooth = np.repeat(np.arange(0, 256, 16, dtype=np.uint8)[None, :, None], 8, axis=0) * np.ones(3, dtype=np.uint8)
-    found = m.panorama_of(m.compressed_message(smooth, 5.0, "x3"))
+    found = m.image_from_msg(m.compressed_message(smooth, 5.0, "x3"))
     assert np.abs(found.astype(int) - smooth).mean() < 3
     made = m.compressed_message(PICTURE, 5.0, "x3", kind="png")
     made.format = "bgr8; png compressed bgr8"  # as image_transport says; the file itself has the right colours
-    np.testing.assert_array_equal(m.panorama_of(made), PICTURE)
+    np.testing.assert_array_equal(m.image_from_msg(made), PICTURE)
     grey = io.BytesIO()
     Image.fromarray(PICTURE[..., 0]).save(grey, "png")
     made.data = np.frombuffer(grey.getvalue(), dtype=np.uint8)
-    np.testing.assert_array_equal(m.panorama_of(made)[..., 2], PICTURE[..., 0])
+    np.testing.assert_array_equal(m.image_from_msg(made)[..., 2], PICTURE[..., 0])
 
 
 # Scenes of which a mosaic holds all: a colour that is the same everywhere, and one that changes evenly.
@@ -180,13 +181,13 @@ def test_mosaics_are_demosaiced(pattern):
             f"bayer_{pattern}8; png compressed "  # as compressed_image_transport writes it: the mosaic as it is
         )
         for made in (image_of(f"bayer_{pattern}8", raw), image_of(f"bayer_{pattern}16", wide, big=True), png):
-            found = m.panorama_of(made)
+            found = m.image_from_msg(made)
             np.testing.assert_allclose(found[1:-1, 1:-1].astype(int), picture[1:-1, 1:-1], atol=1)
     done = m.compressed_message(SLOPE, 5.0, "x", kind="png")
     done.format = f"bayer_{pattern}8; png compressed bgr8"  # demosaiced before
-    np.testing.assert_array_equal(m.panorama_of(done), SLOPE)
+    np.testing.assert_array_equal(m.image_from_msg(done), SLOPE)
     tiny = image_of(f"bayer_{pattern}8", np.full((1, 1), 7, np.uint8))
-    assert m.panorama_of(tiny).max() == 7
+    assert m.image_from_msg(tiny).max() == 7
 
 
 @pytest.mark.parametrize(
@@ -201,7 +202,7 @@ def test_mosaics_are_demosaiced(pattern):
 )
 def test_the_names_of_opencv_have_its_order_which_is_said(encoding, pixels, name):
     made = image_of(encoding, pixels)
-    np.testing.assert_array_equal(m.panorama_of(made), PICTURE if pixels.ndim == 3 else PICTURE[..., [0, 0, 0]])
+    np.testing.assert_array_equal(m.image_from_msg(made), PICTURE if pixels.ndim == 3 else PICTURE[..., [0, 0, 0]])
     assert f"{encoding} names no colours; it is read as {name}" in m.taken_as(made)
     made.encoding = "bgr8"
     assert m.taken_as(made) is None
@@ -215,7 +216,7 @@ def test_numbers_that_are_no_colours_are_refused_by_name(values):
     packed.format = f"{values}; png compressed "
     for made in (image_of(values, np.zeros((6, 12, 32), np.uint8)), packed):
         with pytest.raises(ImageError, match=f"'{values}', .* wanted one of rgb8"):
-            m.panorama_of(made)
+            m.image_from_msg(made)
 
 
 @pytest.mark.parametrize("told", ["16UC1; compressedDepth png", "32FC1; compressedDepth", "compressedDepth"])
@@ -223,7 +224,7 @@ def test_compressed_depth_is_refused_by_name(told):
     made = m.compressed_message(PICTURE, 5.0, "x3", kind="png")
     made.format = told
     with pytest.raises(ImageError, match="the format 'compressedDepth', depth, and no picture"):
-        m.panorama_of(made)
+        m.image_from_msg(made)
 
 
 @pytest.mark.parametrize(
@@ -243,7 +244,7 @@ def test_the_order_of_compressed_colours_is_that_of_image_transport(told, swappe
     """compressed_subscriber.cpp, after imdecode, which gives B, G, R."""
     made = m.compressed_message(PICTURE, 5.0, "x3", kind="png")
     made.format = told
-    np.testing.assert_array_equal(m.panorama_of(made), PICTURE[..., ::-1] if swapped else PICTURE)
+    np.testing.assert_array_equal(m.image_from_msg(made), PICTURE[..., ::-1] if swapped else PICTURE)
     assert (m.taken_as(made) is not None) == swapped
 
 
@@ -266,7 +267,7 @@ def test_pictures_that_do_not_hold_together(change, said):
     for name, value in change.items():
         setattr(made, name, value)
     with pytest.raises(ImageError, match=said):
-        m.panorama_of(made)
+        m.image_from_msg(made)
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8\xff", bytes(100)])
@@ -276,27 +277,27 @@ def test_compressed_pictures_that_cannot_be_decoded(data):
     with pytest.raises(
         ImageError, match=r"a CompressedImage of \d+ bytes, which says that its format is 'jpeg', cannot"
     ):
-        m.panorama_of(made)
+        m.image_from_msg(made)
 
 
 def test_poses_that_are_none():
     made = pose_message(Pose(5.0, np.eye(3), np.zeros(3)))
     made.pose.orientation.w = 0.0
     with pytest.raises(PoseError, match="has the length 0, wanted 1: is it unset"):
-        m.pose_of(made)
+        m.pose_from_msg(made)
     made.pose.orientation.w = math.nan
     with pytest.raises(PoseError, match="length nan"):
-        m.pose_of(made)
+        m.pose_from_msg(made)
     made.pose.orientation.w = 1e308  # whose square has no end
     with pytest.raises(PoseError, match=r"the length 1e.308"):
-        m.pose_of(made)
+        m.pose_from_msg(made)
     made.pose.orientation.w, made.pose.position.y = 1.0, math.inf
     with pytest.raises(PoseError, match="wanted finite metres"):
-        m.pose_of(made)
+        m.pose_from_msg(made)
     made.pose.position.y = 1e30
     with pytest.raises(PoseError, match=r"wanted finite metres, each within 1e\+09 of the origin"):
-        m.pose_of(made)
+        m.pose_from_msg(made)
     imu = imu_message(Pose(5.0, np.eye(3)))
     imu.orientation_covariance[0] = -1
     with pytest.raises(PoseError, match="an Imu says that it has no orientation"):
-        m.pose_of(imu)
+        m.pose_from_msg(imu)

@@ -441,7 +441,7 @@ def test_a_recording_is_played_again_with_the_same_answers(tmp_path):
 def test_others_read_a_recording_as_a_ros_bag(tmp_path):
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
     from eagor.sources.bags import Bag, read_bag
-    from eagor.sources.ros_messages import panorama_of, pose_of, stamp_of
+    from eagor.sources.ros_messages import image_from_msg, pose_from_msg, stamp_of
 
     loop = loop_of(Camera(), Seeing(), poses=Odometry(turn=0.5), record=tmp_path / "run", pictures="png")
     answers = followed(loop, well)
@@ -457,8 +457,8 @@ def test_others_read_a_recording_as_a_ros_bag(tmp_path):
     for _, topic, _, message in read_bag(tmp_path / "run"):
         found.setdefault(topic, []).append(message)
     assert len(found["/eagor/answers"]) == len(answers)
-    assert np.array_equal(panorama_of(found["/eagor/image/compressed"][0]), np.full((16, 32, 3), 90))
-    pose = pose_of(found["/eagor/odom"][-1])
+    assert np.array_equal(image_from_msg(found["/eagor/image/compressed"][0]), np.full((16, 32, 3), 90))
+    pose = pose_from_msg(found["/eagor/odom"][-1])
     assert np.allclose(pose.world_R_body, yawed(0.5 * stamp_of(found["/eagor/odom"][-1])), atol=1e-6)
     last = found["/eagor/direction/red_chair"][-1].vector
     assert np.allclose([last.x, last.y, last.z], answers[-1].direction)

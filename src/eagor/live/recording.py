@@ -30,9 +30,9 @@ from eagor.sources.ros_messages import (
     VECTOR,
     compressed_message,
     header,
+    image_from_msg,
     message,
     odometry_message,
-    panorama_of,
     vector,
 )
 from eagor.tracking import TrackerConfig
@@ -208,7 +208,7 @@ class Replay:
         held: Event | None = None  # its picture may come next
         for _, topic, _, found in read_bag(self.path, [EVENTS, IMAGES] if pictures else [EVENTS]):
             if topic == IMAGES:
-                held = replace(held, picture=panorama_of(found)) if isinstance(held, ImageReceived) else held
+                held = replace(held, picture=image_from_msg(found)) if isinstance(held, ImageReceived) else held
                 continue
             if held is not None:
                 yield held

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from eagor._checks import checked_stamp
 
-__all__ = ["ClockJump", "ClockOffset", "ClockSync", "LatencyFilter", "StreamClock"]
+__all__ = ["ClockJump", "ClockOffset", "ClockSync", "LatencyFilter", "TimestampDejitter"]
 
 WINDOW = 60.0  # seconds for which the quickest message counts
 LONG_WINDOW = 600.0  # the same, for delays: what grows more slowly than a limit of 0.1 s in that time is like drift
@@ -187,7 +187,7 @@ class ClockSync:
         return stamp + self.shift, news
 
 
-class StreamClock:
+class TimestampDejitter:
     """Stamps for the pictures of one live stream; `latency`: seconds from capture to the earliest possible arrival.
 
     A picture has up to two times: when it arrived here, and what its stream says, on a clock of the camera's own with

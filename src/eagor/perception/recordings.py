@@ -23,7 +23,7 @@ from eagor.perception.fusion import ViewDetections
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.views import Detector
 from eagor.sources import Frame, Pose
-from eagor.sources.defects import NeverSeen
+from eagor.sources.defects import InvalidMask
 from eagor.sources.odometry import PosedFrame
 from eagor.sources.panorama import Picture
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
@@ -44,7 +44,7 @@ class ValidMasks:
     """
 
     def __init__(self, masks: Sequence[BodyMask] = (), say: Callable[[str], object] = lambda text: None) -> None:
-        self._given, self._say, self._black = tuple(masks), say, NeverSeen()
+        self._given, self._say, self._black = tuple(masks), say, InvalidMask()
 
     def masks(self, frame: Picture | None) -> tuple[BodyMask, ...]:
         """All masks of a frame; those that are given for a look without a picture, whose record says what is black."""

@@ -16,10 +16,10 @@ from eagor.cameras import Rig
 from eagor.errors import DeviceError, FormatError, PoseError
 from eagor.sources import Pose
 from eagor.sources.bags import MOTION, PICTURES, TF, TF_STATIC, Bag, pick
+from eagor.sources.image_topics import ImageTopics, lens_in_bag, lookup_static_transforms, topics_of
 from eagor.sources.intrinsics import Camera
 from eagor.sources.ros_frames import PoseReader
 from eagor.sources.ros_messages import TRANSFORMS, stamp_of
-from eagor.sources.topic_pictures import TopicPictures, lens_in_bag, placed_in_bag, topics_of
 
 __all__ = ["BagCamera", "BagPoses", "bag_odometry"]
 
@@ -33,8 +33,8 @@ class BagCamera:
     `topic`: None is the only one with pictures, and several have commas between. Stamps are those of the headers; where
     a header has none, the time of recording. `dropped`: messages that were sent twice or out of order; `back`: how many
     of them had stamps that go back, which is said once. `count`: how many pictures there are; `begins`: the stamp of
-    the first; `frame`: as of `TopicPictures`; `lens`: the ordinary camera, if it is one; `view`: the grid of its
-    pictures, None where they become panoramas. Raises `FormatError` for the bag or topic, and as `TopicPictures`.
+    the first; `frame`: as of `ImageTopics`; `lens`: the ordinary camera, if it is one; `view`: the grid of its
+    pictures, None where they become panoramas. Raises `FormatError` for the bag or topic, and as `ImageTopics`.
     """
 
     def __init__(
@@ -58,9 +58,9 @@ class BagCamera:
         self.topic = ",".join(self.topics)
         firsts = [next(self.bag.messages([each]), None) for each in self.topics]
         self.begins = min(_stamp(each[3], each[0]) for each in firsts if each is not None)
-        self._pictures = TopicPictures(
+        self._pictures = ImageTopics(
             [each[3] for each in firsts if each is not None], self.topics, partial(lens_in_bag, self.bag),
-            partial(placed_in_bag, self.bag), rig=rig, camera=camera, info=info, rows=rows,
+            partial(lookup_static_transforms, self.bag), rig=rig, camera=camera, info=info, rows=rows,
         )  # fmt: skip
         self.frame, camera, builder = self._pictures.frame, self._pictures.camera, self._pictures.builder
         self.lens = camera if camera is not None and camera.known else None

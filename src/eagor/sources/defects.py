@@ -1,6 +1,6 @@
 """Pictures that are no good panoramas, as only their pixels tell: fisheye circles, a broken seam, black holes.
 
-`problems` puts the first two into sentences; `NeverSeen` gathers the third over a video. Measured on four photographs
+`problems` puts the first two into sentences; `InvalidMask` gathers the third over a video. Measured on four photographs
 and a painted room (`tests/laws/test_defects.py` repeats a part): no false alarm in 2300 pictures; a broken seam is seen
 in 9 of 10 where the brightness changes by 10 % around the picture, in 8 where 5 % of the columns are missing.
 """
@@ -16,7 +16,9 @@ from scipy import ndimage
 from eagor.grids import ErpGrid
 from eagor.sources.panorama import checked_picture, resized
 
-__all__ = ["MAKE", "TWICE", "NeverSeen", "Seam", "circles_in_words", "never_seen", "problems", "seam_of", "two_eyes"]
+__all__ = [
+    "MAKE", "TWICE", "InvalidMask", "Seam", "circles_in_words", "invalid_mask", "problems", "seam_of", "two_eyes",
+]  # fmt: skip
 
 # Larger pictures are looked at in every second, third, ... pixel, for at least so many rows.
 ROWS, CIRCLE_ROWS = 512, 128
@@ -159,11 +161,11 @@ def _texture(fine: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(ndimage.uniform_filter(fine**2, EYE_PART), 0.0))
 
 
-def never_seen(panorama: np.ndarray) -> np.ndarray:
+def invalid_mask(panorama: np.ndarray) -> np.ndarray:
     """The mask ``(H, W)`` of black regions around a pole of ``(H, W, 3)`` uint8: tripod hole, letterbox, half sphere.
 
     Black that compression left flat, connected with a pole, and larger than `LEAST`. One look cannot tell it from a
-    dark place: use `NeverSeen` for several. Raises `ImageError`.
+    dark place: use `InvalidMask` for several. Raises `ImageError`.
     """
     image = checked_picture(panorama)
     step = max(1, image.shape[0] // ROWS)
@@ -188,18 +190,18 @@ def never_seen(panorama: np.ndarray) -> np.ndarray:
     return found.repeat(step, axis=0).repeat(step, axis=1)[: image.shape[0], : image.shape[1]]
 
 
-class NeverSeen:
+class InvalidMask:
     """What is black in all pictures of a camera that moves: what it never sees."""
 
     def __init__(self) -> None:
         self.mask: np.ndarray | None = None  # (H, W); None before the first picture
 
     def add(self, panorama: np.ndarray) -> np.ndarray:
-        """The mask ``(H, W)`` of what was in `never_seen` of all panoramas so far; all have to have the same shape."""
+        """The mask ``(H, W)`` of what was in `invalid_mask` of all panoramas so far, which have one shape."""
         before = self.mask if self.mask is not None and self.mask.shape == panorama.shape[:2] else None
         if before is not None and not before.any():
             return before  # and it stays so
-        found = never_seen(panorama)
+        found = invalid_mask(panorama)
         self.mask = found if before is None else before & found
         return self.mask
 

@@ -33,7 +33,7 @@ from eagor._extras import require_extra
 from eagor._files import redacted
 from eagor.cameras import Rig
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
-from eagor.odometry.clocks import StreamClock
+from eagor.odometry.clocks import TimestampDejitter
 from eagor.sources import Frame
 from eagor.sources.intrinsics import Camera
 from eagor.sources.stitching import PanoramaBuilder
@@ -282,7 +282,7 @@ class FrameGrabber:
         self.stream, self.dropped = stream, 0
         self.newest: TimedFrame | None = None
         self.error: EagorError | None = None
-        self._clock, self._rate, self._changed = StreamClock(latency), rate, threading.Condition()
+        self._clock, self._rate, self._changed = TimestampDejitter(latency), rate, threading.Condition()
         self._taken = 0  # the number of the picture that was taken last
         self._closed = self._ended = False
         self._broken: str | None = None

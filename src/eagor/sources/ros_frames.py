@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from eagor.conventions import OPTICAL_R_BODY, is_optical
 from eagor.errors import DeviceError, EagorError
 from eagor.sources import Pose
-from eagor.sources.ros_messages import IMU, ODOMETRY, TRANSFORMS, pose_of, rotation_of, seconds, triple
+from eagor.sources.ros_messages import IMU, ODOMETRY, TRANSFORMS, pose_from_msg, rotation_of, seconds, triple
 from eagor.tracking.poses import PoseHistory
 
 __all__ = [
@@ -262,7 +262,7 @@ class PoseReader:
             advice = "two publishers? Stop one of them, or take another topic"
             raise DeviceError(f"{self.topic} has poses of {one} and of {other}: {advice}")
         self._frames = frames
-        pose = pose_of(received)
+        pose = pose_from_msg(received)
         mount = self._mount(frames[0] if self.kind == IMU else frames[1] or self.body, pose.stamp)
         if mount is None:
             return []

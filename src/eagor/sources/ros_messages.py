@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 from functools import cache
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,32 @@ from eagor.sources.panorama import read_image
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
-    "CAMERA_INFO", "COMPRESSED", "IMAGE", "IMU", "ODOMETRY", "POSE", "POSE_WITH_COVARIANCE", "TEXT", "TRANSFORM",
-    "TRANSFORMS", "VECTOR", "compressed_message", "header", "image_message", "message", "odometry_message",
-    "panorama_of", "pose_of", "quaternion", "seconds", "stamp_of", "store", "taken_as",
-    "transform_message", "transforms_message", "vector", 
+    "CAMERA_INFO",
+    "COMPRESSED",
+    "IMAGE",
+    "IMU",
+    "ODOMETRY",
+    "POSE",
+    "POSE_WITH_COVARIANCE",
+    "TEXT",
+    "TRANSFORM",
+    "TRANSFORMS",
+    "VECTOR",
+    "compressed_message",
+    "header",
+    "image_from_msg",
+    "image_message",
+    "message",
+    "odometry_message",
+    "pose_from_msg",
+    "quaternion",
+    "seconds",
+    "stamp_of",
+    "store",
+    "taken_as",
+    "transform_message",
+    "transforms_message",
+    "vector",
 ]  # fmt: skip
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -109,7 +132,7 @@ def compressed_message(panorama: np.ndarray, stamp: float, frame: str, *, kind: 
     return message(COMPRESSED, header=header(stamp, frame), format=kind, data=data)
 
 
-def panorama_of(received: Any) -> np.ndarray:
+def image_from_msg(received: Any) -> np.ndarray:
     """The picture ``(H, W, 3)`` uint8 RGB of an Image or a CompressedImage. Raises `ImageError`."""
     return _decoded(received) if hasattr(received, "format") else _raw(received)
 
@@ -158,7 +181,11 @@ def _demosaiced(mosaic: np.ndarray, pattern: str) -> np.ndarray:
 
 
 def _converted(values: np.ndarray, how: str) -> np.ndarray:
+<<<<<<< HEAD
     require_extra("pictures of this encoding", "robot", "cv2")
+=======
+    need("pictures of this encoding", "ros" if find_spec("rclpy") else "robot", "cv2")  # both bring it
+>>>>>>> 16ca19df
     import cv2
 
     return cv2.cvtColor(np.ascontiguousarray(values), getattr(cv2, f"COLOR_{how}"))
@@ -263,7 +290,7 @@ def transforms_message(*transforms: Any) -> Any:
     return message(TRANSFORMS, transforms=list(transforms))
 
 
-def pose_of(received: Any) -> Pose:
+def pose_from_msg(received: Any) -> Pose:
     """The pose of an Odometry, a PoseStamped, one with covariance, a TransformStamped, or an Imu (without a position).
 
     Raises `PoseError`.

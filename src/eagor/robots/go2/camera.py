@@ -14,7 +14,7 @@ from eagor.errors import EagorError
 from eagor.robots.dds import Participant, Raw, raw
 from eagor.robots.go2.state import CompressedImage
 from eagor.sources.live_camera import LiveCamera
-from eagor.sources.ros_messages import COMPRESSED, compressed_message, panorama_of, stamp_of, store
+from eagor.sources.ros_messages import COMPRESSED, compressed_message, image_from_msg, stamp_of, store
 
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
@@ -59,7 +59,7 @@ class DdsCamera(LiveCamera):
                 damaged()
                 continue
             try:
-                picture = VideoFrame.from_ndarray(np.ascontiguousarray(panorama_of(message)), "rgb24")
+                picture = VideoFrame.from_ndarray(np.ascontiguousarray(image_from_msg(message)), "rgb24")
             except EagorError as error:
                 damaged()
                 warnings.warn(f"{self.name}: a picture is left out: {error}", UserWarning, stacklevel=2)

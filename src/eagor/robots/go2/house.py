@@ -28,7 +28,7 @@ from eagor.queries import matching, parse_query
 from eagor.robots.dds import Participant, Raw
 from eagor.robots.go2.camera import PICTURE, picture_message
 from eagor.robots.go2.state import Odometry
-from eagor.sources.ros_messages import pose_of
+from eagor.sources.ros_messages import pose_from_msg
 
 __all__ = [
     "CAMERA_FRAME", "CAMERA_TOPIC", "MOUNT", "TRUTH", "SimSettings", "SimWorld", "camera_pose", "film", "panorama",
@@ -206,6 +206,6 @@ def film(line: Connection, settings: SimSettings, domain: int, interface: str | 
 
 def camera_pose(truth: Any, mount: Sequence[float]) -> tuple[float, np.ndarray, np.ndarray]:
     """Seconds, and the camera's place ``(3,)`` and orientation ``(3, 3)``, from a message of `TRUTH`."""
-    pose = pose_of(truth)
+    pose = pose_from_msg(truth)
     assert pose.position is not None
     return pose.stamp, pose.position + pose.world_R_body @ mount, pose.world_R_body

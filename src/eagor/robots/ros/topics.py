@@ -32,9 +32,9 @@ from eagor.errors import DeviceError, EagorError
 from eagor.live.threads import LoopClock
 from eagor.sources import Frame, Pose
 from eagor.sources.bags import MOTION, PICTURES, TF, TF_STATIC
+from eagor.sources.image_topics import ImageTopics, Info, beside, lens_of_info, placed, topics_of
 from eagor.sources.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
 from eagor.sources.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds, store
-from eagor.sources.topic_pictures import Info, TopicPictures, beside, lens_of_info, placed, topics_of
 
 __all__ = ["RosCamera", "RosPoses", "TopicListener"]
 
@@ -220,10 +220,10 @@ class RosCamera(TopicSource):
     """A `CameraSource`: a topic of Image or CompressedImage, or several with commas between, of cameras of one body.
 
     The CameraInfo beside the pictures tells the lens of those that are no panoramas, and ``/tf_static`` where several
-    cameras are; or a `rig` does (`lenses`: as `TopicPictures` has it). `latency`: seconds from capture to the stamps.
+    cameras are; or a `rig` does (`lenses`: as `ImageTopics` has it). `latency`: seconds from capture to the stamps.
     `listener`: of a node that runs; `rate`: the most pictures a second. The newest picture is kept, and decoded when it
     is asked for; `dropped` counts the others, and those that were damaged. `frame`: as the pictures name it. Raises
-    `DeviceError` if nobody publishes, or no picture comes; otherwise as `TopicPictures`.
+    `DeviceError` if nobody publishes, or no picture comes; otherwise as `ImageTopics`.
     """
 
     keeps_newest = True
@@ -251,7 +251,7 @@ class RosCamera(TopicSource):
         if not self._listener.wait(lambda: None not in self._newest):
             silent = self.topics[self._newest.index(None)]
             raise DeviceError(f"no picture came on {silent} within {FIRST:g} s; is the camera running?")
-        self._pictures = TopicPictures(self._newest, self.topics, self._camera_info, self._turns, **self._lenses)
+        self._pictures = ImageTopics(self._newest, self.topics, self._camera_info, self._turns, **self._lenses)
         self.frame, builder = self._pictures.frame, self._pictures.builder
         self.grid, self.unseen = builder.grid, builder.unseen
 
@@ -273,7 +273,7 @@ class RosCamera(TopicSource):
                 yield frame
 
     def _frame(self, messages: list[Any]) -> Frame | None:
-        """The next frame; None if it was sent twice, or comes too soon or out of order. Raises as `TopicPictures`."""
+        """The next frame; None if it was sent twice, or comes too soon or out of order. Raises as `ImageTopics`."""
         topic, time, last = self.topics[0], messages[0].header.stamp, self._last
         stamp = (seconds(time) or self._listener.now()) - self.latency
         if last - BACK <= stamp <= last or 0 < stamp - last < self._apart:

@@ -21,11 +21,17 @@ from eagor.grids import PerspectiveGrid
 from eagor.sources.bags import TF_STATIC, Bag, pick
 from eagor.sources.intrinsics import Camera, rig_of_info
 from eagor.sources.ros_frames import BODY, TransformTree, contradiction, optical
-from eagor.sources.ros_messages import CAMERA_INFO, TRANSFORMS, panorama_of, taken_as
+from eagor.sources.ros_messages import CAMERA_INFO, TRANSFORMS, image_from_msg, taken_as
 from eagor.sources.stitching import PanoramaBuilder, sizes_of
 
 __all__ = [
-    "TopicPictures", "beside", "lens_in_bag", "lens_of_info", "placed", "placed_in_bag", "topics_of",
+    "ImageTopics",
+    "beside",
+    "lens_in_bag",
+    "lens_of_info",
+    "lookup_static_transforms",
+    "placed",
+    "topics_of",
 ]  # fmt: skip
 
 OPTION = "--camera-info"
@@ -47,7 +53,7 @@ def beside(image_topic: str) -> str:
     return f"{image_topic.removesuffix('/compressed').rpartition('/')[0]}/camera_info"
 
 
-class TopicPictures:
+class ImageTopics:
     """How the messages of `topics`, one for each camera, become frames; the `firsts` of them, and the lenses, say it.
 
     A topic alone gives panoramas, or an ordinary camera's pictures. Several are a rig, which is stitched.
@@ -76,7 +82,7 @@ class TopicPictures:
         info: str | None = None,
         rows: int | None = None,
     ) -> None:
-        pictures = [panorama_of(each) for each in firsts]
+        pictures = [image_from_msg(each) for each in firsts]
         for topic, each in zip(topics, firsts, strict=True):
             if (how := taken_as(each)) is not None:
                 warnings.warn(f"{topic}: {how}", UserWarning, stacklevel=3)
@@ -103,7 +109,7 @@ class TopicPictures:
 
     def made(self, received: Sequence[Any], otherwise: str = "") -> np.ndarray:
         """The frame of the messages of all topics. Raises `ImageError`; `FormatError` for another size."""
-        pictures = [panorama_of(each) for each in received]
+        pictures = [image_from_msg(each) for each in received]
         for (width, height), (wide, high) in zip(sizes_of(pictures), self._sizes, strict=True):
             if (width, height) != (wide, high):
                 raise FormatError(f"it is {width} x {height}, and the first was {wide} x {high}{otherwise}")
@@ -163,7 +169,7 @@ def lens_of_info(received: Any, topic: str, image_topic: str) -> Info:
     return Camera(rig_of_info(received, rectified, topic), name=topic), received.header.frame_id
 
 
-def placed_in_bag(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:
+def lookup_static_transforms(bag: Bag, frames: Sequence[str]) -> list[np.ndarray]:
     """As `placed`, of the ``/tf_static`` of a bag."""
     tree = TransformTree()
     if bag.topics.get(TF_STATIC) == TRANSFORMS:
