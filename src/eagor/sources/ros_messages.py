@@ -181,11 +181,7 @@ def _demosaiced(mosaic: np.ndarray, pattern: str) -> np.ndarray:
 
 
 def _converted(values: np.ndarray, how: str) -> np.ndarray:
-<<<<<<< HEAD
-    require_extra("pictures of this encoding", "robot", "cv2")
-=======
-    need("pictures of this encoding", "ros" if find_spec("rclpy") else "robot", "cv2")  # both bring it
->>>>>>> 16ca19df
+    require_extra("pictures of this encoding", "ros" if find_spec("rclpy") else "robot", "cv2")  # both bring it
     import cv2
 
     return cv2.cvtColor(np.ascontiguousarray(values), getattr(cv2, f"COLOR_{how}"))
