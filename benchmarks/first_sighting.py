@@ -17,7 +17,7 @@ import common
 import numpy as np
 
 from eagor.lab.envs.episodes import EpisodeSpec, episode_specs
-from eagor.lab.tasks.sim.play import Runner, Step
+from eagor.lab.tasks.sim.rollout import Runner, Step
 from eagor.metrics import angular_error_deg
 
 OURS, FRAME = "eagor", "frame"

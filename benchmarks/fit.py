@@ -24,7 +24,7 @@ import common
 import numpy as np
 
 from eagor.lab.eval.calibration import TASKS, make_runners, record_episodes
-from eagor.lab.tasks.sim.play import Rollout
+from eagor.lab.tasks.sim.rollout import Rollout
 
 AIMS = {"waypoint": ("mae", "tc"), "tracking": ("error", "tc")}
 

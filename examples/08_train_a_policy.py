@@ -48,7 +48,7 @@ class Estimate(gymnasium.Wrapper):
     def estimate(self, seen, info):
         stamp = info["num_steps"] * self.unwrapped.camera.seconds
         pose = rotation_from_wxyz(seen["pose"][3:]), seen["pose"][:3]
-        return answer_at(self.method, stamp, *pose, self.eye.look(seen, info, stamp)).astype(np.float32)
+        return answer_at(self.method, stamp, *pose, self.eye.infer(seen, info, stamp)).astype(np.float32)
 
 
 def make(apartments):

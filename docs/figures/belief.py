@@ -20,7 +20,7 @@ from eagor.lab.agents.methods import BASE
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, load_place
 from eagor.lab.envs.rules import Camera
-from eagor.lab.tasks.sim.play import Runner
+from eagor.lab.tasks.sim.rollout import Runner
 from eagor.lab.worlds import View
 from eagor.perception import load
 from eagor.sphere import unit, wrap

@@ -37,7 +37,7 @@ from eagor.lab.worlds.navmesh import along, length_of
 from eagor.perception.scout import ScoutPerception
 from eagor.sphere import angular_distance
 from eagor.tracking import TrackerConfig
-from eagor.tracking.follower import Follower
+from eagor.tracking.refresh import Follower
 
 NEAR, FAR = 1.5, 3.0  # metres from the thing at first
 SHORTEST, LONGEST = 4.0, 8.0  # metres of walking
@@ -114,7 +114,7 @@ def played(place: Place, target: int, way: np.ndarray, query: str) -> Walked:
         if number % round(LOOK / STEP) == 0:
             seen = place.renderer.panorama(here, pose, scout.rows, range=False, ids=False).rgb
             assert seen is not None
-            follower.look(scout(seen, query, stamp=stamp))
+            follower.observe(scout(seen, query, stamp=stamp))
         if number % round(ASK / STEP) == 0 and stamp > 2 * LOOK:
             estimate = follower.estimate(stamp)
             known = estimate.direction

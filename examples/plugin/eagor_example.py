@@ -9,7 +9,7 @@ Each of the three has a check that ships with eagor; call it from your tests:
 
     check_perception(Brightness(), panorama, "brightest", roll=16)    # eagor.perception
     check_world(hall)                                                 # eagor.lab.worlds.checking
-    check_simulation(TURNTABLE, world="hall")                         # eagor.lab.tasks.sim.play, once installed
+    check_simulation(TURNTABLE, world="hall")                         # eagor.lab.tasks.sim.rollout, once installed
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from eagor.errors import QueryError, WorldError
 from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import load_place, pixels_of
-from eagor.lab.tasks.sim.play import Rollout
+from eagor.lab.tasks.sim.rollout import Rollout
 from eagor.lab.tasks.sim.task import SimTask
 from eagor.lab.tasks.task import degrees
 from eagor.lab.worlds.scene import Instance, Lamp, Material, Room, Scene

@@ -19,7 +19,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.lab import worlds
 from eagor.lab.tasks import task as tasks
-from eagor.lab.tasks.sim.play import check_simulation
+from eagor.lab.tasks.sim.rollout import check_simulation
 from eagor.lab.tasks.task import Sample, load
 from eagor.lab.worlds.checking import check_world
 from eagor.lab.worlds.painted import EYE, Room, paint, painted_room

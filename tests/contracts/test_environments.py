@@ -26,7 +26,7 @@ from eagor.lab.envs.rules import (
     WaypointRules,
 )
 from eagor.lab.tasks.sim import navigation, tracking, waypoint
-from eagor.lab.tasks.sim.play import Runner
+from eagor.lab.tasks.sim.rollout import Runner
 from eagor.sphere import angular_distance
 
 SHORT_LEGS = WaypointRules(leg_steps=6)

@@ -16,7 +16,7 @@ from rooms import two_rooms
 from eagor.errors import EagorError, WorldError
 from eagor.lab import worlds
 from eagor.lab.envs.places import load_place
-from eagor.lab.tasks.sim.play import check_simulation
+from eagor.lab.tasks.sim.rollout import check_simulation
 from eagor.lab.tasks.task import load as load_task
 from eagor.lab.worlds import habitat as adapter
 from eagor.lab.worlds.checking import check_world

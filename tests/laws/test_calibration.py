@@ -16,7 +16,7 @@ from eagor.grids import PatchGrid
 from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.eval.calibration import TASKS, at_places, counted, fit, make_runners, places_of, record, score
 from eagor.lab.eval.labelled_looks import development_specs
-from eagor.lab.tasks.sim.play import Rollout, Step
+from eagor.lab.tasks.sim.rollout import Rollout, Step
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
 from eagor.perception.truth import TruthPerception
 from eagor.sphere import direction, world_R_body

@@ -157,13 +157,13 @@ def test_a_habit_that_may_be_drawn_anew_is_summed_over_all_times_when_it_was(ane
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda bank: pickle.loads(pickle.dumps(bank))])
 def test_a_copy_of_a_bank_has_learnt_as_much(copied):
     _, bank = banked(MANY.habits, *spoken(0))
-    assert np.array_equal(copied(bank).read_with(MANY.habits).maps, bank.maps)
+    assert np.array_equal(copied(bank).for_sensor(MANY.habits).maps, bank.maps)
 
 
 def test_another_detector_draws_its_habits_anew_and_what_was_learnt_of_places_stays():
     _, bank = banked(MANY.habits, *spoken(0))
     other = replace(MANY, habit=(3.0, 1.0)).habits
-    found = bank.read_with(other)
+    found = bank.for_sensor(other)
     assert found.recall == pytest.approx(np.full(40, other.mean))
     assert np.array_equal(found.lead, bank.lead)
     assert np.array_equal(found.missed, bank.missed)

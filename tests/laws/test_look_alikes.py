@@ -16,8 +16,8 @@ from eagor.evidence.detector import ClutterRate, DetectorModel, Spread
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
 from eagor.tracking.config import MotionModel, TrackerConfig
-from eagor.tracking.look import Sight
 from eagor.tracking.look_alikes import DRIFT, LEAST, LookAlikes, LookAlikesByDrift
+from eagor.tracking.scan import Scan
 from eagor.tracking.tracker import DirectionTracker
 
 FLAT = TrackerConfig(ranges=None, drift=0.0)
@@ -37,8 +37,8 @@ def after(looks, config=FLAT):
 
 def density(known, places, model=MODEL, position=None, **more):
     """The density of detections that known look-alikes cause at `places`, over that of one false alarm a look."""
-    sight = Sight.of([look(places, 99, model, **more)], FLAT.degree, 99.0, np.eye(3), position)
-    return known.heard(sight, SPREAD).density
+    scan = Scan.of([look(places, 99, model, **more)], FLAT.degree, 99.0, np.eye(3), position)
+    return known.heard(scan, SPREAD).density
 
 
 def likelihoods(known):
@@ -52,7 +52,7 @@ def test_alone_a_place_is_as_likely_as_the_field_says(found, looks):
     seen = unit(HERE + math.radians(2) * np.random.default_rng(found).standard_normal((found, 3)))
     hypotheses = after([look(seen[stamp : stamp + 1], stamp, rare) for stamp in range(looks)], still).hypotheses
     known, cell = hypotheses.look_alikes, int((hypotheses.grid.directions @ HERE).argmax())
-    field = hypotheses.standing.explained[hypotheses.standing.places.cells.reshape(-1)[cell]]
+    field = hypotheses.standing.log_other_intensity[hypotheses.standing.places.cells.reshape(-1)[cell]]
     assert angular_distance(known.directions[0, 0], HERE) < math.radians(12)
     assert float(known.odds.max()) == pytest.approx(math.log(math.expm1(field)), abs=0.25)
 
@@ -146,11 +146,11 @@ def test_a_place_draws_its_habit_anew_and_a_drift_widens_it():
 def test_another_detector_keeps_the_places_and_learns_their_habits_anew():
     known = after([look([HERE], stamp) for stamp in range(10)]).hypotheses.look_alikes
     habits = replace(MODEL, look_alikes=1.4, look_alike_habit=(1.0, 1.0)).habits
-    other = known.read_with(habits)
+    other = known.for_sensor(habits)
     assert other.odds == pytest.approx(known.odds)
     assert other.levels[0] == pytest.approx(habits.alike_shares)
     assert other.hidden.sum() == pytest.approx(2 * known.hidden.sum())
-    assert known.read_with(known.habits) is known
+    assert known.for_sensor(known.habits) is known
 
 
 def test_what_is_hardly_there_is_forgotten():
@@ -187,11 +187,11 @@ def seen_in_parts(parts):
 def test_a_box_on_a_part_of_a_known_thing_is_no_news_to_what_moves():
     (with_parts, model), (without, _) = seen_in_parts(0.15), seen_in_parts(0.0)
     there = boxes_look([PART], 99, model)
-    sight = Sight.of([there], FLAT.degree, 99.0, np.eye(3), None)
-    heard = with_parts.look_alikes.heard(sight, SPREAD)
+    scan = Scan.of([there], FLAT.degree, 99.0, np.eye(3), None)
+    heard = with_parts.look_alikes.heard(scan, SPREAD)
     assert float(heard.parts.sum()) > 1  # a false alarm there is rarer
     assert float(heard.parts.sum()) > 3 * float(heard.own.sum())
-    beyond = Sight.of([boxes_look([(120, 0, 8, 8)], 99, model)], FLAT.degree, 99.0, np.eye(3), None)
+    beyond = Scan.of([boxes_look([(120, 0, 8, 8)], 99, model)], FLAT.degree, 99.0, np.eye(3), None)
     assert float(with_parts.look_alikes.heard(beyond, SPREAD).parts.sum()) < 1e-6
     assert with_parts.moving < without.moving
 
@@ -202,8 +202,8 @@ def test_the_size_of_a_thing_is_the_mean_of_its_boxes_and_points_have_no_parts()
     best = known.boxes[int(known.odds.argmax())]
     assert best[1] / best[0] == pytest.approx(math.radians(20), rel=0.1)
     points = after([look([HERE], stamp) for stamp in range(5)]).hypotheses.look_alikes
-    sight = Sight.of([look([HERE], 99)], FLAT.degree, 99.0, np.eye(3), None)
-    assert not points.heard(sight, SPREAD).parts.any()
+    scan = Scan.of([look([HERE], 99)], FLAT.degree, 99.0, np.eye(3), None)
+    assert not points.heard(scan, SPREAD).parts.any()
 
 
 # --- the drift of the odometry ----------------------------------------------------------------------------------------
@@ -270,13 +270,13 @@ def test_what_one_place_explains_is_not_explained_again():
     none, once, twice = (
         altered(known, **{name: getattr(known, name)[[best] * count] for name in names}) for count in range(3)
     )
-    sight = Sight.of([look([HERE], 99)], FLAT.degree, 99.0, np.eye(3), None)
+    scan = Scan.of([look([HERE], 99)], FLAT.degree, 99.0, np.eye(3), None)
     alarms = ClutterRate.prior(MODEL)
 
     def evidence(places):
-        return places.evidence(places.heard(sight, SPREAD), alarms, np.zeros(1))
+        return places.evidence(places.heard(scan, SPREAD), alarms, np.zeros(1))
 
-    number, heard = float(alarms.weights @ alarms.numbers), once.heard(sight, SPREAD)
+    number, heard = float(alarms.weights @ alarms.numbers), once.heard(scan, SPREAD)
     new, own = float(heard.new.sum()), float(heard.own[0, 0])
     there = float(known.levels[best] @ known.habits.alike_levels / (1 + math.exp(-known.odds[best])))
     assert evidence(none) == pytest.approx(math.log(number + new))

@@ -11,7 +11,7 @@ from eagor import Calibration, DetectorModel, Evidence
 from eagor.grids import ErpGrid
 from eagor.lab.agents.search_space import LEAST, Chance
 from eagor.sphere import direction
-from eagor.tracking.looking import information
+from eagor.tracking.next_view import information
 
 GRID = ErpGrid(16, 32)
 

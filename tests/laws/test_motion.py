@@ -15,8 +15,8 @@ from eagor.evidence.detector import DetectorModel
 from eagor.harmonics.peaks import decoding_grid
 from eagor.sphere import angular_distance, direction, unit
 from eagor.tracking.config import MotionModel, TrackerConfig
-from eagor.tracking.hypotheses import TargetHypotheses
-from eagor.tracking.look import Sight
+from eagor.tracking.imm import TargetHypotheses
+from eagor.tracking.scan import Scan
 from eagor.tracking.stationary import StationaryTarget
 from eagor.tracking.tracker import DirectionTracker
 
@@ -34,8 +34,8 @@ def look(towards, stamp=None, model=MODEL):
 
 
 def seen(hypotheses, towards):
-    sight = Sight.of([look(towards)], DEGREE, 0.0, np.eye(3), np.zeros(3))
-    return hypotheses.updated(sight, None, None, None)[0]
+    scan = Scan.of([look(towards)], DEGREE, 0.0, np.eye(3), np.zeros(3))
+    return hypotheses.updated(scan, None, None, None)[0]
 
 
 def prior(motion=ONE, ranged=False):

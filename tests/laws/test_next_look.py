@@ -14,7 +14,7 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.live.events import Answer, ImageReceived, NextLooks
 from eagor.sphere import angular_distance, direction, world_R_body
 from eagor.tracking import Heights, TurningCamera, TurningRig
-from eagor.tracking.looking import tell, views_of
+from eagor.tracking.next_view import tell, views_of
 
 GRID = PerspectiveGrid(48, 64, math.radians(90))
 CAMERA = TurningCamera(math.radians(90))

@@ -77,7 +77,7 @@ def test_a_look_shows_floor_walls_and_what_is_hidden(yaw, tilt):
     """The camera may be turned and tilted: the floor is where it is."""
     world, known = World(TWO_ROOMS, (2.0, 2.0), yaw, tilt), FloorMap()
     now = world.situation()
-    known.look(now)
+    known.observe(now)
     rows, cols = np.nonzero(known.state == FLOOR)
     places = known.centres(np.stack([rows, cols], axis=-1))
     away = np.hypot(*(places - world.xy).T)
@@ -145,7 +145,7 @@ def test_looks_count_by_their_recall_and_not_again_for_what_they_repeat(chance, 
     world, ground = World(TWO_ROOMS, (2.0, 3.0)), FloorMap(CAMERA.radius)
     missed = []
     for _ in range(3):
-        ground.look(world.situation(chance=chance))
+        ground.observe(world.situation(chance=chance))
         row, col = ground.cells(np.array([2.6, 3.0]))
         missed.append(ground.miss_cost[row, col])
     assert missed == pytest.approx([first, first * again, first * again**2])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from strategies import random_directions, rotations
 
 from eagor.belief import Belief
-from eagor.belief.reading import NEAR
+from eagor.belief.density import NEAR
 from eagor.errors import EagorError, PoseError, RotationError, TimeError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration

@@ -12,8 +12,8 @@ from eagor import DetectorModel, DirectionTracker, Evidence, MotionModel, Tracke
 from eagor.evidence.detector import ClutterRate, Spread
 from eagor.grids import ErpGrid
 from eagor.sphere import angular_distance, rotation, unit
-from eagor.tracking.look import Look, Sight
 from eagor.tracking.moving import TurningTarget
+from eagor.tracking.scan import Measurement, Scan
 
 GRID = ErpGrid(96, 192)
 PD = 0.7
@@ -25,7 +25,7 @@ FAST = math.radians(10)  # a second
 
 def look(directions, model=MODEL, stamp=0.0):
     evidence = Evidence.from_points(np.reshape(directions, (-1, 3)), detector=model, stamp=stamp)
-    return Sight.of([evidence], 15, stamp, np.eye(3), None).read(ClutterRate.prior(model))
+    return Scan.of([evidence], 15, stamp, np.eye(3), None).read(ClutterRate.prior(model))
 
 
 def sightings(directions):
@@ -82,7 +82,7 @@ def test_the_density_integrates_to_one():
 def test_a_look_is_weighed_by_bayes_rule(aside):
     """The gain is the mean of the likelihood ratio under the density; the density becomes their product."""
     before = followed(6, 0.1).after(1.0, 0.05, 0.0)
-    seen: Look = look([rotation((0, 1, 0), angle) @ circling(6) for angle in aside])
+    seen: Measurement = look([rotation((0, 1, 0), angle) @ circling(6) for angle in aside])
     after, gain, _ = before.updated(seen.sightings(PD))
     assert seen.world is not None
     ratio = seen.world.ratio(GRID.directions, 1.0)
@@ -96,7 +96,7 @@ def test_a_look_is_weighed_by_bayes_rule(aside):
 def test_what_is_foretold_for_each_scale_of_the_spread_is_the_mean_of_its_ratio():
     before = followed(6, 0.1).after(1.0, 0.05, 0.0)
     seen = look([rotation((0, 1, 0), angle) @ circling(6) for angle in (0.1, 2.0)])
-    seen = seen.sight.read(seen.alarms, Spread.unsure())
+    seen = seen.scan.read(seen.alarms, Spread.unsure())
     ratios = seen.at(GRID.directions, 0.0, seen.spread.scales).gains(PD)
     expected = np.tensordot(ratios, before.density(GRID.directions) * GRID.weights, axes=2) / (4 * math.pi)
     assert np.allclose(before.updated(seen.sightings(PD))[2], expected, rtol=0.06)

@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from eagor._arrays import to_numpy
+from eagor.belief.density import log_integral
 from eagor.belief.field import SphereField
-from eagor.belief.reading import log_integral
 from eagor.errors import ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration

@@ -195,7 +195,7 @@ class Bank:
         never[:-1] += share * (_column(self.habits.shares, maps.ndim - 1) - never[:-1])
         return altered(self, maps=maps, never=never)
 
-    def read_with(self, habits: Habits) -> Bank:
+    def for_sensor(self, habits: Habits) -> Bank:
         """For looks of another detector: habits are drawn anew, what was learnt with the others stays."""
         if habits.same(self.habits):
             return self

@@ -1,4 +1,4 @@
-"""Reading a belief: modes, regions and integrals of exp(f) for a field f on the sphere. NumPy.
+"""Density a belief: modes, regions and integrals of exp(f) for a field f on the sphere. NumPy.
 
 `Posterior` samples one field finely enough for its sharpest peak; `Readable` is what `Belief` and `RangedBelief` share,
 batches included.
@@ -16,7 +16,7 @@ import numpy as np
 from eagor._arrays import Array, to_numpy
 from eagor._values import lazy, where, wide
 from eagor.belief.basins import PROMINENCE, basins
-from eagor.belief.reading import Masses
+from eagor.belief.density import Masses
 from eagor.errors import EagorError
 from eagor.grids import ErpGrid, ErpWindow
 from eagor.harmonics import RealHarmonics

@@ -25,7 +25,7 @@ from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.eval import episodes as parts
 from eagor.lab.eval.page import Cell, Pictures, Row, Section, Table, Text, address_of, page
 from eagor.lab.eval.results import OURS
-from eagor.lab.tasks.sim.play import Runner, Step
+from eagor.lab.tasks.sim.rollout import Runner, Step
 from eagor.metrics import angular_error_deg
 from eagor.sphere import direction
 from eagor.tracking.estimate import Estimate

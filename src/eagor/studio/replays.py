@@ -23,7 +23,7 @@ from eagor.lab.agents.methods import DESCRIPTIONS, TrackerEstimator
 from eagor.lab.envs.places import load_place
 from eagor.lab.eval.episodes import runner_of
 from eagor.lab.eval.results import OURS, Run
-from eagor.lab.tasks.sim.play import Step
+from eagor.lab.tasks.sim.rollout import Step
 from eagor.lab.tasks.task import finished, sample_of
 from eagor.live.core import LiveCore
 from eagor.live.recording import Replay

@@ -16,7 +16,7 @@ One look of one target takes this way:
 
 from eagor.tracking.config import AnswerSettings, MotionModel, TrackerConfig
 from eagor.tracking.estimate import Estimate, Mode, Status
-from eagor.tracking.looking import Heights, NextLook, TurningCamera, TurningRig
+from eagor.tracking.next_view import Heights, NextLook, TurningCamera, TurningRig
 from eagor.tracking.poses import PoseHistory
 from eagor.tracking.tracker import DirectionTracker
 

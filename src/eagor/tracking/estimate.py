@@ -11,17 +11,17 @@ import numpy as np
 from eagor._arrays import to_numpy
 from eagor._checks import checked_stamp
 from eagor._values import lazy, where, wide
+from eagor.belief.density import Density
 from eagor.belief.field import cells_of
 from eagor.belief.posterior import checked_mass
-from eagor.belief.reading import Reading
 from eagor.errors import EagorError, TimeError
 from eagor.evidence.detector import ClutterRate
 from eagor.grids import ErpGrid, Grid, PatchGrid
 from eagor.harmonics.peaks import FLAT
 from eagor.sphere import azimuth_elevation, check_unit, checked_pose
 from eagor.tracking.config import TrackerConfig
-from eagor.tracking.hypotheses import TargetHypotheses
-from eagor.tracking.looking import Heights, Known, NextLook, TurningCamera, TurningRig, best_look
+from eagor.tracking.imm import TargetHypotheses
+from eagor.tracking.next_view import Heights, Known, NextLook, TurningCamera, TurningRig, best_look
 
 __all__ = ["Estimate", "Mode", "Status"]
 
@@ -98,7 +98,7 @@ class Estimate:
         return f"90 % within {wide(self.credible_angle)}"
 
     @property
-    def posterior(self) -> Reading:
+    def posterior(self) -> Density:
         """The posterior over directions, given that the target is present; world axes."""
         return self.hypotheses.widened(self.spread)
 
@@ -294,7 +294,7 @@ class Estimate:
 
         Of several cameras on a body (`TurningRig`): to where the body should turn, for all that they see together.
 
-        What counts is whether the thing is present, and where (`eagor.tracking.looking`). The world's z axis is up.
+        What counts is whether the thing is present, and where (`eagor.tracking.next_view`). The world's z axis is up.
 
         Args:
             camera: what it sees and how it turns, or its horizontal field of view in radians.

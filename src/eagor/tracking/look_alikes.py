@@ -32,8 +32,8 @@ from eagor.belief.ranged import variance_in_shell
 from eagor.evidence.detections import LOWEST, Detections, tangent_frames
 from eagor.evidence.detector import ClutterRate, Habits, Spread
 from eagor.grids import ErpGrid
-from eagor.tracking.look import Sight
 from eagor.tracking.moving import innovations
+from eagor.tracking.scan import Scan
 
 MOST = 32  # places
 LEAST = 1e-3  # probability to exist: what is less likely is forgotten
@@ -71,7 +71,7 @@ class Heard:
 
 @dataclass(frozen=True, eq=False)
 class LookAlikes:
-    """Look-alikes that were detected, and those that were not, world axes about the body.
+    """Measurement-alikes that were detected, and those that were not, world axes about the body.
 
     `points` ``(m, K, 3)`` with `covariances` ``(m, K, 3, 3)``: where each stands for each of `ranges` ``(K,)``, metres;
     one range of 1 without positions. `shares` ``(m, K)``: probabilities of the ranges. `odds` ``(m,)``: log odds that
@@ -124,7 +124,7 @@ class LookAlikes:
         """The probability ``(m,)`` that the place exists, and that a look detects it."""
         return 1 / (1 + np.exp(-self.odds)) * self.recall
 
-    def read_with(self, habits: Habits) -> LookAlikes:
+    def for_sensor(self, habits: Habits) -> LookAlikes:
         """For looks of another detector: habits are drawn anew, the places stay."""
         if habits.same(self.habits):
             return self
@@ -156,9 +156,9 @@ class LookAlikes:
             found = altered(found, points=self.points - step)
         return found
 
-    def heard(self, sight: Sight, spread: Spread) -> Heard:
+    def heard(self, scan: Scan, spread: Spread) -> Heard:
         """How the detections of a look fit."""
-        world = sight.world
+        world = scan.world
         assert world is not None
         noise = world.covariances(float(spread.weights @ spread.scales**-2.0) ** -0.5)
         count, directions = len(self.ranges), self.directions
@@ -171,7 +171,7 @@ class LookAlikes:
         drawn = drawn.reshape(shape) * (world.area / world.clutter)
         seen = np.ones(shape[:2])
         if world.views:
-            seen = np.asarray(world.share(directions @ sight.world_R_body))
+            seen = np.asarray(world.share(directions @ scan.world_R_body))
         there, expected = self.shares * seen, self.expected[:, None]
         own, parts = (expected * np.einsum("mk,mkn->mn", there, each) for each in (drawn, self._parts_at(world)))
         new = self._hidden_at(world) * self.habits.alike_levels
@@ -195,13 +195,13 @@ class LookAlikes:
         return each * (found.area / (4 * math.pi) / found.clutter)[:, None]
 
     def updated(
-        self, sight: Sight, heard: Heard, alarms: ClutterRate, share: np.ndarray | float, moving: np.ndarray
+        self, scan: Scan, heard: Heard, alarms: ClutterRate, share: np.ndarray | float, moving: np.ndarray
     ) -> LookAlikes:
         """After the look; `share` ``(H, W)``: v of the cells. `alarms`: with this look counted.
 
         `moving` ``(n,)``: the density of detections that what moves causes, as those of `Heard`.
         """
-        levels, world = self.habits.alike_levels, sight.world
+        levels, world = self.habits.alike_levels, scan.world
         assert world is not None
         others = heard.density + moving - heard.own - heard.parts
         rest = np.einsum("a,amn->mn", alarms.weights, 1 / (alarms.numbers[:, None, None] + others))
@@ -292,9 +292,9 @@ class LookAlikesByDrift:
         """The list for the likeliest drift."""
         return self.lists[int(self.logs.argmax())]
 
-    def read_with(self, habits: Habits) -> LookAlikesByDrift:
+    def for_sensor(self, habits: Habits) -> LookAlikesByDrift:
         """As of `LookAlikes`."""
-        return altered(self, lists=tuple(known.read_with(habits) for known in self.lists))
+        return altered(self, lists=tuple(known.for_sensor(habits) for known in self.lists))
 
     def ranged(self, ranges: np.ndarray) -> LookAlikesByDrift:
         """As of `LookAlikes`."""
@@ -305,9 +305,9 @@ class LookAlikesByDrift:
         pairs = zip(self.lists, map(float, self.drifts), strict=True)
         return altered(self, lists=tuple(known.after(elapsed, drift, step) for known, drift in pairs))
 
-    def heard(self, sight: Sight, spread: Spread) -> list[Heard]:
+    def heard(self, scan: Scan, spread: Spread) -> list[Heard]:
         """As of `LookAlikes`, for each list."""
-        return [known.heard(sight, spread) for known in self.lists]
+        return [known.heard(scan, spread) for known in self.lists]
 
     def density(self, heard: Sequence[Heard]) -> np.ndarray:
         """The density ``(n,)`` of detections that look-alikes cause."""
@@ -315,7 +315,7 @@ class LookAlikesByDrift:
 
     def updated(
         self,
-        sight: Sight,
+        scan: Scan,
         heard: Sequence[Heard],
         alarms: ClutterRate,
         share: np.ndarray | float,
@@ -325,7 +325,7 @@ class LookAlikesByDrift:
         pairs, logs = list(zip(self.lists, heard, strict=True)), self.logs
         if len(pairs) > 1:
             logs = logs + [known.evidence(each, alarms, moving) for known, each in pairs]
-        lists = tuple(known.updated(sight, each, alarms, share, moving) for known, each in pairs)
+        lists = tuple(known.updated(scan, each, alarms, share, moving) for known, each in pairs)
         return altered(self, logs=logs - logs.max(), lists=lists)
 
 

@@ -28,7 +28,7 @@ from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
 from eagor.tracking.config import MotionModel
-from eagor.tracking.look import Sightings
+from eagor.tracking.scan import Sightings
 
 FAINTEST = 1e-12  # of a mean density: lower values are ringing of the truncated series
 

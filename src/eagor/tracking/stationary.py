@@ -31,7 +31,7 @@ from eagor.evidence.detector import STATED, UNLIKELY, Spread
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid, neighbours, refine
-from eagor.tracking.look import Look
+from eagor.tracking.scan import Measurement
 
 MOST = 4  # windows
 WORTH = 0.02  # share of the belief: a peak that holds less gets no window
@@ -77,7 +77,7 @@ class StationaryTarget:
             alike = self.support.plus(bank.lead, [window.habits.lead for window in self.windows])
             level = alike.log_mean
             lead = np.log(np.maximum(alike.averaged(level), 1e-300)) + level - values
-            explained = self.explained
+            explained = self.log_other_intensity
             excused = np.zeros(values.shape) if explained is None else explained[self.places.cells]
             bank = bank.restarted(lead, excused)
         coarse = blank.coarse.plus(RealHarmonics(self.degree).analyse(values, self.grid))
@@ -121,7 +121,7 @@ class StationaryTarget:
         bank = self.bank
         if bank is None:
             return self.support
-        support, explained = self.support, self.explained
+        support, explained = self.support, self.log_other_intensity
         if explained is None:
             patches = [w.habits.judged(p.values, None) for w, p in zip(self.windows, support.patches, strict=True)]
             return support.like(bank.judged(support.values, None), patches)
@@ -134,7 +134,7 @@ class StationaryTarget:
         return support.like(bank.judged(support.values, cells), patches)
 
     @lazy
-    def explained(self) -> np.ndarray | None:
+    def log_other_intensity(self) -> np.ndarray | None:
         """log(1 + Q) ``(m,)`` of each of the `places`; None without look-alikes."""
         bank = self.bank
         if bank is None or not len(bank.alike):
@@ -178,19 +178,21 @@ class StationaryTarget:
         )
         return altered(self, coarse=with_heights(found, height), windows=windows, height=height)
 
-    def plus(self, look: Look) -> StationaryTarget:
+    def plus(self, look: Measurement) -> StationaryTarget:
         """With one more look."""
-        found = self if look.sight.mapped is None else self.mapped(look)
+        found = self if look.scan.response_map is None else self.with_response_map(look)
         return found if look.world is None else found._detected(look)
 
-    def mapped(self, look: Look, share: float = 1.0, since: np.ndarray | None = None) -> StationaryTarget:
+    def with_response_map(
+        self, look: Measurement, share: float = 1.0, since: np.ndarray | None = None
+    ) -> StationaryTarget:
         """With `share` of a look's response maps; the body has moved by `since` ``(3,)`` from where it was taken."""
-        coefficients = look.sight.mapped
+        coefficients = look.scan.response_map
         assert coefficients is not None
         if since is None or not since.any() or not isinstance(self.coarse, RangedBelief):
             windows, patches = [], []
             for window, patch in zip(self.windows, self.support.patches, strict=True):
-                found = share * look.mapped(window.directions)
+                found = share * look.response_map_at(window.directions)
                 windows.append(window.plus(found[None, None]))
                 patches.append(patch.like(patch.values + found) if len(window.values) == 1 else None)
             found = altered(self, coarse=self.coarse.plus(share * coefficients), windows=tuple(windows))
@@ -204,12 +206,12 @@ class StationaryTarget:
         for window in self.windows:
             points = window.points() + since
             points /= np.sqrt(np.einsum("...i,...i->...", points, points))[..., None]
-            windows.append(window.plus(share * look.mapped(points)[None]))
+            windows.append(window.plus(share * look.response_map_at(points)[None]))
         return altered(self, coarse=self.coarse.plus(carried), windows=tuple(windows))
 
-    def _detected(self, look: Look) -> StationaryTarget:
+    def _detected(self, look: Measurement) -> StationaryTarget:
         """With the detections of a look."""
-        habits = look.sight.habits
+        habits = look.scan.habits
         assert habits is not None
         bank = self._ready(look)
         added, values = look.added(bank)
@@ -223,7 +225,7 @@ class StationaryTarget:
         bank = bank.after(look.shown, self.spread.weights, taken)
         windows, patches = [], []
         for window, patch in zip(self.windows, self.support.patches, strict=True):
-            own = Bank.blank(habits, patch.values.shape) if window.bank is None else window.bank.read_with(habits)
+            own = Bank.blank(habits, patch.values.shape) if window.bank is None else window.bank.for_sensor(habits)
             shown = look.at(window.directions, window.finest(look.world.directions), self.spread.scales)  # type: ignore[union-attr]
             total = np.log(shown.gains(own.recall))
             windows.append(altered(window.plus(total[:, None]), bank=own.after(shown, self.spread.weights)))
@@ -234,11 +236,11 @@ class StationaryTarget:
         found = altered(self, coarse=self.coarse.plus(added), windows=tuple(windows), bank=bank)
         return known(found, support=self.support.redrawn(self.support.values + values, tuple(patches)))
 
-    def _ready(self, look: Look) -> Bank:
+    def _ready(self, look: Measurement) -> Bank:
         """The habits of the cells, for the detector of this look."""
-        habits = look.sight.habits
+        habits = look.scan.habits
         assert habits is not None
-        return Bank.blank(habits, self.grid.shape) if self.bank is None else self.bank.read_with(habits)
+        return Bank.blank(habits, self.grid.shape) if self.bank is None else self.bank.for_sensor(habits)
 
     def renewed(self, share: float) -> StationaryTarget:
         """After a `share` of the places has drawn its habit anew."""
@@ -249,7 +251,7 @@ class StationaryTarget:
 
     def _alike(self, **changes: Any) -> StationaryTarget:
         """With other parts, but the same `field`."""
-        names = "support", "labels", "places", "explained", "field", "log_mean", "masses"
+        names = "support", "labels", "places", "log_other_intensity", "field", "log_mean", "masses"
         return inherited(altered(self, **changes), self, *names)
 
     def _with(self, patches: tuple[Patch, ...] | None = None, **changes: Any) -> StationaryTarget:
@@ -299,7 +301,7 @@ class StationaryTarget:
             self, windows=tuple(window.like(window.values[likely]) for window in self.windows), spread=spread
         )
 
-    def opened(self, look: Look) -> StationaryTarget:
+    def opened(self, look: Measurement) -> StationaryTarget:
         """With windows at the detections of a look that is about to be added, where there are none yet."""
         found = self
         centres, widths = look.centres
@@ -307,11 +309,11 @@ class StationaryTarget:
             return self
         widest = WIDE / self.spread.scales.min()
         reached = self.field.smooth(centres, 1) - self.log_mean
-        habits = look.sight.habits
+        habits = look.scan.habits
         assert habits is not None
         reached = reached + np.log(look.at(centres, 0.0, np.ones(1)).gains(habits.mean)[0])
-        if look.sight.mapped is not None:
-            reached = reached + look.mapped(centres)
+        if look.scan.response_map is not None:
+            reached = reached + look.response_map_at(centres)
         for centre, width, rise in zip(centres, widths, reached, strict=True):
             if width > widest or len(found.windows) >= 2 * MOST or math.exp(min(rise, 50.0)) * width**2 < LEAST:
                 continue
@@ -337,9 +339,9 @@ class StationaryTarget:
             )
             found = self._with(patches, windows=windows)
         found = found._searched()
-        masses, least = found.masses, LEAST if found.explained is None else LEAST_OF_MANY
+        masses, least = found.masses, LEAST if found.log_other_intensity is None else LEAST_OF_MANY
         alone = with_own_peaks(found.windows, found.field.patches)
-        if found.explained is not None and isinstance(found.coarse, RangedBelief):
+        if found.log_other_intensity is not None and isinstance(found.coarse, RangedBelief):
             alone |= {int(i) for i in np.flatnonzero(masses > MOST_OF_IT)}  # capped shells could not stand in for it
         keep = [i for i in np.argsort(-masses, kind="stable") if masses[i] > least and i in alone][:MOST]
         return found if len(keep) == len(found.windows) else found._kept(sorted(int(i) for i in keep))
@@ -386,7 +388,7 @@ class StationaryTarget:
             return self
         return self._with_window(peak, sigma)
 
-    def _with_window(self, centre: np.ndarray, width: float, look: Look | None = None) -> StationaryTarget:
+    def _with_window(self, centre: np.ndarray, width: float, look: Measurement | None = None) -> StationaryTarget:
         """With a window about `centre` ``(3,)`` for a peak of this `width` (radians), before a `look`.
 
         Its values come from an existing window there, or from the coarse field.

@@ -21,9 +21,9 @@ from eagor.evidence.evidence import Evidence
 from eagor.tracking import checkpoint
 from eagor.tracking.config import TrackerConfig
 from eagor.tracking.estimate import Estimate
-from eagor.tracking.looking import Heights, NextLook, TurningCamera, TurningRig
+from eagor.tracking.next_view import Heights, NextLook, TurningCamera, TurningRig
 from eagor.tracking.poses import HELD, PoseHistory
-from eagor.tracking.tracks import PENDING, SAME_MOMENT, Moment, State, Track
+from eagor.tracking.tracks import PENDING, SAME_MOMENT, PosedEvidence, State, Track
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -150,7 +150,7 @@ class DirectionTracker:
             if moment is None:
                 pose, position = self._poses.at(stamp)
                 turning = self._poses.turning_rate(stamp)
-                moment = Moment(stamp, [evidence], pose, position, self._poses.reach(stamp), turning)
+                moment = PosedEvidence(stamp, [evidence], pose, position, self._poses.reach(stamp), turning)
                 track.moments.insert(place, moment)
             else:
                 moment.looks.append(evidence)

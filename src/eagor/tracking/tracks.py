@@ -19,9 +19,9 @@ from eagor.errors import TimeError
 from eagor.evidence.detector import ClutterRate
 from eagor.evidence.evidence import Evidence
 from eagor.tracking.config import TrackerConfig
-from eagor.tracking.hypotheses import TargetHypotheses
-from eagor.tracking.look import Look, Sight
+from eagor.tracking.imm import TargetHypotheses
 from eagor.tracking.poses import HELD
+from eagor.tracking.scan import Measurement, Scan
 from eagor.tracking.stationary import StationaryTarget
 
 
@@ -36,7 +36,7 @@ class State:
     stamp: float
     position: np.ndarray | None
     hypotheses: TargetHypotheses
-    look: Look | None = None
+    look: Measurement | None = None
     alarms: ClutterRate | None = None
 
     @classmethod
@@ -49,14 +49,14 @@ class State:
         """Carried to a later time and another place; `stamp` is still the look's."""
         return altered(self, hypotheses=self._carried(now, position, config))
 
-    def after(self, sight: Sight, config: TrackerConfig) -> State:
+    def after(self, scan: Scan, config: TrackerConfig) -> State:
         """After one more look."""
-        hypotheses, since = self._carried(sight.stamp, sight.position, config), None
-        if self.look is not None and sight.position is not None and self.position is not None:
-            since = sight.position - self.position
-        hypotheses, look, alarms = hypotheses.updated(sight, self.alarms, self.look, since)
-        position = self.position if sight.position is None else sight.position
-        return State(sight.stamp, position, hypotheses, look, alarms)
+        hypotheses, since = self._carried(scan.stamp, scan.position, config), None
+        if self.look is not None and scan.position is not None and self.position is not None:
+            since = scan.position - self.position
+        hypotheses, look, alarms = hypotheses.updated(scan, self.alarms, self.look, since)
+        position = self.position if scan.position is None else scan.position
+        return State(scan.stamp, position, hypotheses, look, alarms)
 
     def _carried(self, now: float, position: np.ndarray | None, config: TrackerConfig) -> TargetHypotheses:
         """The hypotheses at a later time, seen from another place."""
@@ -77,7 +77,7 @@ NEWEST, APART = 3, 8  # moments whose states are kept
 
 
 @dataclass(eq=False)
-class Moment:
+class PosedEvidence:
     """Evidence of one moment and its pose; `firm` once a pose at or after it is known.
 
     `turning`: radians per second at which the body turned then. `bare`: its state has no cached values.
@@ -92,10 +92,10 @@ class Moment:
     state: State | None = None  # after it, once it is taken in, and while it is kept
     bare: bool = False
 
-    def sight(self, config: TrackerConfig) -> Sight:
+    def scan(self, config: TrackerConfig) -> Scan:
         """All of its evidence as one look."""
         error = math.hypot(config.pose_error, config.clock_error * self.turning)
-        return Sight.of(self.looks, config.degree, self.stamp, self.world_R_body, self.position, error)
+        return Scan.of(self.looks, config.degree, self.stamp, self.world_R_body, self.position, error)
 
 
 @dataclass(eq=False)
@@ -106,7 +106,7 @@ class Track:
     `looked_for`: as its looks say.
     """
 
-    moments: list[Moment] = field(default_factory=list)
+    moments: list[PosedEvidence] = field(default_factory=list)
     base: State | None = None
     trimmed: bool = False
     used: int = 0
@@ -128,7 +128,7 @@ class Track:
         """How many moments are processed."""
         return next((i + 1 for i in reversed(range(len(self.moments))) if self.moments[i].state is not None), 0)
 
-    def place_of(self, stamp: float) -> tuple[int, Moment | None]:
+    def place_of(self, stamp: float) -> tuple[int, PosedEvidence | None]:
         """The index where evidence of this time belongs, and its moment if there is one already.
 
         Raises `TimeError` if it is older than all that is kept, or if its moment is full.
@@ -176,7 +176,7 @@ class Track:
         for place in range(known, len(self.moments)):
             moment = self.moments[place]
             before = state or State.blank(config, moment.stamp, moment.position)
-            state = moment.state = before.after(moment.sight(config), config)
+            state = moment.state = before.after(moment.scan(config), config)
             if place >= NEWEST:
                 self._thin(place - NEWEST)
         self._fold(config.history)

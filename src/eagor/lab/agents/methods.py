@@ -24,7 +24,7 @@ from eagor.perception import is_model
 from eagor.sphere import FORWARD
 from eagor.tracking import Estimate, MotionModel, TrackerConfig
 from eagor.tracking.config import AnswerSettings
-from eagor.tracking.follower import Follower
+from eagor.tracking.refresh import Follower
 
 PARTICLES = 2000
 MAX_DISTANCE_SPREAD = 0.6  # standard deviation of the logarithm of a distance that one can walk by
@@ -169,7 +169,7 @@ class TrackerEstimator(Estimator):
         self._now = stamp
 
     def see(self, evidence: Evidence) -> None:
-        self._follower.look(evidence)
+        self._follower.observe(evidence)
 
     @property
     def estimate(self) -> Estimate:

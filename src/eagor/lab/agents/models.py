@@ -43,7 +43,7 @@ class EpisodePerception:
         self.source: dict[str, Any] = {}
         self.milliseconds, self.unread, self.looks = list[float](), list[AnswerError](), 0
 
-    def look(
+    def infer(
         self, observation: Mapping[str, Any], info: Mapping[str, Any], stamp: float, query: str = ""
     ) -> Evidence | None:
         """The evidence in what an environment returned (`eagor.lab.envs.place_env`); `query`: another than its own.

@@ -27,7 +27,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.detector import Habits
 from eagor.grids import ErpGrid
 from eagor.sphere import azimuth_elevation, heading
-from eagor.tracking.looking import information
+from eagor.tracking.next_view import information
 
 if TYPE_CHECKING:
     from eagor.lab.agents.methods import Estimator
@@ -184,7 +184,7 @@ class FloorMap:
             setattr(self, name, np.pad(getattr(self, name), pads, constant_values=beyond.get(name, 0)))
         self.origin = first * CELL
 
-    def look(self, now: SteeringInput) -> None:
+    def observe(self, now: SteeringInput) -> None:
         """Take in what a look shows of the floor, and that it had its chance to find the thing."""
         here, height, floor = now.here, float(now.position[2]), now.floor
         assert floor is not None

@@ -132,7 +132,7 @@ class Searcher(Policy):
 
     def walk(self, now: SteeringInput) -> float:
         known = self.known
-        known.look(now)
+        known.observe(now)
         self._clock += 1
         if self._last is not None:
             self._blocked_count += known.touch(*self._last, now.here, TOUCHED)

@@ -33,13 +33,13 @@ from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import load_place
 from eagor.lab.eval.detector_fit import fitted_model, short
 from eagor.lab.eval.labelled_looks import LabelledLook, development_specs
-from eagor.lab.tasks.sim.play import Rollout, Runner
+from eagor.lab.tasks.sim.rollout import Rollout, Runner
 from eagor.lab.worlds.render import PAINTS
 from eagor.perception import load
 from eagor.perception.calibrated import READING, Calibrated
 from eagor.statistics import bootstrap_interval
 from eagor.tracking.config import TrackerConfig
-from eagor.tracking.follower import Follower
+from eagor.tracking.refresh import Follower
 
 TASKS = ("waypoint", "tracking")
 PER_PLACE = 2  # episodes of each task in an apartment: many apartments tell more than many episodes in one
@@ -150,7 +150,7 @@ def score(recording: Rollout, config: TrackerConfig) -> tuple[float, float]:
         for each, evidence in ((follower, moment.evidence), (absent, moment.other)):
             each.move(moment.stamp, moment.world_R_body, moment.position)
             if evidence is not None:
-                each.look(evidence)
+                each.observe(evidence)
         if index % EVERY:
             continue
         if moment.other is not None:

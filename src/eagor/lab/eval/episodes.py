@@ -15,7 +15,7 @@ import numpy as np
 from eagor.errors import EagorError
 from eagor.lab.envs.episodes import PER_PLACE, EpisodeSpec
 from eagor.lab.eval.results import Result, Run, Value, Values, interval, mean
-from eagor.lab.tasks.sim.play import Runner
+from eagor.lab.tasks.sim.rollout import Runner
 from eagor.lab.tasks.task import finished, group_of, sample_of
 
 UNSEEN, IN_SIGHT, HIDDEN = "before it was first seen", "in sight", "hidden again"

@@ -38,7 +38,7 @@ from eagor.perception.partial import coverage, infer_view
 from eagor.perception.truth import Noise, Report, displaced, render_response
 from eagor.perception.vlm import Chat, Message
 from eagor.sphere import world_R_body
-from eagor.tracking.looking import even_and_usual, information
+from eagor.tracking.next_view import even_and_usual, information
 
 AGENTS = {
     "eagor": "one belief over all directions from all views; looks where it expects to learn most, submits when sure",

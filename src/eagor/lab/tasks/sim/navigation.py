@@ -17,7 +17,7 @@ from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import PlaceEnv, gymnasium
 from eagor.lab.envs.places import load_place, pixels_of
 from eagor.lab.envs.rules import FACING_AWAY, RATIO, VISIBLE, WINDING, NavigationRules
-from eagor.lab.tasks.sim.play import Rollout
+from eagor.lab.tasks.sim.rollout import Rollout
 from eagor.lab.tasks.sim.task import COVERAGE, SimTask, success_where
 from eagor.lab.tasks.task import Metric, degrees
 from eagor.sphere import azimuth_elevation, world_R_body

@@ -2,7 +2,7 @@
 
 Every method that `config.methods` names plays each episode. Where the answer steers the body (`SimTask.walked`) each
 goes its own way, and an episode is one sample per method; else all methods get the same evidence.
-`eagor.lab.tasks.sim.play.check_simulation` tests a task.
+`eagor.lab.tasks.sim.rollout.check_simulation` tests a task.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from eagor.lab.tasks.task import Metric, Payload, Record, Sample
 
 if TYPE_CHECKING:
     from eagor.lab.envs.place_env import PlaceEnv
-    from eagor.lab.tasks.sim.play import Rollout
+    from eagor.lab.tasks.sim.rollout import Rollout
 
 RANKED = ("success", "spl", "mae")  # figures that every walked task measures
 OURS = "eagor"  # the method whose answer decides whether an episode is a failure, where it has played
@@ -159,7 +159,7 @@ class SimTask:
         ]
 
     def runner(self, config: Any) -> Callable[[Payload], Record]:
-        from eagor.lab.tasks.sim.play import Runner
+        from eagor.lab.tasks.sim.rollout import Runner
 
         runner = Runner(config, kind=self)
         return lambda payload: runner.run_episode(EpisodeSpec(**payload["slot"]), payload["methods"])

@@ -15,7 +15,7 @@ from eagor.lab.envs.episodes import Episode, EpisodeSpec
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import LOOK_ROWS, Place, load_place
 from eagor.lab.envs.rules import LOST, SEEN, VISIBLE, TrackingRules
-from eagor.lab.tasks.sim.play import Rollout
+from eagor.lab.tasks.sim.rollout import Rollout
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import Metric, degrees
 from eagor.lab.worlds.navmesh import follow_path

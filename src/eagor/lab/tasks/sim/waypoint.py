@@ -17,7 +17,7 @@ from eagor.lab.envs.episodes import Episode, EpisodeSpec, choose_target
 from eagor.lab.envs.place_env import AnsweringEnv
 from eagor.lab.envs.places import Place, load_place
 from eagor.lab.envs.rules import LEGS, OCCLUDED, TURNS, VISIBLE, WaypointRules
-from eagor.lab.tasks.sim.play import Rollout
+from eagor.lab.tasks.sim.rollout import Rollout
 from eagor.lab.tasks.sim.task import CALM, COVERAGE, JUMP, SimTask
 from eagor.lab.tasks.task import degrees
 from eagor.lab.worlds.navmesh import follow_path, initial_heading

@@ -217,7 +217,7 @@ class Session:
             _open.append(self)
         return self._sim
 
-    def look(
+    def render(
         self, kinds: Sequence[str], rows: int, position: np.ndarray, world_R_body: np.ndarray
     ) -> dict[str, np.ndarray]:
         """Equirectangular pictures by kind ("color", "depth", "semantic"), of `rows` rows.
@@ -303,7 +303,7 @@ class HabitatView:
         place, rotation = checked_pose(position, world_R_body, height)
         by_box = ids and self.index is None
         kinds = [kind for kind, wanted in zip(KINDS, (rgb, range or by_box, ids and not by_box), strict=True) if wanted]
-        seen = self.session.look(kinds, height, self.frames.to_habitat(place), rotation)
+        seen = self.session.render(kinds, height, self.frames.to_habitat(place), rotation)
         metres = euclidean(seen["depth"]) if "depth" in seen else None
         shown = None
         if by_box and metres is not None:

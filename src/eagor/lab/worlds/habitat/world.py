@@ -154,7 +154,7 @@ def looks(session: Session, feet: np.ndarray) -> np.ndarray:
     """Metres ``(n, 2)`` up and down from the eye above points ``(n, 3)`` of Habitat's world."""
     found = []
     for point in feet:
-        metres = euclidean(session.look(("depth",), ROWS, point + np.array([0.0, EYE, 0.0]), np.eye(3))["depth"])
+        metres = euclidean(session.render(("depth",), ROWS, point + np.array([0.0, EYE, 0.0]), np.eye(3))["depth"])
         found.append(np.median(metres[[0, -1]], axis=1) * math.cos(math.pi / (2 * ROWS)))
     return np.array(found).reshape(-1, 2)
 
@@ -257,7 +257,7 @@ def seen_boxes(session: Session, eyes: np.ndarray) -> dict[int, Box]:
     directions = Frames().to_habitat(ErpGrid(SEEN_ROWS, 2 * SEEN_ROWS).directions)
     ids, points = [], []
     for eye in eyes:
-        seen = session.look(("depth", "semantic"), SEEN_ROWS, eye, np.eye(3))
+        seen = session.render(("depth", "semantic"), SEEN_ROWS, eye, np.eye(3))
         metres = euclidean(seen["depth"])
         hit = np.isfinite(metres)
         ids.append(seen["semantic"][hit])

@@ -85,7 +85,7 @@ NOTHING_SHARED = SharedError()
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class Scan:
     """All evidence of one moment, in world axes, before the number of false alarms is applied.
 
     Views of one moment are one look, in any order: response maps add, detections form one set. `habits`: of the
@@ -98,7 +98,7 @@ class Sight:
     world_R_body: np.ndarray
     degree: int
     detections: Detections | None
-    mapped: np.ndarray | None  # coefficients of the response maps
+    response_map: np.ndarray | None  # coefficients of the response maps
     habits: Habits | None
     repeats: float
     shared: SharedError
@@ -112,18 +112,18 @@ class Sight:
         world_R_body: np.ndarray,
         position: np.ndarray | None,
         pose_error: float = 0.0,
-    ) -> Sight:
+    ) -> Scan:
         """The looks of one moment, seen from `position` with this orientation; `pose_error`: of that, radians."""
         joint: Detections | None = None
-        mapped: np.ndarray | None = None
+        response_map: np.ndarray | None = None
         for look in looks:
             if look.detections is not None:
                 joint = look.detections if joint is None else joint.joined(look.detections)
             else:
                 found = to_numpy(look.coefficients(degree)).astype(np.float64)
-                mapped = found if mapped is None else mapped + found
-        if mapped is not None:
-            mapped = RealHarmonics(degree).rotate(mapped, world_R_body)
+                response_map = found if response_map is None else response_map + found
+        if response_map is not None:
+            response_map = RealHarmonics(degree).rotate(response_map, world_R_body)
         models = [look.detections.model for look in looks if look.detections is not None]
         habits = models[0].habits if models else None
         repeats = max((look.calibration.persistence for look in looks if look.detections is None), default=0.0)
@@ -132,19 +132,19 @@ class Sight:
         of_size = max((model.offset_of_size for model in models), default=0.0) / math.sqrt(3)
         shows = joint is None or len(joint) > 0
         shared = SharedError(offset**2 + pose_error**2, of_size**2, int(shows), position, position)
-        return cls(stamp, position, world_R_body, degree, joint, mapped, habits, repeats, shared)
+        return cls(stamp, position, world_R_body, degree, joint, response_map, habits, repeats, shared)
 
     @lazy
     def world(self) -> Detections | None:
         """The `detections` in world axes."""
         return None if self.detections is None else self.detections.turned(self.world_R_body)
 
-    def read(self, alarms: ClutterRate | None, spread: Spread = STATED, shares: Shares | None = None) -> Look:
+    def read(self, alarms: ClutterRate | None, spread: Spread = STATED, shares: Shares | None = None) -> Measurement:
         """The look as likelihood ratios; `alarms` and `spread` are the detector's, with this look counted.
 
         `shares`: None where nothing is known that may have caused its detections.
         """
-        return Look(self, self.world, alarms, spread, shares)
+        return Measurement(self, self.world, alarms, spread, shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,10 +185,10 @@ class Sightings:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """What a `Sight` says; `world`: its detections in world axes; `shares` as for `Sight.read`."""
+class Measurement:
+    """What a `Scan` says; `world`: its detections in world axes; `shares` as for `Scan.read`."""
 
-    sight: Sight
+    scan: Scan
     world: Detections | None
     alarms: ClutterRate | None
     spread: Spread
@@ -197,19 +197,19 @@ class Look:
     @property
     def grid(self) -> ErpGrid:
         """The grid of the whole sphere, world axes."""
-        return decoding_grid(self.sight.degree)
+        return decoding_grid(self.scan.degree)
 
     @lazy
     def values(self) -> np.ndarray:
         """The log ratios of the response maps on the grid ``(H, W)``; 0 without any."""
-        if self.sight.mapped is None:
+        if self.scan.response_map is None:
             return np.zeros(self.grid.shape)
-        return RealHarmonics(self.sight.degree).synthesise(self.sight.mapped, self.grid)
+        return RealHarmonics(self.scan.degree).synthesise(self.scan.response_map, self.grid)
 
-    def mapped(self, directions: np.ndarray) -> np.ndarray:
+    def response_map_at(self, directions: np.ndarray) -> np.ndarray:
         """The log ratios of the response maps at directions ``(..., 3)``."""
-        assert self.sight.mapped is not None
-        return RealHarmonics(self.sight.degree).synthesise(self.sight.mapped, directions)
+        assert self.scan.response_map is not None
+        return RealHarmonics(self.scan.degree).synthesise(self.scan.response_map, directions)
 
     def at(self, directions: np.ndarray, least: np.ndarray | float, scales: np.ndarray) -> Shown:
         """What the detections say of directions ``(..., 3)``, widened to `least` ``(n,)`` radians.
@@ -220,7 +220,7 @@ class Look:
         assert self.alarms is not None
         share: np.ndarray | float = 1.0
         if self.world.views:
-            share = self.world.share(directions @ self.sight.world_R_body)
+            share = self.world.share(directions @ self.scan.world_R_body)
         return Shown(share, *self.world.speaks(directions, scales, self.alarms, least, self._told)[:3])
 
     @property
@@ -246,9 +246,9 @@ class Look:
         share: np.ndarray | float = 1.0
         directions = self.grid.directions
         if self.world.views:
-            share = self.world.share(directions @ self.sight.world_R_body)
+            share = self.world.share(directions @ self.scan.world_R_body)
         moving = None if self.shares is None else self.shares.moving
-        least = resolved(self.sight.degree)
+        least = resolved(self.scan.degree)
         ratio, score, size, fresh = self.world.speaks(
             directions, self.spread.scales, self.alarms, least, self._told, moving
         )
@@ -257,17 +257,17 @@ class Look:
 
     def added(self, bank: Bank) -> tuple[np.ndarray, np.ndarray]:
         """The detections' log ratio for a standing target with these habits ``(C, H, W)``: coefficients, and values."""
-        assert self.sight.detections is not None
+        assert self.scan.detections is not None
         assert self.alarms is not None
-        recall, basis, degree = bank.recall, RealHarmonics(self.sight.degree), self.sight.degree
-        if not self.sight.detections.views:
+        recall, basis, degree = bank.recall, RealHarmonics(self.scan.degree), self.scan.degree
+        if not self.scan.detections.views:
             drawn = np.log(mixed(self.spread.weights, self.shown.gains(recall)))
             return basis.analyse(drawn, self.grid), drawn
         # What a view shows fades to 0 inside its border, in the axes of the camera.
-        turn = self.sight.world_R_body
-        share, where = self.sight.detections.grid_share(degree)
+        turn = self.scan.world_R_body
+        share, where = self.scan.detections.grid_share(degree)
         there = linear(self.grid, recall[None], self.grid.directions @ turn.T)[0]
-        ratio = self.sight.detections.speaks(
+        ratio = self.scan.detections.speaks(
             self.grid.directions, self.spread.scales, self.alarms, resolved(degree), self._told
         )[0]
         drawn = np.log(mixed(self.spread.weights, Shown(share, ratio).gains(there)))
@@ -335,7 +335,7 @@ class Look:
             if flat[neighbours(grid, best)].max() <= flat[best] and np.isfinite(width):
                 found.append((centre, min(width, 1.0), float(np.expm1(min(flat[best], 50.0)))))
             near = grid.directions.reshape(-1, 3) @ centre > np.cos(
-                min(max(2 * width, resolved(self.sight.degree)), 1.0)
+                min(max(2 * width, resolved(self.scan.degree)), 1.0)
             )
             left[near] = -np.inf
             left[best] = -np.inf

@@ -178,10 +178,10 @@ class Runner:
         steps, under_way, over = list[Step](), list[Evidence | None](), False
         while not (over and self.task.walked):
             stamp, pose = info["num_steps"] * self.camera.seconds, observation["pose"]
-            look = eye.look(observation, info, stamp)
+            look = eye.infer(observation, info, stamp)
             under_way.append(look)
             due = under_way.pop(0) if len(under_way) > self.noise.latency else None
-            also = second.look(observation, info, stamp, other) if other else None
+            also = second.infer(observation, info, stamp, other) if other else None
             view = self.env.view() if watched else None  # rollouts are pickled
             step = Step(stamp, rotation_from_wxyz(pose[3:]), pose[:3], due, also, info["truth"], view)
             steps.append(step)

@@ -1,4 +1,4 @@
-"""Reading a field of log densities: peaks, their masses, regions."""
+"""Density a field of log densities: peaks, their masses, regions."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Masses:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading(Masses):
+class Density(Masses):
     """Reads a field: log of (density / uniform density), up to a constant. Directions are in the field's axes.
 
     Below `least` it has no peaks.

@@ -24,7 +24,7 @@ from eagor.errors import GridError
 from eagor.evidence.detector import ClutterRate
 from eagor.grids import ErpGrid, PerspectiveGrid, ViewKey, forward_view, view_key
 from eagor.sphere import azimuth_elevation, direction, world_R_body
-from eagor.tracking.hypotheses import TargetHypotheses
+from eagor.tracking.imm import TargetHypotheses
 
 __all__ = ["Heights", "NextLook", "TurningCamera", "TurningRig", "best_look"]
 

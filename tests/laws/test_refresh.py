@@ -10,7 +10,7 @@ from eagor.errors import TimeError
 from eagor.evidence import Evidence
 from eagor.sphere import world_R_body
 from eagor.tracking import DirectionTracker, TrackerConfig
-from eagor.tracking.follower import Follower, Refresh
+from eagor.tracking.refresh import Follower, Refresh
 
 LEFT = np.array([0.0, 1.0, 0.0])
 SELDOM = Refresh(soonest=0.0, latest=10.0, moved=0.5)
@@ -25,7 +25,7 @@ def follower():
     """One that has looked once and has answered, at time 0."""
     follower = Follower()
     follower.move(0.0, np.eye(3), np.array([0.0, 0.0, 1.2]))
-    follower.look(seen(0.0))
+    follower.observe(seen(0.0))
     follower.estimate(0.0)
     return follower
 
@@ -37,7 +37,7 @@ def test_it_answers_as_its_tracker_does():
         follower.move(stamp, turn, place)
         tracker.add_pose(stamp, turn, place)
         if step != 2:
-            follower.look(seen(stamp))
+            follower.observe(seen(stamp))
             tracker.observe(seen(stamp))
         ours, theirs = follower.estimate(stamp), tracker.estimate(stamp)
         assert ours.as_dict() == theirs.as_dict()
@@ -58,7 +58,7 @@ def test_a_belief_is_computed_anew_where_there_is_reason_to(follower, reason):
     before, stamp = follower.computed, 11.0 if reason == "a while" else 1.0
     follower.move(stamp, np.eye(3), np.array([0.6 if reason == "a way" else 0.0, 0.0, 1.2]))
     if reason == "a look":
-        follower.look(seen(stamp))
+        follower.observe(seen(stamp))
     assert follower.estimate(stamp, SELDOM) is follower.computed
     assert follower.computed is not before
 
@@ -67,7 +67,7 @@ def test_computations_keep_their_distance(follower):
     before = follower.computed
     for stamp, computed in ((0.1, False), (0.29, False), (0.31, True)):
         follower.move(stamp, np.eye(3), np.array([0.0, 0.0, 1.2]))
-        follower.look(seen(stamp))
+        follower.observe(seen(stamp))
         follower.estimate(stamp, Refresh(soonest=0.3, latest=10.0, moved=0.5))
         assert (follower.computed is not before) == computed
 
@@ -77,7 +77,7 @@ def test_stamps_of_looks_are_clipped_to_the_poses(follower):
     assert [follower.placed(seen(stamp)).stamp for stamp in (-0.01, 0.4, 1.01)] == [0.0, 0.4, 1.0]
     assert follower.placed(seen(None)).stamp is None
     with pytest.raises(TimeError):
-        follower.look(seen(None))
+        follower.observe(seen(None))
 
 
 def test_a_belief_without_ranges_takes_no_positions():

@@ -57,7 +57,7 @@ class Follower:
         self.tracker.add_pose(stamp, world_R_body, None if self.tracker.config.ranges is None else position)
         self._first, self._last = (stamp if math.isinf(self._first) else self._first), stamp
 
-    def look(self, evidence: Evidence) -> None:
+    def observe(self, evidence: Evidence) -> None:
         """A look, stamped with its time of capture. Raises as `DirectionTracker.observe`."""
         self.tracker.observe(evidence)
         self._fresh = True

@@ -19,18 +19,18 @@ import numpy as np
 
 from eagor._values import altered, lazy
 from eagor.belief.bank import Bank, linear, log_detected
+from eagor.belief.density import Density
 from eagor.belief.field import LARGEST, Patch, SphereField, bent, blurred
 from eagor.belief.ranged import RangedBelief
-from eagor.belief.reading import Reading
 from eagor.belief.windows import REACH
 from eagor.evidence.detections import Detections, resolved
 from eagor.evidence.detector import ClutterRate
 from eagor.grids import ErpGrid
 from eagor.harmonics import RealHarmonics
 from eagor.tracking.config import MotionModel
-from eagor.tracking.look import NOTHING_SHARED, Look, SharedError, Shares, Sight
 from eagor.tracking.look_alikes import LookAlikes, LookAlikesByDrift
 from eagor.tracking.moving import FAINTEST, TurningTarget, WanderingTarget
+from eagor.tracking.scan import NOTHING_SHARED, Measurement, Scan, SharedError, Shares
 from eagor.tracking.stationary import StationaryTarget
 
 _RISE = 0.35  # nats over the typical place: less is no peak, where most of the sphere was never detected
@@ -140,15 +140,15 @@ class TargetHypotheses:
         return found if len(fine) > len(stands.patches) else stands.redrawn(values, found.patches)
 
     @property
-    def reading(self) -> Reading:
-        """The `Reading` of `field`."""
+    def reading(self) -> Density:
+        """The `Density` of `field`."""
         return self.widened(0.0)
 
     @lazy
-    def _readings(self) -> dict[float, Reading]:
+    def _readings(self) -> dict[float, Density]:
         return {}
 
-    def widened(self, spread: float) -> Reading:
+    def widened(self, spread: float) -> Density:
         """The reading if all directions together may be off by `spread` radians per axis."""
         if spread not in self._readings:
             field = self.field if spread == 0 else _widened(self.field, spread)
@@ -156,7 +156,7 @@ class TargetHypotheses:
             if self.standing.bank is not None:  # over the median, as of `np.median`
                 ranked = np.partition(field.values.reshape(-1), (middle - 1, middle))
                 least = float(ranked[middle - 1] + ranked[middle]) / 2 + _RISE
-            self._readings[spread] = Reading(field, least)
+            self._readings[spread] = Density(field, least)
         return self._readings[spread]
 
     def recall(self, directions: np.ndarray) -> np.ndarray:
@@ -171,7 +171,7 @@ class TargetHypotheses:
 
     def alike_reports(self) -> np.ndarray:
         """The number of standing look-alikes in each cell of `grid` ``(H, W)`` that a look is expected to report."""
-        bank, explained = self.standing.bank, self.standing.explained
+        bank, explained = self.standing.bank, self.standing.log_other_intensity
         if bank is None or explained is None:
             return np.zeros(self.grid.shape)
         there = self.standing.support.values + bank.lead - explained[self.standing.places.cells]
@@ -227,7 +227,7 @@ class TargetHypotheses:
         lost = 0.0
         if drift > 0:
             sharp, standing = standing, _drifted(standing, drift, elapsed)
-            if sharp.explained is not None:  # else looks at a look-alike would regain it again and again
+            if sharp.log_other_intensity is not None:  # else looks at a look-alike would regain it again and again
                 lost = standing.log_mean - sharp.log_mean
         others, spread = np.concatenate([flows[:, :1], flows[:, 2:]], axis=1), standing.spread
         stays, newly = flows[1, 1], np.concatenate([flows[:1, 1], flows[2:, 1]])
@@ -275,19 +275,19 @@ class TargetHypotheses:
         return standing.restarted(np.maximum(density / _mean(density, self.grid), _LEAST_NEW))
 
     def updated(
-        self, sight: Sight, alarms: ClutterRate | None, passing: Look | None, since: np.ndarray | None
-    ) -> tuple[TargetHypotheses, Look, ClutterRate | None]:
+        self, scan: Scan, alarms: ClutterRate | None, passing: Measurement | None, since: np.ndarray | None
+    ) -> tuple[TargetHypotheses, Measurement, ClutterRate | None]:
         """After one more look; also returns the look, and the number of false alarms after it.
 
         `passing`: the look before it, of whose response maps this one repeats a share; the body has moved by `since`
         from there.
         """
-        standing, before, habits = self.standing, self.standing.log_mean, sight.habits
-        repeated = 0.0 if passing is None else passing.sight.repeats
+        standing, before, habits = self.standing, self.standing.log_mean, scan.habits
+        repeated = 0.0 if passing is None else passing.scan.repeats
         if passing is not None and repeated > 0:
-            standing = standing.mapped(passing, -repeated, since)
-        look, alarms, known = self._read(sight, alarms)
-        if sight.detections is not None:
+            standing = standing.with_response_map(passing, -repeated, since)
+        look, alarms, known = self._read(scan, alarms)
+        if scan.detections is not None:
             standing = standing.detecting()
         # If the body has moved, windows with ranges were already redrawn for this place.
         fresh = since is not None and bool(since.any()) and isinstance(standing.coarse, RangedBelief)
@@ -296,7 +296,7 @@ class TargetHypotheses:
         gains[1] = standing.log_mean - before
         moves, recall = self.moves, 1.0
         if habits is not None:
-            moves = Bank.blank(habits, ()) if moves is None else moves.read_with(habits)
+            moves = Bank.blank(habits, ()) if moves is None else moves.for_sensor(habits)
             recall = float(moves.recall)
         log = look.moving(recall)
         ratio = np.exp(log)
@@ -309,35 +309,37 @@ class TargetHypotheses:
         spread = self._otherwise(look, foretold, recall)
         weights, moves, alike = self._weighed(gains, look, moves)
         standing = standing.judged(float(weights[1]), spread)
-        kept = self.told_drift, self.shared.and_of(sight.shared)
+        kept = self.told_drift, self.shared.and_of(scan.shared)
         return TargetHypotheses(weights, standing, wandering, turning, moves, alike, known, *kept), look, alarms
 
     def _read(
-        self, sight: Sight, alarms: ClutterRate | None
-    ) -> tuple[Look, ClutterRate | None, LookAlikesByDrift | None]:
+        self, scan: Scan, alarms: ClutterRate | None
+    ) -> tuple[Measurement, ClutterRate | None, LookAlikesByDrift | None]:
         """A look as likelihood ratios; the number of false alarms and the known look-alikes after it."""
-        found, spread, known = sight.detections, self.standing.detecting().spread, self.known
-        if found is None or sight.habits is None:
-            return sight.read(None, self.standing.spread), alarms, known
+        found, spread, known = scan.detections, self.standing.detecting().spread, self.known
+        if found is None or scan.habits is None:
+            return scan.read(None, self.standing.spread), alarms, known
         before = ClutterRate.prior(found.model) if alarms is None else alarms
-        if not sight.habits.look_alikes:
-            return sight.read(before.after(found.again), spread), before.after(found.again + self._caused(sight)), known
+        if not scan.habits.look_alikes:
+            return scan.read(before.after(found.again), spread), before.after(found.again + self._caused(scan)), known
         coarse = self.standing.coarse
         ranges = coarse.ranges if isinstance(coarse, RangedBelief) else None
         if known is None:
-            known = LookAlikesByDrift.prior(sight.habits, ranges, self.told_drift)
-        known = known.read_with(sight.habits)
-        heard = known.heard(sight, spread)
+            known = LookAlikesByDrift.prior(scan.habits, ranges, self.told_drift)
+        known = known.for_sensor(scan.habits)
+        heard = known.heard(scan, spread)
         density = known.density(heard)
-        given, passing = before.after(density + found.again), self._passing(sight)
+        given, passing = before.after(density + found.again), self._passing(scan)
         their = 0.0 if self.moves is None else -math.expm1(-self.alike) * float(self.moves.alike_recall)
         shares = Shares(given.share(their * passing), given.share(density), passing)
-        look = sight.read(given, spread, shares)
-        moving = float(self.weights[2:].sum()) * (sight.habits.mean if self.moves is None else float(self.moves.recall))
-        known = known.updated(sight, heard, given, look.shown.share, (moving + their) * passing)
-        return look, before.after(density + found.again + self._caused(sight)), known
+        look = scan.read(given, spread, shares)
+        moving = float(self.weights[2:].sum()) * (scan.habits.mean if self.moves is None else float(self.moves.recall))
+        known = known.updated(scan, heard, given, look.shown.share, (moving + their) * passing)
+        return look, before.after(density + found.again + self._caused(scan)), known
 
-    def _weighed(self, gains: np.ndarray, look: Look, moves: Bank | None) -> tuple[np.ndarray, Bank | None, float]:
+    def _weighed(
+        self, gains: np.ndarray, look: Measurement, moves: Bank | None
+    ) -> tuple[np.ndarray, Bank | None, float]:
         """The weights of the hypotheses after these `gains` in log likelihood; habits and `alike` of what moves."""
         log = np.log(np.maximum(self.weights, 1e-300)) + gains
         alike = 0.0
@@ -354,17 +356,17 @@ class TargetHypotheses:
         weights = np.exp(log - log.max())
         return weights / weights.sum(), moves, alike
 
-    def _passing(self, sight: Sight) -> np.ndarray:
+    def _passing(self, scan: Scan) -> np.ndarray:
         """The density of detections at each of those of a look ``(n,)`` that one moving thing causes if detected.
 
         Relative to that of one false alarm a look.
         """
-        found, moving = sight.detections, self.weights[2:]
+        found, moving = scan.detections, self.weights[2:]
         assert found is not None
         if not len(found) or not moving.sum():
             return np.zeros(len(found))
-        shares, spread, least = moving / moving.sum(), self.standing.spread, resolved(sight.degree)
-        world = sight.world
+        shares, spread, least = moving / moving.sum(), self.standing.spread, resolved(scan.degree)
+        world = scan.world
         assert world is not None
         near = _near(self.grid, world, float(spread.scales.max()), least)
         directions = self.grid.directions.reshape(-1, 3)[near]
@@ -377,7 +379,7 @@ class TargetHypotheses:
         drawn = world.densities(directions, spread.scales, np.eye(len(found)), least)
         return found.area * (spread.otherwise @ (drawn @ amounts))
 
-    def _otherwise(self, look: Look, turns: np.ndarray, recall: float) -> np.ndarray:
+    def _otherwise(self, look: Measurement, turns: np.ndarray, recall: float) -> np.ndarray:
         """The weights of the scales ``(S,)`` if the target does not stand, after a look.
 
         `turns` ``(S,)``: how likely it was for each of them if the target turns.
@@ -394,17 +396,17 @@ class TargetHypotheses:
             foretold += self.weights[-1] * turns
         return otherwise * foretold / (otherwise @ foretold)
 
-    def _caused(self, sight: Sight) -> np.ndarray:
+    def _caused(self, scan: Scan) -> np.ndarray:
         """The density ``(n,)`` of detections at each of those of a look that the target causes.
 
         Relative to that of one false alarm a look.
         """
-        found, bank, habits = sight.detections, self.standing.bank, sight.habits
+        found, bank, habits = scan.detections, self.standing.bank, scan.habits
         assert found is not None
         assert habits is not None
         if not len(found) or found.model.false_alarms_per_look is not None:
             return np.zeros(len(found))
-        world = sight.world
+        world = scan.world
         assert world is not None
         if bank is None or not habits.same(bank.habits):  # nothing is known
             return np.full(len(found), self.presence * habits.mean)
@@ -416,7 +418,7 @@ class TargetHypotheses:
         heard, cells = np.flatnonzero(amounts > _UNHEARD), len(layout.free)
         density = np.zeros((len(spread.scales), len(found)))
         # Between two cells a sharp detection would be heard by neither.
-        for counts, least in ((heard[heard < cells], resolved(sight.degree)), (heard[heard >= cells], 0.0)):
+        for counts, least in ((heard[heard < cells], resolved(scan.degree)), (heard[heard >= cells], 0.0)):
             drawn = world.densities(layout.directions[counts], spread.scales, np.eye(len(found)), least)
             density += drawn @ amounts[counts]
         return spread.weights @ density * found.area
