@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -92,17 +91,3 @@ def test_a_bare_glb_on_its_side_is_told_and_put_upright(flat, tmp_path):
     with pytest.raises(WorldError, match=r"lie on its side|right way up"):
         worlds.load(f"habitat:{bare}")(0)
     check_world(worlds.load(f"habitat:{bare}?up=y"), 0)
-
-
-def lifted(metres):
-    """The flat, this much higher."""
-    scene, up = two_rooms(), np.array([0.0, 0.0, metres])
-    instances = tuple(replace(thing, low=thing.low + up, high=thing.high + up) for thing in scene.instances)
-    return replace(scene, vertices=scene.vertices + up.astype(np.float32), instances=instances)
-
-
-def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
-    upstairs = load_place(f"habitat:{export_glb(lifted(1.5), tmp_path / 'upstairs.glb')}", 0, 0.18)
-    upstairs.ground.pathfinder.save_nav_mesh(str(flat.with_suffix(".navmesh")))
-    with pytest.raises(WorldError, match="no floor within"):
-        worlds.load(f"habitat:{flat}")(0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from eagor._srgb import to_coded, to_linear
@@ -36,24 +36,6 @@ def test_textures_repeat_without_a_seam(kind, variant):
     for axis in (0, 1):
         inside, seam = worst_step(image, axis)
         assert seam <= 1.25 * inside + 0.5
-
-
-@pytest.mark.parametrize("kind", sorted(KINDS))
-@given(seed=SEEDS, data=st.data())
-@settings(max_examples=4)
-def test_a_material_depends_on_its_seed_alone(kind, seed, data):
-    colours = KINDS[kind].natural if KINDS[kind].picture else COLOURS
-    colour = data.draw(st.sampled_from([None, *colours]))
-    one, two = (material(kind, colour, np.random.default_rng(seed)) for _ in range(2))
-    assert (one.name, one.colour, one.emission) == (two.name, two.colour, two.emission)
-    assert all(0 <= channel <= 1 for channel in one.colour)
-    assert (one.texture is None) == (two.texture is None)
-    if one.texture is not None:
-        assert one.texture is two.texture  # drawn once, shared
-        assert one.texture.dtype == np.uint8
-        assert one.texture.shape[2] == 3
-        assert max(one.texture.shape) <= 256
-        assert not one.texture.flags.writeable
 
 
 def wall_of(look):
