@@ -85,7 +85,7 @@ def test_information_is_the_mutual_information_of_look_and_target(seed, pitch, t
     assert found >= -1e-12
 
 
-@pytest.mark.parametrize("elsewhere", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("elsewhere", [1e-12, 0.3, 1.0])
 def test_the_prior_is_even_by_the_share_elsewhere(elsewhere, monkeypatch):
     monkeypatch.setattr(agents, "TILT", 5.0)
     monkeypatch.setattr(agents, "HEIGHT", 80.0)
@@ -93,6 +93,7 @@ def test_the_prior_is_even_by_the_share_elsewhere(elsewhere, monkeypatch):
     prior = EagorAgent("hos", empty, elsewhere=elsewhere).prior
     assert prior.sum() == pytest.approx(1)
     assert float((prior / even).min()) == pytest.approx(elsewhere), "far from the mean only the even part is left"
+    assert np.isfinite(EagorAgent("hos", empty, elsewhere=elsewhere).tells()).all()
     top = np.degrees(CELLS.latitudes) > 60
     assert prior[top].sum() == pytest.approx(1 - elsewhere * (1 - even[top].sum()), abs=1e-3)
     np.testing.assert_allclose(EagorAgent("hps", empty).prior, CELLS.weights)
@@ -159,20 +160,6 @@ def test_a_false_alarm_that_lasts_stays_where_it_is_in_the_world():
     np.testing.assert_allclose(places, [places[0]] * len(places), atol=1e-9)
 
 
-def test_paths_are_answered_by_yaw_alone():
-    detector = SimulatedDetector((100.0, 106.0), None, Noise(), 0)
-    answer = after(detector, *[View(90.0, 0.0)] * 3, kind="hps").answer()
-    assert answer.pitch == 0
-    assert abs(answer.yaw - 103) <= 5
-
-
-def test_a_prior_at_its_ends_still_tells_where_to_look():
-    for elsewhere in (1e-12, 1.0):
-        state = EagorAgent("hos", empty, elsewhere=elsewhere)
-        assert np.isfinite(state.tells()).all()
-        assert 0 <= state.answer().probability <= 1
-
-
 # The next view
 
 
@@ -185,22 +172,6 @@ def test_it_faces_what_tells_most_and_of_equal_ones_the_nearest(nats, facing):
     worth = [value - 1e-5 * angle for value, angle in zip(nats, angles, strict=True)]
     best = next(index for index, heading in enumerate(headings) if (heading == chosen).all())
     assert worth[best] == pytest.approx(max(worth), abs=1e-8)
-
-
-def test_elevation_costs_as_azimuth_does():
-    headings = np.radians([[40, 0], [0, 30]])
-    assert np.degrees(next_heading(headings, np.ones(2), np.zeros(2))).round(6).tolist() == [0, 30]
-
-
-def test_our_agent_goes_on_from_any_start_and_submits_at_its_last_turn():
-    """Its rotations are whole degrees: what it meant to look at counts as looked at where it starts between them."""
-    agent = EagorAgent("hos", empty)
-    view, seen = View(17.4, 3.0), set()
-    for _ in range(6):
-        view = view.after(agent(view, False)[0])
-        seen.add((round(view.yaw), round(view.pitch)))
-    assert len(seen) >= 5
-    assert agent(view, True)[0].kind == "submit"
 
 
 @given(st.integers(0, 2**16), st.sampled_from([0.0, 45.0, 17.4, 359.5]), st.sampled_from(["hos", "hps"]))
@@ -220,3 +191,5 @@ def test_our_agent_rotates_to_the_view_that_tells_most_and_of_equal_ones_to_the_
         assert taken.min() <= 0.5 + 1e-9, "rotations are whole degrees"
         worth = agent.tells() - 1e-5 * off(now).reshape(-1)
         assert worth[taken.argmin()] >= worth.max() - 1e-9
+    assert agent(view, True)[0].kind == "submit", "at its last turn"
+    assert kind == "hos" or agent.answer().pitch == 0, "paths are answered by yaw alone"
