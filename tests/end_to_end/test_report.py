@@ -8,7 +8,6 @@ import pytest
 import synthetic_runs as runs
 from rooms import two_rooms
 
-from eagor.errors import EagorError, FormatError
 from eagor.lab.eval.report import write_report
 from eagor.lab.eval.results import read, summarise
 from eagor.lab.eval.tables import PUBLISHED, shown, shown_metrics
@@ -157,11 +156,3 @@ def test_a_run_without_ours_or_with_failures_alone_still_has_a_report(tmp_path):
     text = write_report(runs.write_run(tmp_path / "b", [failed])).read_text()
     assert "There are no results" in text
     assert "What the columns are" not in text
-
-
-def test_a_folder_that_is_no_run_is_refused(tmp_path):
-    with pytest.raises(FormatError, match=r"run\.json"):
-        write_report(tmp_path)
-    (tmp_path / "run.json").write_text('{"task": "waypoint"}')
-    with pytest.raises(EagorError, match="no records"):
-        write_report(tmp_path)
