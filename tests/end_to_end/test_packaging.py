@@ -160,8 +160,6 @@ def test_a_plugin_is_found_by_name(eagor, installed, tmp_path):
     assert abs(found["elevation_deg"] - 28.1) < 2
     run = ("turntable", "--world", "hall", "--perception", "truth:ideal", "--episodes", "1", "--set", "steps=8")
     assert json.loads(eagor("bench", "run", *run, "--out", "run", "--json"))["failed"] == 0
-    config = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert config["versions"]["world hall"] == config["versions"]["task turntable"] == "eagor-example 1.0"
 
 
 @pytest.mark.slow
