@@ -13,7 +13,6 @@ from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.perception.colour import ColourPerception
 from eagor.perception.partial import read_mask
 from eagor.sphere import direction, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
@@ -60,12 +59,6 @@ def test_detections_outside_stay_and_those_under_it_are_gone(model):
     assert found.detections.ratio(places(hidden=True)) == pytest.approx(1, abs=1e-12)
 
 
-def test_seeing_nothing_under_the_mask_says_nothing():
-    empty = Evidence.from_boxes([], ErpGrid(64, 128)).covered(nadir())
-    assert np.log(empty.detections.ratio(places(hidden=True))) == pytest.approx(0, abs=1e-12)
-    assert (np.log(empty.detections.ratio(places(hidden=False))) < -0.1).all()
-
-
 @pytest.mark.parametrize(("part", "kept"), [(0.2, 0), (0.8, 1)])
 def test_a_box_counts_unless_it_lies_mostly_under_the_mask(part, kept):
     grid, height = ErpGrid(512, 1024), 100
@@ -100,16 +93,6 @@ def test_a_response_map_is_zero_under_it_and_unchanged_outside(calibration):
     assert np.isfinite(np.asarray(found.coefficients(7))).all()
 
 
-def test_a_maximum_under_the_mask_scales_nothing():
-    grid, values = PatchGrid(60, 120), np.zeros((60, 120), dtype=np.float32)
-    values[20, 30], values[58, 5] = 0.2, 0.9
-    found = Evidence.from_response(values, grid, Calibration.paper()).covered(nadir())
-    clean = values.copy()
-    clean[58, 5] = 0
-    alone = Evidence.from_response(clean, grid, Calibration.paper(), coverage=nadir().share(grid))
-    assert np.asarray(found.log_ratio) == pytest.approx(np.asarray(alone.log_ratio), abs=1e-5)
-
-
 def test_of_a_view_only_what_is_seen_counts():
     view = PerspectiveGrid(80, 80, math.radians(90), world_R_body(0.0, math.radians(60)))
     look = Evidence.from_boxes([[38, 38, 42, 42], [38, 70, 42, 74]], view).covered(nadir())
@@ -140,14 +123,6 @@ def test_the_mask_goes_with_the_body(tilt):
     assert empty.log_density(places(hidden=True)).mean() > empty.log_density(places(hidden=False)).mean() + 0.5
     thing = direction(1.0, 0.3)
     assert tracked(*[lambda t: Evidence.from_points([thing], stamp=t).covered(nadir())] * 3).direction @ thing > 0.999
-
-
-def test_what_a_perception_sees_under_the_mask_does_not_count():
-    panorama = np.full((128, 256, 3), 150, dtype=np.uint8)
-    panorama[nadir(128).seen == 0] = 5
-    evidence = ColourPerception()(panorama, "the black backpack")
-    assert len(evidence.detections) == 1
-    assert len(evidence.covered(nadir()).detections) == 0
 
 
 def test_a_mask_from_a_file(tmp_path):

@@ -103,17 +103,12 @@ def test_names_with_settings():
     [
         ("wat", "no method 'wat'"),
         ("eagor:degre=7", "no setting 'degre'"),
-        ("eagor:degree", "key=value"),
         ("eagor:degree=7,degree=9", "each key once"),
         ("eagor:decode=best", "'eagor:decode=best'.* decode = 'best'; wanted mode or mean"),
         ("eagor:degree=7.5", r"degree = 7\.5; wanted a whole number, 0 or more"),
-        ("eagor:shells=-1", "shells = -1; wanted a whole number"),
         ("eagor:death=-3", r"'eagor:death=-3': MotionModel: death = -3\.0; wanted a rate"),
-        ("eagor:wander=3+", r"wander = 3\+; wanted a number"),
-        ("eagor:habit=0.8", r"DetectorModel: habit = \(0\.8,\); wanted two numbers"),
         ("vmf:noise=nan", "noise = nan"),
         ("vmf:degree=7", "no setting 'degree'; known: floor"),
-        ("grid:floor=0.1", "known: none"),
     ],
 )
 def test_names_that_are_none(name, message):
