@@ -67,16 +67,6 @@ def test_a_box_counts_unless_it_lies_mostly_under_the_mask(part, kept):
     assert len(Evidence.from_boxes([box], grid).covered(nadir(512)).detections) == kept
 
 
-def test_of_two_boxes_the_one_outside_is_followed_with_its_own_size():
-    hidden, seen = [900, 480, 940, 500], [500, 240, 580, 280]
-    tracker, grid = eagor.DirectionTracker(), ErpGrid(512, 1024)
-    tracker.observe(Evidence.from_boxes([hidden, seen], grid, stamp=0.0).covered(nadir(512)))
-    alone = eagor.DirectionTracker()
-    alone.observe(Evidence.from_boxes([seen], grid, stamp=0.0).covered(nadir(512)))
-    assert tracker.estimate(0.0).size == pytest.approx(alone.estimate(0.0).size)
-    assert tracker.estimate(0.0).direction == pytest.approx(alone.estimate(0.0).direction)
-
-
 @pytest.mark.parametrize("calibration", [Calibration(), Calibration.paper(), Calibration(spread=0.05)])
 def test_a_response_map_is_zero_under_it_and_unchanged_outside(calibration):
     grid, rng = PatchGrid(60, 120), np.random.default_rng(0)

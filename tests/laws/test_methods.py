@@ -116,12 +116,6 @@ def test_names_that_are_none(name, message):
         make_estimator(name, np.random.default_rng(0))
 
 
-def test_only_ours_knows_a_distance():
-    distances = {name: run(name, 12, 0).distance() for name in NAMES}
-    assert 0.5 < distances.pop("eagor") < 12
-    assert set(distances.values()) == {None}
-
-
 def test_fitted_settings_are_where_a_rival_starts_and_what_is_asked_for_comes_on_top():
     rng = np.random.default_rng(0)
     plain, fitted, varied = (

@@ -40,13 +40,6 @@ def test_what_matches_is_of_the_category_and_the_colour(query, scene):
         assert (place in found) == query.matches(thing) == wanted
 
 
-@given(st.sampled_from(CATEGORIES), st.sampled_from(COLOURS), st.lists(things))
-def test_a_colour_narrows(category, colour, scene):
-    narrow, wide = matching(Query(category, colour), scene), matching(Query(category), scene)
-    assert set(narrow) <= set(wide)
-    assert all(scene[place].colour == colour for place in narrow)
-
-
 @pytest.mark.parametrize(
     ("word", "meant"), [(word, meant) for word, meant in SYNONYMS.items() if meant not in COLOURS], ids=str
 )
