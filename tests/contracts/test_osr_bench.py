@@ -195,13 +195,6 @@ def test_what_is_no_such_data_says_so(tmp_path: Path, data: Path) -> None:
         load_scenes(data, "qa")
 
 
-def test_info_counts(data: Path) -> None:
-    found = load("osr").info(data)
-    assert set(found["files"]) == set(SUFFIXES)
-    assert found["files"]["qa"]["empty_labels_skipped"] == 1
-    assert found["files"]["qa"]["pictures_missing"] == 0
-
-
 def test_turns_without_numbers_and_counts_that_are_numbers_are_read(tmp_path: Path) -> None:
     (tmp_path / "room").mkdir()
     turns = [

@@ -111,21 +111,6 @@ def test_every_figure_of_the_main_table_is_the_summarys_and_stands_beside_the_pu
     assert ("one to one" in text) == bool(published)
 
 
-def test_the_two_files_hold_the_same_numbers_and_are_the_same_again(written):
-    folder, text, _ = written
-    page = Page(text)
-    marked = (folder / "tables.md").read_text(encoding="utf-8")
-    for caption in page.cells:
-        part = marked.partition(f"## {caption}\n")[2].partition("\n## ")[0]
-        lines = [line for line in part.splitlines() if line.startswith("| ") and "---" not in line]
-        stripped = [[re.sub(r"[*†‡]| \(.*", "", cell.strip()) for cell in line.split(" | ")] for line in lines]
-        stripped = [[re.sub(r"^\| | \|$", "", cell) for cell in row] for row in stripped]
-        found = [[re.sub(r" \(.*", "", cell) for cell in row] for row in page.cells[caption]]
-        assert stripped[1:] == found[1:]
-    write_report(folder)
-    assert (folder / "report.html").read_text(encoding="utf-8") == text
-
-
 def test_what_was_run_is_said(written):
     folder, text, summary = written
     config = json.loads((folder / "run.json").read_text())

@@ -1,7 +1,7 @@
 """The rivals: they follow what they can follow, fail where they are known to fail, and never change in place."""
 
-import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -92,16 +92,8 @@ def followed(current, target, turns):
 
 
 def snapshot(current):
-    """Everything that a filter holds, copied."""
-    return {name: copy.deepcopy(value) for name, value in vars(current).items() if not name.startswith("_")}
-
-
-def same(a, b):
-    if isinstance(a, np.random.Generator):
-        return a.bit_generator.state == b.bit_generator.state
-    if isinstance(a, Belief):
-        return np.array_equal(a.coefficients, b.coefficients)
-    return np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
+    """Everything that a filter holds, generators among it."""
+    return pickle.dumps({name: value for name, value in vars(current).items() if not name.startswith("_")})
 
 
 # The contract
@@ -117,13 +109,11 @@ class TestEveryMethod:
 
     def test_returns_new_filters_and_leaves_the_old_as_they_were(self, name):
         old = made(name).update(blob([0, 1, 0]))
-        before, told = snapshot(old), answer(old)
+        told, before = answer(old), snapshot(old)
         for new in (moved(old, rotation((1, 2, 3), 1.0)), old.update(blob([0, 0, 1])), old.update(silence())):
             assert type(new) is type(old)
             answer(new)
-        now = snapshot(old)
-        for field, value in before.items():
-            assert same(value, now[field]), field
+        assert snapshot(old) == before
         np.testing.assert_array_equal(answer(old), told)
 
     def test_the_same_steps_give_the_same_answer(self, name):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from eagor.robots.go2.plant import LIMP, LOCKED, LYING, STEP, WALKING, Plant
 from eagor.sphere import world_R_body
@@ -81,19 +80,6 @@ def test_after_stand_up_it_is_deaf_for_4_to_10_seconds_and_needs_balance_stand(s
     body.rest(LIMP)
     body.balance_stand()
     assert body.truth.mode == LIMP
-
-
-@few
-@given(commands, st.integers(0, 1000))
-def test_the_poses_are_those_of_its_angles_and_the_gyroscope_tells_how_they_turn(command, seed):
-    body = plant(seed)
-    before = body.truth
-    for motion in run(body, 1.0, command):
-        turned = motion.pose.world_R_body
-        np.testing.assert_allclose(turned, world_R_body(*motion.rpy[::-1]), atol=1e-12)
-        turn = Rotation.from_rotvec(STEP * motion.rates).as_matrix()
-        np.testing.assert_allclose(before.pose.world_R_body @ turn, turned, atol=1e-5)
-        before = motion
 
 
 def test_odometry_drifts_per_metre_and_per_radian_as_stated():

@@ -76,11 +76,6 @@ def test_a_run_without_room_says_where_and_goes_on_when_there_is_room_again(told
     assert all(records(out)[key] == record for key, record in kept.items())
 
 
-def test_a_run_that_has_no_room_to_begin_leaves_no_run(told, tmp_path):
-    refused(*told, "--out", tmp_path / "run", room=10, says=str(tmp_path / "run"))
-    assert not (tmp_path / "run" / log.RUN).exists()
-
-
 def test_pictures_and_tables_are_whole_or_not_there(tmp_path):
     frames = tmp_path / "frames"
     frames.mkdir()
