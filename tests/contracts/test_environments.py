@@ -93,7 +93,9 @@ def test_a_wall_stops_a_step_without_sliding_and_bends_it_with():
         env.reset(seed=4)
         body = env.unwrapped.body
         for _ in range(60):  # always north-east in the world
-            _, _, terminated, truncated, info = env.step(np.array([math.remainder(0.7 - body.yaw, 2 * math.pi), 0.25]))
+            before, heading = body.xy.copy(), math.remainder(0.7 - body.yaw, 2 * math.pi)
+            _, _, terminated, truncated, info = env.step(np.array([heading, 9.0]))
+            assert np.hypot(*(body.xy - before)) <= 0.25 + 1e-9, "a step is no longer, whatever is asked for"
             if terminated or truncated:
                 break
         ends[sliding] = body.xy.copy()
