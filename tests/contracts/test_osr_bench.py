@@ -173,8 +173,6 @@ def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"agent": "eagor"}, "needs a perception"),
-        ({"agent": "vlm"}, "asks a model"),
         ({"agent": "oracle", "labels": "mine"}, "wanted both, corrected, official"),
         ({"agent": "eagor", "perception": "truth"}, "truth reads what a simulator knows"),
     ],

@@ -100,11 +100,6 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     assert "http" not in page.replace("http://www.w3.org", "")
     assert f"{ours['overall']:.2f}" in (tmp_path / "tables.md").read_text()
     assert not (tmp_path / "predictions.jsonl").exists(), "of which of the two?"
-    facts = (tmp_path / "tables.md").read_text().partition("## ")[0]
-    assert [line for line in facts.splitlines() if line.startswith("- Run")] == [
-        "- Run: eagor · truth:miss=0.5",
-        "- Run: oracle",
-    ]
     found = answer("compare", place / "oracle", place / "ours")
     overall = found["figures"]["overall"]
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
@@ -137,10 +132,6 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
     (told,) = answer("info", folder).values()
     assert answer("info", "hstar-hos", "--data", folder)["hstar-hos"] == told  # as docs/benchmarks.md has it
     assert (told["scenes"], told["targets"], told["episodes"]) == (2, 4, {"hos": 16, "hps": 0})
-    lines = bench("info", folder).stdout.splitlines()
-    at = lines.index("episodes")
-    assert [line.split() for line in lines[at + 1 : at + 3]] == [["hos", "16"], ["hps", "0"]]
-    assert not any("{" in line for line in lines), "parts are lines, not JSON"
     assert "holds the data of no known task" in refused("info", tmp_path)
 
 
@@ -149,12 +140,9 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
     [
         (("run", "chess"), "hstar-hos"),
         (("run", "hstar-hos"), "--data"),
-        (("run", "hstar-hos", "--data", "nowhere", "--agent", "oracle"), "nowhere"),
         (("run", "navigation", "--data", "somewhere"), "takes no --data"),
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--episodes", "2"), "takes no --episodes"),
-        (("run", "osr", "--data", "x", "--agent", "oracle", "--walking"), "takes no --walking"),
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--shard", "2"), "I/N"),
-        (("compare", "nowhere", "nowhere"), "no run.json"),
     ],
 )
 def test_usage_errors_say_what_to_do(words, said):

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor import Calibration, Evidence, PatchGrid, angular_distance
-from eagor.drawing.still import CURVES
 from eagor.errors import EagorError, TimeError
 from eagor.evidence.detector import DetectorModel
 from eagor.lab.agents.methods import (
@@ -144,7 +143,3 @@ def test_a_variant_varies_the_detector_of_the_perception():
     habits = varied("habit=2+1.5,look_alike_habit=0.5+3")
     assert habits == replace(own, habit=(2.0, 1.5), look_alike_habit=(0.5, 3.0))
     assert make_estimator("eagor:degree=7", np.random.default_rng(0), detector=own).config.detector is None
-
-
-def test_every_method_has_looks_of_its_own():
-    assert len(set(CURVES)) >= len(NAMES)

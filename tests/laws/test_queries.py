@@ -65,7 +65,7 @@ def test_any_text_is_a_query_or_a_query_error(text):
     assert query.colour in (None, *COLOURS)
 
 
-@pytest.mark.parametrize("text", ["", "   ", "red", "the", "red red chair", "chair red", "chair and table", "chairman"])
+@pytest.mark.parametrize("text", ["", "red", "the", "red red chair", "chair and table", "chairman"])
 def test_half_a_query_is_refused(text):
     with pytest.raises(
         QueryError, match=r"Wanted '\[colour\] category'; categories: armchair, bathtub, .*colours: bla"
