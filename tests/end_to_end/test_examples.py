@@ -131,7 +131,6 @@ def _ended(lines):
     return [f"{line}\n" for line in lines]
 
 
-@pytest.mark.slow  # footage is tried by its commands, too
 def test_the_notebook_runs_as_written_and_finds_the_ball(tmp_path, monkeypatch):
     pytest.importorskip("av")
     pytest.importorskip("cv2")
