@@ -21,23 +21,22 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+
+def error(status: int, message: str, **more: str) -> tuple[int, dict[str, Any]]:
+    return status, {"error": {"message": message, **more}}
+
+
 FAULTS: dict[str, tuple[int, dict[str, Any]]] = {
-    "500": (500, {"error": {"message": "CUDA error: an illegal memory access", "type": "InternalServerError"}}),
-    "429": (429, {"error": {"message": "too many requests, try again", "type": "rate_limit"}}),
-    "401": (401, {"error": {"message": "Incorrect API key provided", "type": "invalid_request_error"}}),
-    "404 model": (404, {"error": {"message": "The model `qwen` does not exist.", "type": "NotFoundError"}}),
+    "500": error(500, "CUDA error: an illegal memory access", type="InternalServerError"),
+    "429": error(429, "too many requests, try again", type="rate_limit"),
+    "401": error(401, "Incorrect API key provided", type="invalid_request_error"),
+    "404 model": error(404, "The model `qwen` does not exist.", type="NotFoundError"),
     "404 path": (404, {"detail": "Not Found"}),
-    "400 context": (
-        400,
-        {"error": {"message": "This model's maximum context length is 512 tokens. However, you requested 1400 tokens"}},
-    ),
-    "404 model ollama": (404, {"error": {"message": "model 'qwen' not found", "type": "api_error"}}),
+    "400 context": error(400, "This model's maximum context length is 512 tokens. However, you requested 1400 tokens"),
+    "404 model ollama": error(404, "model 'qwen' not found", type="api_error"),
     "400 image": (400, {"object": "error", "message": "Qwen2.5-7B is not a multimodal model"}),
-    "500 image llama.cpp": (
-        500,
-        {"error": {"message": "image input is not supported - hint: you may need to provide the mmproj"}},
-    ),
-    "400 other": (400, {"error": {"message": "temperature must be positive"}}),
+    "500 image llama.cpp": error(500, "image input is not supported - hint: you may need to provide the mmproj"),
+    "400 other": error(400, "temperature must be positive"),
 }
 
 
@@ -64,8 +63,6 @@ class Reply:
     text: str = ""
     pieces: list[tuple[str, float]] = field(default_factory=list)
     alternatives: list[list[tuple[str, float]]] = field(default_factory=list)
-    finish: str = "stop"
-    prompt_tokens: int | None = None
 
 
 class ContractServer:
@@ -84,42 +81,21 @@ class ContractServer:
     """
 
     def __init__(self, answer: Callable[[Request], Reply | str], models: tuple[str, ...] = ("qwen",)) -> None:
-        self.answer = answer
-        self.models = models
-        self.logprobs = True
+        self.answer, self.models, self.logprobs = answer, models, True
         self.knows: set[str] | None = None
         self.faults: list[str] = []
-        self.lasting = ""
+        self.lasting, self.slow = "", 2.0
         self.headers: dict[str, str] = {}
         self.refuses: dict[str, str] = {}
         self.gate: threading.Barrier | None = None
-        self.slow = 2.0
         self.requests: list[Request] = []
-        self.tries = 0
-        self.now = self.most_at_once = 0
-        self._lock = threading.Lock()
-        self._released = threading.Event()
-        outer = self
-
-        class Handler(BaseHTTPRequestHandler):
-            protocol_version = "HTTP/1.1"
-
-            def log_message(self, *_: Any) -> None:
-                pass
-
-            def do_GET(self) -> None:
-                outer._list(self)
-
-            def do_POST(self) -> None:
-                outer._chat(self)
-
-        class Server(ThreadingHTTPServer):
-            daemon_threads = True
-
-            def handle_error(self, *_: Any) -> None:  # clients that went away are part of the tests
-                pass
-
-        self._http = Server(("127.0.0.1", 0), Handler)
+        self.tries = self.now = self.most_at_once = 0
+        self._lock, self._released = threading.Lock(), threading.Event()
+        does = {"do_GET": self._list, "do_POST": self._chat, "log_message": lambda *_: None}
+        members = {name: lambda handler, *_, do=do: do(handler) for name, do in does.items()}
+        handler = type("Handler", (BaseHTTPRequestHandler,), {"protocol_version": "HTTP/1.1", **members})
+        self._http = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+        self._http.handle_error = lambda *_: None  # type: ignore[method-assign]  # clients that went away are part of it
         self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
 
     @property
@@ -141,8 +117,7 @@ class ContractServer:
     def _list(self, handler: BaseHTTPRequestHandler) -> None:
         if handler.path != "/v1/models":
             return self._send(handler, 404, {"detail": "Not Found"})
-        listed = [{"id": name, "object": "model", "created": 0, "owned_by": "test"} for name in self.models]
-        return self._send(handler, 200, {"object": "list", "data": listed})
+        return self._send(handler, 200, {"object": "list", "data": [{"id": name} for name in self.models]})
 
     def _chat(self, handler: BaseHTTPRequestHandler) -> None:
         raw = handler.rfile.read(int(handler.headers["content-length"]))
@@ -196,12 +171,8 @@ class ContractServer:
     def _completion(self, body: dict[str, Any], reply: Reply, model: str) -> dict[str, Any]:
         pieces = reply.pieces or [(piece, -0.01) for piece in re.findall(r"\w+|\W", reply.text)]
         text = reply.text or "".join(piece for piece, _ in pieces)
-        choice: dict[str, Any] = {
-            "index": 0,
-            "message": {"role": "assistant", "content": text},
-            "finish_reason": reply.finish,
-            "logprobs": None,
-        }
+        said = {"role": "assistant", "content": text}
+        choice: dict[str, Any] = {"index": 0, "message": said, "finish_reason": "stop", "logprobs": None}
         if self.logprobs and body.get("logprobs"):
             content = []
             for index, (piece, log) in enumerate(pieces):
@@ -210,17 +181,9 @@ class ContractServer:
                 listed = [{"token": token, "logprob": value, "bytes": None} for token, value in shown]
                 content.append({"token": piece, "logprob": log, "bytes": None, "top_logprobs": listed})
             choice["logprobs"] = {"content": content}
-        counted = 2000 if reply.prompt_tokens is None else reply.prompt_tokens
-        used = {"prompt_tokens": counted, "completion_tokens": len(pieces), "total_tokens": counted + len(pieces)}
-        return {
-            "id": "chatcmpl-1",
-            "object": "chat.completion",
-            "created": 0,
-            "model": model,
-            "system_fingerprint": "fp_7",
-            "choices": [choice],
-            "usage": used,
-        }
+        used = {"prompt_tokens": 2000, "completion_tokens": len(pieces), "total_tokens": 2000 + len(pieces)}
+        return {"id": "chatcmpl-1", "object": "chat.completion", "created": 0, "model": model,
+                "system_fingerprint": "fp_7", "choices": [choice], "usage": used}  # fmt: skip
 
     def _send(self, handler: BaseHTTPRequestHandler, status: int, body: dict[str, Any]) -> None:
         self._write(handler, status, json.dumps(body).encode(), "application/json")
@@ -260,23 +223,17 @@ def reddish(request: Request, then: Callable[[str], str] = str) -> Reply:
         pieces = [("Yes" if there else "No", math.log(max(probability, 1 - probability))), (".", -0.1)]
         others = [[("Yes", math.log(probability)), ("No", math.log(1 - probability))], [(".", -0.1)]]
         return Reply("", pieces, others)
-    boxes = []
-    height, width = red.shape
-    columns = np.flatnonzero(red.any(axis=0))
+    words = {"0 to 1000": 1000, "from 0 to 100 ": 100, "from 0 to 1 ": 1}  # else pixels
+    scale = next((scale for text, scale in words.items() if text in request.text), None)
+    key, order = ("bbox_2d", [0, 1, 2, 3]) if "bbox_2d" in request.text else ("box_2d", [1, 0, 3, 2])
+    written, columns = [], np.flatnonzero(red.any(axis=0))
     for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1) if len(columns) else []:
         rows = np.flatnonzero(red[:, run[0] : run[-1] + 1].any(axis=1))
-        boxes.append((run[0], rows[0], run[-1] + 1, rows[-1] + 1))
-    written = []
-    for x0, y0, x1, y1 in boxes:
-        if "0 to 1000" in request.text:
-            x0, y0, x1, y1 = (round(1000 * v / s) for v, s in zip((x0, y0, x1, y1), (width, height) * 2, strict=True))
-        elif "from 0 to 100 " in request.text:
-            x0, y0, x1, y1 = (100 * v / s for v, s in zip((x0, y0, x1, y1), (width, height) * 2, strict=True))
-        elif "from 0 to 1 " in request.text:
-            x0, y0, x1, y1 = (round(v / s, 4) for v, s in zip((x0, y0, x1, y1), (width, height) * 2, strict=True))
-        box = [x0, y0, x1, y1] if "bbox_2d" in request.text else [y0, x0, y1, x1]
-        key = "bbox_2d" if "bbox_2d" in request.text else "box_2d"
-        written.append({key: [float(v) if isinstance(v, float) else int(v) for v in box], "label": "red thing"})
+        box = np.array([run[0], rows[0], run[-1] + 1, rows[-1] + 1])[order]
+        if scale is not None:
+            box = np.round(scale * box / np.array([*red.shape[::-1], *red.shape[::-1]])[order], 0 if scale > 100 else 4)
+        numbers = (box.astype(int) if scale in (None, 1000) else box).tolist()
+        written.append({key: numbers, "label": "red thing"})
     return Reply(then(json.dumps(written)))
 
 

@@ -248,7 +248,6 @@ class NavMeshSettings(SimpleNamespace):  # equal if all settings are
 
 
 def stand_in():
-    """The module."""
     kinds = SimpleNamespace(COLOR="COLOR", DEPTH="DEPTH", SEMANTIC="SEMANTIC")
     return SimpleNamespace(
         __spec__=None,
@@ -265,15 +264,10 @@ def stand_in():
     )
 
 
-def magnum():
-    """The module magnum."""
-    return SimpleNamespace(Vector3=Vector3, Quaternion=Quaternion, __spec__=None)
-
-
 def installed(monkeypatch):
     """The life of a fixture in which this is Habitat-Sim; at its end no simulator is open."""
     monkeypatch.setitem(sys.modules, "habitat_sim", stand_in())
-    monkeypatch.setitem(sys.modules, "magnum", magnum())
+    monkeypatch.setitem(sys.modules, "magnum", SimpleNamespace(Vector3=Vector3, Quaternion=Quaternion, __spec__=None))
     monkeypatch.setattr(habitat, "device_for", lambda source: -1)
     monkeypatch.setattr(objectnav, "has_meshes", lambda: False)  # they are made in a process of its own
     yield

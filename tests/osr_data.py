@@ -1,7 +1,8 @@
-"""A small data set in OSR-Bench's layout, made up for tests, and the published questions."""
+"""A small data set in OSR-Bench's layout, made up for tests, with the published questions."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,8 +23,9 @@ from eagor.lab.tasks.osr import (
     Layout,
     Scene,
     cells,
-    direction_label,
+    named,
     ranked,
+    steps,
 )
 from eagor.lab.tasks.osr.geometry import Detection, SceneLayout, Spot, layout_from, place
 
@@ -64,80 +66,38 @@ def write_scene(
 ) -> None:
     """Write the files of a scene, without a picture: true places (x forward, y left), layout, and questions.
 
-    `absent`: what the files with negative questions ask for, too. At most `most` questions of a kind are asked; the
-    last turn of each file has an empty answer.
+    `absent`: what the files with negative questions ask for, too. The last turn of each file has an empty answer.
     """
     bodies = [{"name": name, "xy": [-y, x], "z_centre": 0.35} for name, where in places.items() for x, y in where]
     (folder / TRUTH).write_text(json.dumps({"objects": bodies}))
     counts = {name: len(where) for name, where in places.items()}
     (folder / "cognitive_map.json").write_text(json.dumps({"cognitive_map": grid_of(layout), "class_count": counts}))
     for kind, more in (("qa", []), ("qa_with_negative", absent)):
-        turns = list(conversation(layout, counts, [*counts, *more], most, rng))
+        asked = conversation(layout, counts, [*counts, *more], most, rng)
+        turns = [
+            {"turn_id": number, "question": question, "answer": answer, "skills_tested": skill}
+            for number, (skill, question, answer) in enumerate(asked)
+        ]
         turns.append({**turns[-1], "turn_id": 99, "answer": ""})
         entry = {"image_id": f"data/{folder.name}/rgb.png", "pre_prompt": "", "conversation": turns}
         (folder / f"{folder.name}_{kind}.json").write_text(json.dumps(entry))
 
 
-def true_layout(scene: Scene) -> SceneLayout:
-    """The true places in a scene, as if a camera at 1.5 metres saw the things and the floor points below them."""
-    found = []
-    for body in json.loads((scene.folder / TRUTH).read_text())["objects"]:
-        azimuth, away = math.atan2(-body["xy"][0], body["xy"][1]), math.hypot(*body["xy"])
-        middle, foot = (math.atan2(z - 1.5, away) for z in (body["z_centre"], 0.0))
-        if body["name"] in scene.categories:
-            found.append(Detection(body["name"], azimuth, middle, bottom=foot))
-    return SceneLayout(place(found))
-
-
-def distance_label(layout: Layout, category: str, choices: Sequence[str]) -> str:
-    """The published answer to "which of the choices is the closest to the category?": the first of the nearest."""
-    start = cells(layout, category)
-    if len(start) != 1:
-        return NOT_UNIQUE if start else NO_POSITION
-    ways = {choice: ranked(start[0], cells(layout, choice)) for choice in choices}
-    away = {choice: way[0][0] ** 2 + way[0][1] ** 2 for choice, way in ways.items() if way}
-    return min(away, key=lambda choice: away[choice], default=NO_CANDIDATE)
-
-
-def grid_of(layout: Layout, size: int = 10) -> Grid:
-    """The grid of a layout, as published."""
-    grid: Grid = [[[] for _ in range(size)] for _ in range(size)]
-    for name, where in layout.items():
-        for row, column in where:
-            grid[row][column].append(name)
-    return grid
-
-
 def conversation(
     layout: Layout, counts: Mapping[str, int], names: Sequence[str], most: int, rng: np.random.Generator
-) -> Iterator[dict[str, object]]:
-    """The turns about one layout: the map, then at most `most` questions of each kind over `names`.
+) -> Iterator[tuple[str, str, object]]:
+    """Skill, question and answer: the map, how many of each of `names`, then `most` distances and `most` directions.
 
-    As published, the positioning object is of a category with one thing, if there is one. If all `names` are present,
-    questions that an error would answer are not asked.
+    As published, where all `names` are present nothing is asked that an error would answer.
     """
-    names = list(names)
-    asked: list[tuple[str, str, object]] = [(MAP, mapping(names), grid_of(layout))]
-    asked += [(COUNTING, counting(name), str(counts.get(name, 0))) for name in rng.permutation(names)[:most].tolist()]
-    singles = [name for name in names if counts.get(name) == 1] or names
-    complete = all(name in layout for name in names)
-    if len(counts) >= LEAST:
-        for kind in (DISTANCE, DIRECTION):
-            kept = 0
-            for _ in range(2 * most if complete else most):
-                first = str(rng.choice(singles))
-                others = rng.permutation([name for name in names if name != first]).tolist()
-                if kind == DISTANCE:
-                    question, answer = distance(first, others[:4]), distance_label(layout, first, others[:4])
-                else:
-                    question = direction(first, *others[:2])
-                    answer = direction_label(layout, first, *others[:2])
-                if kept == most or (complete and answer.endswith("picture.")):
-                    continue
-                kept += 1
-                asked.append((kind, question, answer))
-    for number, (skill, question, answer) in enumerate(asked):
-        yield {"turn_id": number, "question": question, "answer": answer, "skills_tested": skill}
+    yield MAP, f"[Task] Draw the plan of the categories in this scene: {{{', '.join(names)}}}.", grid_of(layout)
+    for name in names:
+        yield COUNTING, counting(name), str(counts.get(name, 0))
+    complete, three = all(name in layout for name in names), [*itertools.permutations(names, 3)]
+    order = rng.permutation(len(three))
+    for skill, question, label in ((DISTANCE, distance, distance_label), (DIRECTION, direction, direction_label)):
+        asked = ((skill, question(*three[at]), label(layout, *three[at])) for at in order)
+        yield from itertools.islice((q for q in asked if q[2] and not (complete and q[2].endswith("picture."))), most)
 
 
 def counting(name: str) -> str:
@@ -145,7 +105,7 @@ def counting(name: str) -> str:
     return f"How many {name}(s) are in this room?"
 
 
-def distance(name: str, choices: Sequence[str]) -> str:
+def distance(name: str, *choices: str) -> str:
     """The published question about the nearest of the choices."""
     return (
         f"Measuring from the closest point of each object, which of these objects ({', '.join(choices)}) is the "
@@ -161,13 +121,37 @@ def direction(P: str, O: str, Q: str) -> str:
     )
 
 
-def mapping(names: Sequence[str]) -> str:
-    """The question for the map, in our words, with the benchmark's list of categories and format."""
-    return (
-        "[Task] This PANORAMA shows a room all around. Draw its plan: say where the middle of each object lies on a "
-        "10x10 grid that covers the whole room. [Rule] Care only about the categories in this scene: "
-        f"{{{', '.join(names)}}}. List every instance of each of them, keep their positions to one another, put what "
-        "is near the camera near the middle of the grid and what is far away near its edges, and place an object that "
-        "is partly hidden where all of it must be. [Output] One JSON object with integer coordinates from 0 to 9: "
-        '{"category name": [[x_1, y_1], ...], ...}'
-    )
+def distance_label(layout: Layout, category: str, *choices: str) -> str:
+    """The published answer to "which of the choices is the closest to the category?": the first of the nearest."""
+    start = cells(layout, category)
+    if len(start) != 1:
+        return NOT_UNIQUE if start else NO_POSITION
+    ways = {choice: ranked(start[0], cells(layout, choice)) for choice in choices}
+    away = {choice: way[0][0] ** 2 + way[0][1] ** 2 for choice, way in ways.items() if way}
+    return min(away, key=lambda choice: away[choice], default=NO_CANDIDATE)
+
+
+def direction_label(layout: Layout, P: str, O: str, Q: str) -> str:
+    """The published answer to "standing by P and facing the closest O, where is the closest Q?"."""
+    found = steps(layout, P, O, Q)
+    return found if isinstance(found, str) else named(*found)
+
+
+def true_layout(scene: Scene) -> SceneLayout:
+    """The true places in a scene, as if a camera at 1.5 metres saw the things and the floor points below them."""
+    found = []
+    for body in json.loads((scene.folder / TRUTH).read_text())["objects"]:
+        azimuth, away = math.atan2(-body["xy"][0], body["xy"][1]), math.hypot(*body["xy"])
+        middle, foot = (math.atan2(z - 1.5, away) for z in (body["z_centre"], 0.0))
+        if body["name"] in scene.categories:
+            found.append(Detection(body["name"], azimuth, middle, bottom=foot))
+    return SceneLayout(place(found))
+
+
+def grid_of(layout: Layout, size: int = 10) -> Grid:
+    """The grid of a layout, as published."""
+    grid: Grid = [[[] for _ in range(size)] for _ in range(size)]
+    for name, where in layout.items():
+        for row, column in where:
+            grid[row][column].append(name)
+    return grid

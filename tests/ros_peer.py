@@ -112,13 +112,9 @@ def quaternion(turn) -> Quaternion:
 def cut(panorama: np.ndarray, hfov_deg: float) -> np.ndarray:
     """What an ordinary camera that looks ahead sees, 4:3."""
     from eagor.grids import PerspectiveGrid
+    from eagor.sources.panorama import view
 
-    grid = PerspectiveGrid(120, 160, math.radians(hfov_deg), np.eye(3))
-    d = grid.directions
-    rows = len(panorama)
-    azimuth, elevation = np.arctan2(d[..., 1], d[..., 0]), np.arcsin(d[..., 2])
-    column = ((math.pi - azimuth) / math.pi * rows).astype(int) % (2 * rows)
-    return panorama[((math.pi / 2 - elevation) / math.pi * rows).astype(int).clip(0, rows - 1), column]
+    return view(panorama, PerspectiveGrid(120, 160, math.radians(hfov_deg)))
 
 
 def lens(seen: np.ndarray, hfov_deg: float, stamp, frame: str) -> CameraInfo:

@@ -19,6 +19,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.lab import worlds
 from eagor.lab.tasks import task as tasks
+from eagor.lab.tasks.sim import rollout
 from eagor.lab.tasks.sim.rollout import check_simulation
 from eagor.lab.tasks.task import Sample, load
 from eagor.lab.worlds.checking import check_world
@@ -162,29 +163,17 @@ BROKEN_WORLDS = {
         lambda seed: moved(lambda v: v * [1 + next(_count) / 100, 1, 1]),
         "wanted the same each time: draw everything from",
     ),
-    "a name in capitals": (lambda seed: relabelled(category="Coffee  Table"), "wanted lower-case words"),
     "a colour of its own": (lambda seed: relabelled(colour="mauve"), "and None or one of black"),
     "nothing to ask for": (
         lambda seed: furnished(thing("table", (3, 1, 0), (4, 1.6, 0.7), None, "brown")),
         "none with a unique category and colour",
     ),
-    "a thing of no triangles": (
-        lambda seed: replace(furnished(), instances=(*furnished().instances, thing("cup", (1, 1, 1), (2, 2, 2)))),
-        "its 0 triangles lie in",
-    ),
     "bounds in centimetres": (lambda seed: relabelled(high=np.array([200, 160, 70.0])), "metres, world frame"),
     "y up": (lambda seed: moved(lambda v: v[:, [0, 2, 1]] * [1, 1, -1] + [0, 0, 9]), "not Y up"),
-    "a floor upstairs": (lambda seed: moved(lambda v: v + np.array([0, 0, 3.0])), "its floor at z = 3.00 m, and"),
-    "in millimetres": (lambda seed: moved(lambda v: v * [0.15, 0.15, 1]), "0.[0-9]+ square metres where"),
-    "no frame": (Looking(lambda *where: flat(*where).ids), "shows a ndarray; wanted an eagor.lab.worlds.render.Frame"),
-    "nothing to see": (changed(ids=lambda f: None), "shows neither rgb nor ids"),
-    "a square picture": (changed(ids=lambda f: f.ids[:, ::2]), r"ids of \(\(32, 32\)"),
-    "ids as floats": (changed(ids=lambda f: f.ids.astype(float)), "signed integers"),
     "colour in [0, 1]": (
         changed(rgb=lambda f: np.zeros((*f.ids.shape, 3), np.float32)),
         r"rgb of .* dtype\('float32'\), .*; wanted .*uint8",
     ),
-    "whole metres": (changed(range=lambda f: f.range.astype(int)), "floating point"),
     "no range is 0": (changed(range=lambda f: np.where(f.range > 2, 0, f.range)), "metres above 0, inf for no hit"),
     "ids below -1": (changed(ids=lambda f: f.ids - 5), "indices of instances, -1 for none"),
     "noise": (noisy(), "differently in a second look"),
@@ -193,10 +182,6 @@ BROKEN_WORLDS = {
         "it turns the wrong way: is the picture mirrored",
     ),
     "transposed": (Looking(lambda p, pose, rows: flat(p, pose.T, rows)), "it turns the wrong way"),
-    "looks sideways": (
-        Looking(lambda p, pose, rows: flat(p, world_R_body(math.pi) if pose[0, 0] < 0.5 else np.eye(3), rows)),
-        "wanted the panorama turned by world_R_body.T",
-    ),
     "never tilts": (
         Looking(lambda p, pose, rows: flat(p, world_R_body(math.atan2(pose[1, 0], pose[0, 0])), rows)),
         "the camera does not turn or tilt",
@@ -286,26 +271,20 @@ def forgetful():
 
 BROKEN_TASKS = {
     "another episode each time": (forgetful(), "draw everything from spec.rng"),
-    "of another spec": (planned(spec=lambda e: replace(e.spec, number=77)), "draw everything from spec.rng"),
-    "the same episode for all": (
-        env(plan=lambda self, spec: replace(example.TurntableEnv.plan(self, replace(spec, index=0)), spec=spec)),
-        "plans the same episode for specs",
-    ),
     "a way that is drawn anew": (wandering(), "another path when the same episode is played again"),
     "a way that answers bend": (env(_act=obeying), "another path when other answers are given"),
     "the direction in the world": (env(_info=sideways), "from the nearest pixel that shows it"),
     "no end": (env(_act=endless, view=blank), "has not ended after"),
-    "a figure that is missing": (measured(lambda m: {"error": m["error"]}), "wanted also last, which its table shows"),
     "better the other way round": (
         replace(TURNTABLE, metrics=(replace(TURNTABLE.metrics[0], better="high"), TURNTABLE.metrics[1])),
         "though high is better",
     ),
-    "a stratum that is not told": (replace(TURNTABLE, strata={"size": "Size"}), "which Episode.stratum lacks"),
 }
 
 
 @pytest.mark.parametrize(("task", "says"), BROKEN_TASKS.values(), ids=BROKEN_TASKS)
-def test_the_check_of_tasks_finds(task, says):
+def test_the_check_of_tasks_finds(task, says, monkeypatch):
+    monkeypatch.setattr(rollout, "STEPS", 50)
     with pytest.raises(AssertionError, match=says):
         check_simulation(task, world="hall")
 
@@ -338,7 +317,6 @@ def painting(panorama, query, *, stamp=None):
 
 _turns = itertools.count()
 BROKEN_PERCEPTIONS = {
-    "an array": (lambda p, q, *, stamp=None: p, "returned ndarray; wanted eagor.Evidence"),
     "paints": (painting, "changed the panorama; wanted it unchanged"),
     "no stamp": (lambda p, q, *, stamp=None: evidence(None), "carries None; wanted the same"),
     "another grid": (
@@ -349,10 +327,6 @@ BROKEN_PERCEPTIONS = {
         lambda p, q, *, stamp=None: evidence(stamp, drawn=4 * np.ones(GRID.shape), peak=2.0),
         r"wanted \[0, 1\]",
     ),
-    "infinite": (
-        lambda p, q, *, stamp=None: evidence(stamp, drawn=np.full(GRID.shape, np.inf)),
-        "not finite; wanted finite log ratios",
-    ),
     "grids in turn": (
         lambda p, q, *, stamp=None: Evidence.from_response(*_sized(2 + next(_turns)), stamp=stamp),
         "wanted the same grid: a call must not change",
@@ -360,10 +334,6 @@ BROKEN_PERCEPTIONS = {
     "azimuth counts": (
         lambda p, q, *, stamp=None: Evidence.from_response(np.eye(32, 64), GRID, stamp=stamp),
         "treat all azimuths alike",
-    ),
-    "the first pixel counts": (
-        lambda p, q, *, stamp=None: Evidence.from_response(*_sized(16 if p[0, 0, 0] else 32), stamp=stamp),
-        "wanted the same grid for every panorama",
     ),
 }  # fmt: skip
 
@@ -397,19 +367,13 @@ def other(**members):
     return type("Other", (Good,), members)()
 
 
-_seen = itertools.count()
 SAMPLES = [Sample("a1", "a", "a1")]
 BROKEN = {
     "a config that grows": (
         other(resolve=lambda self, c: msgspec.structs.replace(c, seed=c.seed + 1)),
         "to another config the second time",
     ),
-    "no samples": (other(samples=lambda self, config: []), "has no samples; wanted"),
     "an id twice": (other(samples=lambda self, config: SAMPLES * 2), "gives several samples the id a1; wanted"),
-    "other samples each time": (
-        other(samples=lambda self, config: [replace(SAMPLES[0], id=f"a{next(_seen)}")]),
-        "wanted the same in the same order",
-    ),
     "a payload with bytes": (
         other(samples=lambda self, config: [replace(SAMPLES[0], payload=b"a1")]),
         "gives a1 a payload that JSON cannot hold",
@@ -417,7 +381,6 @@ BROKEN = {
     "a record with NaN": (faulty({"views": math.nan}), "that JSON cannot hold"),
     "another case": (faulty({"case": "z9"}), "records the case z9 of the sample a1; wanted"),
     "a score of 100": (faulty({"score": 100}), r"wanted a number in \[0, 1\], 1 being success"),
-    "no score": (faulty({"score": None}), r"wanted a number in \[0, 1\], 1 being success"),
 }
 
 

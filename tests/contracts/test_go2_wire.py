@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import threading
 import warnings
@@ -104,20 +103,6 @@ def test_nobody_there_is_said_and_commands_have_a_code():
         client = sport.SportClient(link, timeout=0.2)
         assert client.stop() == client.move(0.1, 0, 0) == sport.SEND
         assert sport.in_words(sport.SEND) == "could not be sent: no robot listens"
-
-
-def test_a_move_that_is_no_velocity_is_refused_and_moves_nothing():
-    odd, server = ("NaN", "Infinity", "1e308", '"nan"', "1" + 400 * "0", "null", "[]"), SimulatedGo2(SimSettings(None))
-    server.avoid = dict.fromkeys(server.avoid, True)
-    for service, number, turn in (("sport", 1008, "z"), ("obstacles_avoid", 1003, "yaw")):
-        for wrong, value in itertools.product(("x", "y", turn), odd):
-            parts = {"x": "0.3", "y": "0.0", turn: "0.2"} | {wrong: value}
-            text = "{" + ", ".join(f'"{name}": {each}' for name, each in parts.items()) + "}"
-            assert server.obey(service, number, text) == (3204, "")
-        assert server.obey(service, 1030, "") == (3203, "")
-    for _ in range(100):
-        server.plant.advance()
-    assert server.plant.walked == 0.0
 
 
 def test_dangerous_commands_are_never_sent():

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from rooms import two_rooms
 from test_habitat_stand_in import (  # noqa: F401 (these with Habitat-Sim itself, too)
+    test_a_scene_on_its_side_is_found_and_put_upright,
     test_an_exported_flat_comes_back_in_its_own_coordinates,
     test_our_tasks_keep_their_contract_in_it,
 )
 
-from eagor.errors import WorldError
 from eagor.lab import worlds
 from eagor.lab.envs.places import load_place
 from eagor.lab.worlds.checking import check_world
@@ -84,25 +83,3 @@ def test_a_stopped_body_can_step_away_from_the_wall_where_habitats_cannot(flat):
         np.testing.assert_array_equal(end, start + back)
         trapped += np.hypot(*(habitats(edge, back) - edge)) < 0.05
     assert trapped > 0, "Habitat's own step leads away from the edge: SHORT is no longer needed"
-
-
-def test_a_bare_glb_on_its_side_is_told_and_put_upright(flat, tmp_path):
-    bare = tmp_path / "flat.glb"
-    bare.write_bytes(flat.read_bytes())
-    with pytest.raises(WorldError, match=r"lie on its side|right way up"):
-        worlds.load(f"habitat:{bare}")(0)
-    check_world(worlds.load(f"habitat:{bare}?up=y"), 0)
-
-
-def lifted(metres):
-    """The flat, this much higher."""
-    scene, up = two_rooms(), np.array([0.0, 0.0, metres])
-    instances = tuple(replace(thing, low=thing.low + up, high=thing.high + up) for thing in scene.instances)
-    return replace(scene, vertices=scene.vertices + up.astype(np.float32), instances=instances)
-
-
-def test_a_mesh_of_another_scene_is_told(flat, tmp_path):
-    upstairs = load_place(f"habitat:{export_glb(lifted(1.5), tmp_path / 'upstairs.glb')}", 0, 0.18)
-    upstairs.ground.pathfinder.save_nav_mesh(str(flat.with_suffix(".navmesh")))
-    with pytest.raises(WorldError, match="no floor within"):
-        worlds.load(f"habitat:{flat}")(0)

@@ -1,6 +1,5 @@
 """H*Bench as a benchmark: its files as published, the contract, its agents, and models that talk."""
 
-import json
 import math
 import random
 import shutil
@@ -45,19 +44,12 @@ def ids(folder, kind="hos"):
     return [episode.id for episode in read_episodes(folder, kind)]
 
 
-def test_nested_folders_are_the_same_data(tmp_path):
+def test_the_order_is_the_published_shuffle_also_in_nested_folders(tmp_path):
     plain = hstar_data.write(tmp_path / "plain")
     nested = hstar_data.write(tmp_path / "nested", split="download/hos_bench/hos_bench")
-    assert ids(plain) == ids(plain / "hos_bench") == ids(nested)
-    assert len(set(ids(plain))) == 16
-    assert open_panorama(read_episodes(plain, "hos")[0].panorama).shape == (180, 400, 3)
-
-
-def test_the_order_is_the_published_shuffle(tmp_path):
-    folder = hstar_data.write(tmp_path)
     order = [f"{s}/{e}/{y}" for s in ("hall", "shop") for e in (0, 1) for y in (0, 90, 180, 270)]
     random.Random(42).shuffle(order)
-    assert ids(folder) == order
+    assert ids(plain) == ids(plain / "hos_bench") == ids(nested) == order
 
 
 def test_what_is_missing_in_the_annotations_is_filled_in_or_told(tmp_path):
@@ -82,16 +74,6 @@ def test_what_cannot_be_read_is_refused_with_its_name(tmp_path):
     with pytest.raises(FormatError, match="no scene"):
         read_episodes(tmp_path, "hos")
     folder = hstar_data.write(tmp_path)
-    annotation = folder / "hos_bench" / "hall" / "annotation.json"
-    for text, words in (
-        ("{", "is no list of targets"),
-        ('[{"task": "Find it", "yaw": [1]}]', r"two\n? ?angles.*yaw"),
-        ('[{"yaw": [1, 2], "pitch": [1, 2]}]', "missing required field `task`"),
-    ):
-        annotation.write_text(text)
-        with pytest.raises(FormatError, match=words):
-            read_episodes(folder, "hos")
-    annotation.write_text(json.dumps(hstar_data.entries(hstar_data.TARGETS["hall"])))
     (folder / "hos_bench" / "hall" / "pano.png").write_bytes(b"no picture")
     with pytest.raises(ImageError, match=r"pano\.png"):
         open_panorama(next(e for e in read_episodes(folder, "hos") if e.scene == "hall").panorama)
@@ -141,13 +123,10 @@ def test_a_perception_is_not_shown_the_cross(tmp_path):
 # The contract
 
 
-def test_the_contract_holds(tmp_path):
-    assert len(check_task(HOS, data=str(hstar_data.write(tmp_path)), agent="oracle")) == 16
-
-
-def test_the_contract_holds_for_paths(tmp_path):
-    folder = hstar_data.write(tmp_path, "hps_bench", paths=True)
-    assert all(record["score"] == 1 for record in check_task(HPS, data=str(folder), agent="oracle"))
+@pytest.mark.parametrize("task", [HOS, HPS], ids=["objects", "paths"])
+def test_the_contract_holds(tmp_path, task):
+    folder = hstar_data.write(tmp_path, f"{task.name[-3:]}_bench", paths=task is HPS)
+    assert [record["score"] for record in check_task(task, data=str(folder), agent="oracle")] == [1.0] * 16
 
 
 @pytest.mark.skipif(not MINI.exists(), reason="the shared samples are not here")
@@ -163,13 +142,9 @@ def test_what_cannot_be_played_is_refused_before_anything_is_played(tmp_path):
     for more, words in (
         ({"agent": "nobody"}, "no agent 'nobody'"),
         ({"agent": "eagor"}, "needs a perception"),
-        ({"agent": "eagor", "perception": "nothing"}, "nothing"),
         ({"agent": "vlm"}, "--model"),
         ({"agent": "vlm", "model": "hstar_data:missing"}, "missing"),
-        ({"scoring": "kind"}, "official, strict"),
         ({"turns": 0}, "turns = 0: Expected `int` >= 1 .views at most"),
-        ({"sure": 0.0}, "sure = 0.0: Expected `float` > 0.0"),
-        ({"elsewhere": 0.0}, "elsewhere = 0.0: Expected `float` > 0.0 .share of eagor's prior"),
         ({"agent": "vlm", "model": "llava:latest"}, "or llava:latest@http://localhost:11434 for a model on a server"),
         (
             {"agent": "vlm", "model": "hstar_data:panorama"},
@@ -321,12 +296,6 @@ def test_models_are_named_in_one_line():
     assert isinstance(chat, ServedChat)
     assert (chat.client.model(), chat.client.address) == ("Qwen/Qwen2.5-VL-7B-Instruct", "http://a:8000/v1")
     assert chat.options.temperature == 0.5
-    assert callable(load_chat("hstar_data:patient"))
-    for spec, words in (
-        ("m@nowhere", "not the address"),
-        ("m@http://a?colour=red", "no key of a served model"),
-        ("/models/qwen", "vllm serve /models/qwen"),
-        ("no_such:thing", "import"),
-    ):
+    for spec, words in (("m@nowhere", "not the address"), ("no_such:thing", "import")):
         with pytest.raises(EagorError, match=words):
             load_chat(spec)

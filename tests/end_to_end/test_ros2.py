@@ -349,8 +349,10 @@ def test_the_markers_stand_about_the_direction():
     assert {each.ns for each in (arrow, cone, words)} == {"red ball"}
 
 
-@pytest.mark.parametrize("kind", ["odom", "pose", "pose_with_covariance", "imu"])
-@pytest.mark.parametrize("rosbags", [True, False])
+@pytest.mark.parametrize(
+    ("kind", "rosbags"),
+    [("odom", True), ("odom", False), ("pose", True), ("pose_with_covariance", True), ("imu", False)],
+)
 def test_poses_of_each_kind(start, kind, rosbags, monkeypatch):
     """Also where rclpy alone is there to make the messages."""
     from eagor.robots.ros import RosPoses, topics

@@ -1,7 +1,7 @@
 """The rivals: they follow what they can follow, fail where they are known to fail, and never change in place."""
 
-import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -92,16 +92,8 @@ def followed(current, target, turns):
 
 
 def snapshot(current):
-    """Everything that a filter holds, copied."""
-    return {name: copy.deepcopy(value) for name, value in vars(current).items() if not name.startswith("_")}
-
-
-def same(a, b):
-    if isinstance(a, np.random.Generator):
-        return a.bit_generator.state == b.bit_generator.state
-    if isinstance(a, Belief):
-        return np.array_equal(a.coefficients, b.coefficients)
-    return np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
+    """Everything that a filter holds, generators among it."""
+    return pickle.dumps({name: value for name, value in vars(current).items() if not name.startswith("_")})
 
 
 # The contract
@@ -109,21 +101,19 @@ def same(a, b):
 
 @pytest.mark.parametrize("name", [*RIVALS, *OURS])
 class TestEveryMethod:
-    def test_takes_a_translation_and_answers_with_a_unit_vector(self, name):
-        current = moved(made(name).update(blob([0.6, 0.8, 0])), rotation((0, 0, 1), 0.4), np.array([0.2, 0.1, 0]))
-        found = answer(current)
-        assert found.shape == (3,)
-        assert np.linalg.norm(found) == pytest.approx(1, abs=1e-12)
+    def test_takes_a_translation_and_answers_with_a_unit_vector_also_after_silence(self, name):
+        for look in (blob([0.6, 0.8, 0]), silence()):
+            found = answer(moved(made(name).update(look), rotation((0, 0, 1), 0.4), np.array([0.2, 0.1, 0])))
+            assert found.shape == (3,)
+            assert np.linalg.norm(found) == pytest.approx(1, abs=1e-12)
 
     def test_returns_new_filters_and_leaves_the_old_as_they_were(self, name):
         old = made(name).update(blob([0, 1, 0]))
-        before, told = snapshot(old), answer(old)
+        told, before = answer(old), snapshot(old)
         for new in (moved(old, rotation((1, 2, 3), 1.0)), old.update(blob([0, 0, 1])), old.update(silence())):
             assert type(new) is type(old)
             answer(new)
-        now = snapshot(old)
-        for field, value in before.items():
-            assert same(value, now[field]), field
+        assert snapshot(old) == before
         np.testing.assert_array_equal(answer(old), told)
 
     def test_the_same_steps_give_the_same_answer(self, name):
@@ -139,11 +129,6 @@ class TestEveryMethod:
     def test_silence_moves_nothing_that_is_known(self, name):
         current = made(name).update(blob([0.5, -0.7, 0.4])).update(blob([0.5, -0.7, 0.4]))
         assert degrees(answer(current.update(silence())), answer(current)) < (3 if name == "particles" else 1e-3)
-
-    def test_silence_from_the_start_is_fine(self, name):
-        current = moved(made(name).update(silence()), rotation((0, 0, 1), 0.5)).update(silence())
-        assert np.isfinite(answer(current)).all()
-        assert np.linalg.norm(answer(current)) == pytest.approx(1)
 
 
 @pytest.mark.parametrize("name", RIVALS)
@@ -187,13 +172,6 @@ def test_batches_of_evidence_are_refused_with_the_way_out(name):
         made(name).update(both)
 
 
-def test_the_published_form_prefers_what_a_view_does_not_see():
-    """log(l + eps) is negative wherever one looks, so that everywhere else is likelier: it is for whole panoramas."""
-    view = PerspectiveGrid(40, 60, 1.6)
-    found = GridFilter().update(blob([1, 0, 0], view)).update(blob([1, 0, 0], view)).direction()
-    assert not view.project(found)[2]
-
-
 # Following
 
 
@@ -205,18 +183,6 @@ def test_a_filter_follows_a_static_target_through_turns(name, axis):
     for target in random_directions(4, seed=1):
         current, target = followed(made(name), target, turns)
         assert degrees(answer(current), target) < TOLERANCE[name]
-
-
-@pytest.mark.parametrize("name", CARRIED)
-def test_a_filter_remembers_through_turns_without_looks(name):
-    """Three looks, five turns in the dark: the direction is carried along."""
-    target, current = unit(np.array([0.3, 0.9, 0.2])), made(name)
-    for _ in range(3):
-        current = current.predict(np.eye(3)).update(blob(target))
-    for k, angle in enumerate((0.8, 0.8, -0.3, 1.2, 0.5)):
-        turn = rotation(np.roll((0.2, 0.1, 1.0), k), angle)
-        current, target = current.predict(turn), turn @ target
-    assert degrees(answer(current), target) < (12 if name == "particles" else 4)  # 2000 of them, spread by five steps
 
 
 @given(rotations(), directions())
@@ -237,20 +203,21 @@ def test_centroid_breaks_at_the_seam_and_circular_centroid_does_not():
     assert degrees(Centroid().update(blob(ahead)).direction(), ahead) < 0.5
 
 
-@pytest.mark.parametrize("kind", [Centroid, CircularCentroid])
+@pytest.mark.parametrize("kind", [Centroid, CircularCentroid, Plain])
 def test_a_per_frame_method_is_not_carried_along_by_turns(kind):
     current = kind().update(blob([0, 1, 0]))
     stale = current.predict(rotation((0, 0, 1), 1.0)).update(silence())
     np.testing.assert_array_equal(stale.direction(), current.direction())
 
 
-@pytest.mark.parametrize("kind", [Centroid, CircularCentroid])
-def test_a_per_frame_method_ignores_what_was_not_looked_at(kind):
+@pytest.mark.parametrize("kind", [Centroid, CircularCentroid, Plain, BestDetection, LastDetection])
+def test_one_frame_counts_only_where_it_was_looked_at(kind):
     """Where coverage is zero the response reads as neutral; averaged in, it would pull to the middle of the image."""
     seen = GRID.directions[..., 1] > 0.2
-    response = blob([0, 1, 0]).response
-    evidence = Evidence.from_response(response, GRID, coverage=seen, calibration=Calibration(neutral=0.3))
-    assert degrees(kind().update(evidence).direction(), [0, 1, 0]) < 1
+    for strong, weak in ((1.0, 0.5), (0.5, 1.0)):
+        response = np.maximum(strong * blob([0, 1, 0]).response, weak * blob([0, -1, 0]).response)
+        evidence = Evidence.from_response(response, GRID, coverage=seen, calibration=Calibration(neutral=0.3))
+        assert degrees(kind().update(evidence).direction(), [0, 1, 0]) < 4
 
 
 @given(directions())
@@ -292,29 +259,14 @@ def test_a_detection_is_carried_along_by_turns_and_kept_while_looks_are_empty(ki
     for turn in turns:
         current, target = current.predict(turn).update(points()).update(silence()), turn @ target
     np.testing.assert_allclose(current.direction(), target, atol=1e-12)
-
-
-@pytest.mark.parametrize("kind", [BestDetection, LastDetection])
-def test_before_any_detection_turns_change_nothing(kind):
-    current = kind().predict(rotation((0, 0, 1), 1.0)).update(points())
-    np.testing.assert_array_equal(current.direction(), AHEAD)
     with pytest.raises(RotationError):
         current.predict(2 * np.eye(3))
-    with pytest.raises(RotationError):
-        current.update(points((LEFT, 0.5))).predict(2 * np.eye(3))
-
-
-@pytest.mark.parametrize("kind", [BestDetection, LastDetection])
-def test_of_one_look_the_best_detection_counts_exactly_where_it_is(kind):
-    found = unit(np.array([0.3, -0.8, 0.2]))
-    current = kind().update(points((LEFT, 0.4), (found, 0.7), (UP, 0.69)))
-    np.testing.assert_allclose(current.direction(), found, atol=1e-12)
-    assert current.score == pytest.approx(0.7)
 
 
 def test_the_best_detection_stays_until_one_is_as_good_and_the_last_one_is_the_newest():
     best, last, answers = BestDetection(), LastDetection(), []
-    for look in (points((LEFT, 0.8)), points((UP, 0.3)), points(), points((AHEAD, 0.8)), points((UP, 0.79))):
+    looks = points((AHEAD, 0.4), (LEFT, 0.8)), points((UP, 0.3)), points(), points((AHEAD, 0.8)), points((UP, 0.79))
+    for look in looks:
         best, last = best.update(look), last.update(look)
         answers.append((best.direction(), last.direction()))
     wanted = [(LEFT, LEFT), (LEFT, UP), (LEFT, UP), (AHEAD, AHEAD), (AHEAD, UP)]
@@ -341,37 +293,7 @@ def test_of_a_response_map_it_takes_the_plain_answer(kind, target):
     np.testing.assert_allclose(kind().update(look).direction(), Plain().update(look).direction(), atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", [BestDetection, LastDetection])
-def test_one_detection_ignores_what_was_not_looked_at(kind):
-    seen = GRID.directions[..., 1] > 0.2
-    evidence = Evidence.from_response(blob(-LEFT).response, GRID, coverage=seen, calibration=Calibration(neutral=0.3))
-    np.testing.assert_array_equal(kind().update(evidence).direction(), AHEAD)
-
-
 # Against each other
-
-
-def test_the_published_mean_is_pulled_away_by_clutter_where_the_others_are_not():
-    """The known weakness of averaging a log field; it is what the default of `Belief` avoids."""
-    clutter, target = random_directions(12, seed=5), np.array([0.0, 1.0, 0])
-    published, histogram, vmf = Belief.uniform(7), made("histogram"), made("vmf")
-    for other in clutter:
-        both = Evidence.from_points([target, other], [60.0, 20.0], [0.9, 0.5])
-        published = published.update(both.with_calibration(Calibration.paper()))
-        histogram, vmf = (each.predict(np.eye(3)).update(both) for each in (histogram, vmf))
-    assert degrees(published.mean_direction(), target) > 5
-    assert degrees(answer(histogram), target) < 2
-    assert degrees(answer(vmf), target) < 3
-
-
-def test_the_published_grid_loses_contrast_where_coefficients_do_not():
-    target, turn = unit(np.array([0.4, 0.5, 0.6])), rotation((1, 1, 0.5), 2 * math.pi / 40)
-    grid, belief = GridFilter().update(blob(target)), Belief.uniform(7).update(blob(target))
-    at_first = np.ptp(grid.values), np.ptp(belief.log_ratio(FINE))
-    for _ in range(40):
-        grid, belief = grid.predict(turn), belief.predict(turn)
-    assert np.ptp(grid.values) < 0.95 * at_first[0]
-    assert np.ptp(belief.log_ratio(FINE)) == pytest.approx(at_first[1], rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["vmf", "histogram", "particles"])
@@ -389,13 +311,6 @@ def test_resampling_reads_across_the_seam_and_over_the_poles(turn, axis):
     """The field axis . omega is the same everywhere on the sphere; bilinear interpolation errs by spacing^2 / 8."""
     turned = GridFilter(FILTER_GRID.directions @ axis).predict(turn)
     np.testing.assert_allclose(turned.values, FILTER_GRID.directions @ (turn @ axis), atol=1e-3)
-
-
-@pytest.mark.parametrize("floor", [0.01, 0.1, 0.2, 0.4, 1.0])
-def test_the_published_scaling_does_not_turn_rounding_into_a_detection(floor):
-    """A silent response read back from float32 evidence is 1e-8, not 0; over its own maximum that would be 1."""
-    nothing = Evidence.from_response(np.zeros(GRID.shape, dtype=np.float32), GRID, Calibration(floor=floor))
-    np.testing.assert_allclose(GridFilter().update(nothing).values, math.log(1e-3), atol=1e-3)
 
 
 def test_mixing_puts_a_share_of_the_density_everywhere():
@@ -419,15 +334,6 @@ def test_turning_the_world_turns_the_answer(name, limit, turn):
     for look in looks:
         plain, turned = plain.update(blob(look, FINE)), turned.update(blob(turn @ look, FINE))
     assert degrees(answer(turned), turn @ answer(plain.predict(np.eye(3)))) < limit
-
-
-@given(rotations())
-@settings(max_examples=15)
-def test_turning_and_turning_back_leaves_the_answer(turn):
-    for name in ("vmf", "histogram"):
-        current = made(name).update(blob([0.2, 0.9, 0.3])).update(blob([0.2, 0.9, 0.3]))
-        back = current.predict(turn).predict(turn.T)
-        assert degrees(answer(back), answer(current)) < 0.5, name
 
 
 # Densities

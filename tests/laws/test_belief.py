@@ -71,14 +71,6 @@ def test_the_mode_is_far_finer_than_its_grid(degree, target):
     assert np.degrees(angular_distance(belief.mode(), target)) < 0.1
 
 
-@given(SEEDS)
-@settings(max_examples=10)
-def test_the_mode_is_the_highest_point(seed):
-    belief = Belief(field(9, seed))
-    values = belief.log_ratio(FINE)
-    assert belief.log_ratio(belief.mode()) >= values.max() - 1e-3 * np.ptp(values)
-
-
 def test_the_published_estimate_is_the_first_moment_of_the_log_field():
     belief = Belief(field(7, 4))
     f = belief.log_ratio(FINE)
@@ -87,14 +79,6 @@ def test_the_published_estimate_is_the_first_moment_of_the_log_field():
     assert belief.resultant() == pytest.approx(np.linalg.norm(moment) / np.sum(f * FINE.weights), rel=1e-9)
     only_degree_one = Belief(np.where(np.arange(64) < 4, belief.coefficients, 0.0))
     assert np.allclose(only_degree_one.mean_direction(), belief.mean_direction()), "it depends on degree 1 alone"
-
-
-def test_the_published_estimate_fails_where_the_mode_does_not():
-    """Two blobs 120 degrees apart: the mean lies between them, where nothing is."""
-    strong, weak = direction(0.0, 0.0), direction(math.radians(120), 0.0)
-    belief = Belief.uniform(7).update(look(strong, weak, scores=[0.5, 0.4]))
-    assert np.degrees(angular_distance(belief.mode(), strong)) < 2
-    assert np.degrees(angular_distance(belief.mean_direction(), strong)) > 30
 
 
 @pytest.mark.parametrize(("degree", "height"), [(7, 3), (7, 20), (15, 10), (15, 60), (31, 30)])
@@ -150,7 +134,7 @@ def test_a_density_is_read_at_unit_vectors_alone(kind):
 
 
 @given(SEEDS, st.floats(0.05, 0.45), st.floats(0.5, 0.95))
-@settings(max_examples=15)
+@settings(max_examples=5)
 def test_a_larger_mass_is_a_larger_region(seed, small, large):
     belief = Belief(5 * field(7, seed))
     inner, outer = belief.credible_region(small), belief.credible_region(large)
@@ -214,11 +198,6 @@ def test_modes_turn_with_the_body(seed, R):
         assert w2[apart.argmin()] == pytest.approx(weight, abs=0.03)
 
 
-def test_neighbouring_ripples_are_one_mode():
-    belief = Belief.uniform(15).update(look(direction(0.0, 0.0)))
-    assert len(belief.modes(9)[0]) == 1, "the ringing around one sighting is no second candidate"
-
-
 @pytest.mark.parametrize("degree", [7, 15, 31])
 @pytest.mark.parametrize("looks", [1, 3, 10])
 def test_the_rings_around_a_small_thing_are_no_candidates(degree, looks):
@@ -232,32 +211,18 @@ def test_the_rings_around_a_small_thing_are_no_candidates(degree, looks):
     assert angular_distance(found[0], there) < math.radians(1)
 
 
-def test_a_mode_at_the_pole_and_one_on_the_seam():
-    up, behind = direction(0.0, math.pi / 2 - 0.01), direction(math.pi, 0.0)
-    belief = Belief.uniform(15).update(look(up, behind))
-    found, _ = belief.modes(5)
-    assert len(found) == 2
-    for target in (up, behind):
-        assert np.degrees(angular_distance(found, target)).min() < 1.5
-
-
-def test_beliefs_never_change():
-    belief = Belief.uniform(7)
-    before = belief.coefficients.copy()
-    belief.update(look(direction(0.3, 0.1))).predict(rotation((0, 0, 1), 1.0)).forget(0.5).diffuse(0.1)
-    assert np.array_equal(belief.coefficients, before)
-    with pytest.raises(AttributeError):
-        belief.coefficients = before
-
-
 def test_a_belief_is_not_changed_through_the_array_that_it_was_made_of():
     array = field(7, 1)
     belief, kept = Belief(array), array.copy()
     array[:] = 0
     assert np.array_equal(belief.coefficients, kept)
-    for made in (belief, belief.plus(kept), belief.predict(np.eye(3)), belief.forget(0.5), belief.diffuse(0.05)):
+    seen = belief.update(look(direction(0.3, 0.1)))
+    for made in (belief, seen, belief.plus(kept), belief.predict(np.eye(3)), belief.forget(0.5), belief.diffuse(0.05)):
         with pytest.raises(ValueError, match="read-only"):
             made.coefficients[0] = 1.0
+    with pytest.raises(AttributeError):
+        belief.coefficients = kept
+    assert np.array_equal(belief.coefficients, kept)
 
 
 def test_a_belief_of_tensors_is_a_copy_that_gradients_go_through():
@@ -320,34 +285,11 @@ def test_diffusion_does_not_know_the_neighbours_in_a_batch(kind, sigma):
     both = np.stack([flat, sharp, flat])
     if kind == "torch":
         both = pytest.importorskip("torch").tensor(both)
-    found = Belief(both).diffuse(sigma).log_ratio(FINE)
-    alone = Belief(flat).diffuse(sigma).log_ratio(FINE)
+    found = Belief(both).diffuse(sigma).log_ratio(ErpGrid(48, 96))
+    alone = Belief(flat).diffuse(sigma).log_ratio(ErpGrid(48, 96))
     limit = 1e-13 if kind == "numpy" else 1e-2  # products of matrices round otherwise in another batch
     assert np.abs(np.asarray(found[0]) - alone).max() <= limit
     assert np.abs(np.asarray(found[2]) - alone).max() <= limit
-
-
-@given(SEEDS, st.floats(0.03, 0.1))
-@settings(max_examples=8, deadline=None)
-def test_diffusion_of_any_belief_matches_the_heat_equation(seed, sigma):
-    """Divergence (nats) from the heat equation's density, which no field of this degree can hold.
-
-    What diffusion leaves of it is at most 0.45 for 400 beliefs at 0.03 radians, and falls to 0.22 at 0.1; the best
-    field of the same degree leaves 0.15 to 0.1.
-    """
-    degree = 9
-    c = field(degree, seed, width=0.15)
-    c *= 10 / np.ptp(RealHarmonics(degree).synthesise(c, ErpGrid(32, 64)))
-    big, grid = RealHarmonics(47), ErpGrid(96, 192)
-
-    def density(belief):
-        found = np.exp(belief.log_ratio(grid))
-        return found / np.sum(found * grid.weights)
-
-    before, after = density(Belief(c)), density(Belief(c).diffuse(sigma))
-    heat = np.maximum(big.synthesise(big.smooth(big.analyse(before, grid), sigma), grid), 1e-30)
-    left, moved = (np.sum(heat * np.log(heat / found) * grid.weights) for found in (after, before))
-    assert left < 0.5 * moved
 
 
 def test_batches_are_loops():

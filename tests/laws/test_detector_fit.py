@@ -117,16 +117,6 @@ def test_a_view_lasts_as_long_as_its_habits(stamps, metres, wanted):
     assert segments(looks, BASE).tolist() == wanted
 
 
-def test_scores_that_tell_nothing_are_not_believed():
-    alike = fitted_model(looks_of(np.random.default_rng(1), alarms=0.5, false=(4, 2)), BASE)
-    assert np.abs(np.log(alike.ratios(np.linspace(0.3, 0.9, 7), 7))).mean() < 0.25
-    same = [LabelledLook(Evidence.from_points([FORWARD], scores=[0.6]), FORWARD)] * 9
-    assert fitted_model(same, BASE).score_ratios == ((0.0, 1.0), (1.0, 1.0)), "one score for all says nothing"
-    near = [Evidence.from_points([FORWARD, (-1, 0, 0)], scores=[0.85, 0.8504 + 1e-4 * n]) for n in range(9)]
-    curve = fitted_model([LabelledLook(look, FORWARD) for look in near], BASE).score_ratios
-    assert [score for score, _ in curve] == [0.85, 0.851], "scores that differ beyond the third digit are one"
-
-
 def test_the_fit_mends_looks_that_it_has_not_seen():
     looks = looks_of(np.random.default_rng(2), alarms=3.0, habit=(9.0, 1.0), spread=0.03)
     judged = fit_detector(looks, resamples=0).held_out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import tokenize
 from pathlib import Path
 from token import NAME, OP
@@ -61,16 +60,6 @@ def test_the_buttons_are_where_the_robot_has_them():
     message = low_state()
     message.wireless_remote = bytes((0, 0, 0b0010_0000, 0b0000_0010)).ljust(40, b"\0")
     assert read(message).pressed == {"L2", "B"}
-
-
-TYPES = [each for each in vars(idl).values() if hasattr(each, "__idl_typename__")]
-
-
-@pytest.mark.parametrize("kind", TYPES, ids=lambda kind: kind.__idl_typename__)
-def test_no_member_is_a_uint8_or_int8(kind):
-    """Which would end every process with Cyclone 0.10 that hears of it, the robot's own among them."""
-    said = {field.name: repr(kind.__annotations__[field.name]) for field in dataclasses.fields(kind)}
-    assert all("int8" not in about for about in said.values()), said
 
 
 def test_no_source_of_the_robots_names_these_types():

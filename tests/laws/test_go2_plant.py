@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from eagor.robots.go2.plant import LIMP, LOCKED, LYING, STEP, WALKING, Plant
 from eagor.sphere import world_R_body
@@ -70,8 +69,6 @@ def test_after_stand_up_it_is_deaf_for_4_to_10_seconds_and_needs_balance_stand(s
     assert body.walked > 0.0
     assert body.truth.mode == WALKING
     body.stand_up()
-    body.rest(LYING)
-    body.stand_up()
     run(body, 10.5, (0.5, 0, 0))
     assert (body.truth.mode, np.abs(body.truth.velocity).max()) == (LOCKED, pytest.approx(0, abs=1e-9))
     body.balance_stand()
@@ -85,37 +82,10 @@ def test_after_stand_up_it_is_deaf_for_4_to_10_seconds_and_needs_balance_stand(s
     assert body.truth.mode == LIMP
 
 
-@few
-@given(commands)
-def test_it_rocks_by_two_degrees_three_times_a_second_while_it_walks_only(command):
-    body = plant()
-    run(body, 2.0)
-    assert body.truth.pose.world_R_body[2, 2] == 1.0
-    motions = run(body, 4.0, command)
-    if np.abs(command).max() < 0.1:
-        return
-    roll = np.array([math.atan2(*motion.pose.world_R_body[2, 1:]) for motion in motions[-400:]])  # two seconds
-    assert math.degrees(np.abs(roll).max()) == pytest.approx(2.0, abs=0.05)
-    assert int((np.diff(np.sign(roll)) > 0).sum()) in (5, 6, 7)
-
-
-@few
-@given(commands, st.integers(0, 1000))
-def test_the_poses_are_those_of_its_angles_and_the_gyroscope_tells_how_they_turn(command, seed):
-    body = plant(seed)
-    before = body.truth
-    for motion in run(body, 1.0, command):
-        turned = motion.pose.world_R_body
-        np.testing.assert_allclose(turned, world_R_body(*motion.rpy[::-1]), atol=1e-12)
-        turn = Rotation.from_rotvec(STEP * motion.rates).as_matrix()
-        np.testing.assert_allclose(before.pose.world_R_body @ turn, turned, atol=1e-5)
-        before = motion
-
-
 def test_odometry_drifts_per_metre_and_per_radian_as_stated():
     """Standard deviations over many robots: 2 % of the way, 1 % of the turns, 0.5 degrees after one metre."""
     ways, turns, slips = [], [], []
-    for seed in range(120):
+    for seed in range(60):
         walker, turner = plant(seed), plant(seed)
         run(walker, 2.0, (2.0, 0.0, 0.0))
         run(turner, 1.0, (0.0, 0.0, 1.0))

@@ -14,7 +14,7 @@ from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid, fejer_
 from eagor.sphere import angular_distance, direction
 
 OFF_CENTRE = Lens("phone", (64, 36), (40.0, 44.0), (30.0, 20.0))
-DISTORTED = Lens("wide", (640, 360), (330.0, 332.0), (318.0, 176.0), (-0.28, 0.09, 0.0007, -0.0004, -0.013))
+DISTORTED = Lens("wide", (160, 90), (82.5, 83.0), (79.5, 44.0), (-0.28, 0.09, 0.0007, -0.0004, -0.013))
 VIEWS = [
     PerspectiveGrid(36, 64, math.radians(100)),
     FisheyeGrid(48, math.radians(190)),
@@ -35,12 +35,6 @@ def test_the_image_centre_is_forward_left_is_left_and_the_seam_is_behind(grid):
     assert d[1, 7, 1] < 0
     # Pixel centres: azimuth = pi - 2 pi (j + 1/2) / W.
     assert np.allclose(d[1, 2], direction(math.pi - 2 * math.pi * 2.5 / 8, math.pi / 2 - math.pi * 1.5 / 4))
-
-
-@pytest.mark.parametrize("grid", WHOLE)
-def test_the_weights_of_a_whole_sphere_sum_to_its_area(grid):
-    assert grid.weights.sum() == pytest.approx(4 * math.pi, rel=1e-14)
-    assert (grid.weights > 0).all()
 
 
 def test_patch_weights_are_exact_and_fejer_weights_integrate_polynomials():
@@ -150,5 +144,7 @@ def test_grids_hand_out_what_nobody_can_change():
 
 @given(st.integers(1, 40), st.integers(1, 60))
 def test_any_size_has_a_full_sphere(height, width):
-    assert PatchGrid(height, width).weights.sum() == pytest.approx(4 * math.pi)
-    assert ErpGrid(height, width).directions.shape == (height, width, 3)
+    for grid in (ErpGrid(height, width), PatchGrid(height, width)):
+        assert grid.directions.shape == (height, width, 3)
+        assert grid.weights.sum() == pytest.approx(4 * math.pi, rel=1e-13)
+        assert (grid.weights > 0).all()

@@ -52,17 +52,6 @@ def length(path):
 # --- occupancy ---
 
 
-@pytest.mark.parametrize("at", [0.2, 0.20005, 0.1999525, 0.2049975, 0.21])
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("across", [0, 1])
-def test_a_wall_is_marked_wherever_it_lies_in_a_cell(at, turned, across):
-    wall = np.array([[at, 0.5, 0], [at, 1.5, 0], [at, 1.5, 2], [at, 0.5, 2]])
-    wall[:, [0, 1]] = wall[:, [across, 1 - across]]
-    triangles = wall[[[0, 1, 2], [0, 2, 3]]][:, :: -1 if turned else 1]
-    mask = rasterize(triangles, 0.5, 1.0, np.zeros(2), 0.05, (40, 40))
-    assert mask.any(axis=1 - across)[10:30].all()
-
-
 @at_most(40)
 @given(seeds, st.sampled_from([0.05, 0.4, 3.0]))
 def test_all_that_lies_in_the_slab_is_marked_and_nothing_else(seed, size):

@@ -49,12 +49,6 @@ def test_information_is_what_its_definition_says(seed, k, alarms):
     assert information(here, share, alarm, falls if alarms else None) == pytest.approx(wanted, abs=1e-9)
 
 
-def test_a_look_that_cannot_find_and_one_where_nothing_can_be_tell_nothing():
-    here = np.array([[0.2, 0.3]])
-    assert information(here, np.zeros((1, 2))) == pytest.approx([0.0], abs=1e-12)
-    assert information(np.zeros((1, 2)), here) == pytest.approx([0.0], abs=1e-12)
-
-
 def test_a_response_has_the_chance_that_its_calibration_states():
     response = np.zeros(GRID.shape)
     response[8, 16] = 1.0

@@ -13,7 +13,6 @@ from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
-from eagor.perception.colour import ColourPerception
 from eagor.perception.partial import read_mask
 from eagor.sphere import direction, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
@@ -60,28 +59,12 @@ def test_detections_outside_stay_and_those_under_it_are_gone(model):
     assert found.detections.ratio(places(hidden=True)) == pytest.approx(1, abs=1e-12)
 
 
-def test_seeing_nothing_under_the_mask_says_nothing():
-    empty = Evidence.from_boxes([], ErpGrid(64, 128)).covered(nadir())
-    assert np.log(empty.detections.ratio(places(hidden=True))) == pytest.approx(0, abs=1e-12)
-    assert (np.log(empty.detections.ratio(places(hidden=False))) < -0.1).all()
-
-
 @pytest.mark.parametrize(("part", "kept"), [(0.2, 0), (0.8, 1)])
 def test_a_box_counts_unless_it_lies_mostly_under_the_mask(part, kept):
     grid, height = ErpGrid(512, 1024), 100
     border = 512 * (1 - math.degrees(RADIUS) / 180)
     box = [500, border - part * height, 520, border + (1 - part) * height]
     assert len(Evidence.from_boxes([box], grid).covered(nadir(512)).detections) == kept
-
-
-def test_of_two_boxes_the_one_outside_is_followed_with_its_own_size():
-    hidden, seen = [900, 480, 940, 500], [500, 240, 580, 280]
-    tracker, grid = eagor.DirectionTracker(), ErpGrid(512, 1024)
-    tracker.observe(Evidence.from_boxes([hidden, seen], grid, stamp=0.0).covered(nadir(512)))
-    alone = eagor.DirectionTracker()
-    alone.observe(Evidence.from_boxes([seen], grid, stamp=0.0).covered(nadir(512)))
-    assert tracker.estimate(0.0).size == pytest.approx(alone.estimate(0.0).size)
-    assert tracker.estimate(0.0).direction == pytest.approx(alone.estimate(0.0).direction)
 
 
 @pytest.mark.parametrize("calibration", [Calibration(), Calibration.paper(), Calibration(spread=0.05)])
@@ -98,16 +81,6 @@ def test_a_response_map_is_zero_under_it_and_unchanged_outside(calibration):
     again = np.asarray(found.covered(nadir()).log_ratio)[outside]
     assert again == pytest.approx(np.asarray(found.log_ratio)[outside], abs=1e-6)
     assert np.isfinite(np.asarray(found.coefficients(7))).all()
-
-
-def test_a_maximum_under_the_mask_scales_nothing():
-    grid, values = PatchGrid(60, 120), np.zeros((60, 120), dtype=np.float32)
-    values[20, 30], values[58, 5] = 0.2, 0.9
-    found = Evidence.from_response(values, grid, Calibration.paper()).covered(nadir())
-    clean = values.copy()
-    clean[58, 5] = 0
-    alone = Evidence.from_response(clean, grid, Calibration.paper(), coverage=nadir().share(grid))
-    assert np.asarray(found.log_ratio) == pytest.approx(np.asarray(alone.log_ratio), abs=1e-5)
 
 
 def test_of_a_view_only_what_is_seen_counts():
@@ -140,14 +113,6 @@ def test_the_mask_goes_with_the_body(tilt):
     assert empty.log_density(places(hidden=True)).mean() > empty.log_density(places(hidden=False)).mean() + 0.5
     thing = direction(1.0, 0.3)
     assert tracked(*[lambda t: Evidence.from_points([thing], stamp=t).covered(nadir())] * 3).direction @ thing > 0.999
-
-
-def test_what_a_perception_sees_under_the_mask_does_not_count():
-    panorama = np.full((128, 256, 3), 150, dtype=np.uint8)
-    panorama[nadir(128).seen == 0] = 5
-    evidence = ColourPerception()(panorama, "the black backpack")
-    assert len(evidence.detections) == 1
-    assert len(evidence.covered(nadir()).detections) == 0
 
 
 def test_a_mask_from_a_file(tmp_path):

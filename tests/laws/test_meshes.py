@@ -54,14 +54,6 @@ def test_round_solids_have_the_volume_of_their_polygon(radius, height, sides):
     assert volume(cone) == pytest.approx(2 * base * height / 3, rel=1e-3)
 
 
-@given(st.floats(-4, 4), PLACES)
-def test_moving_and_turning_keep_the_volume(angle, offset):
-    mesh = m.post((0, 0, 0), (0.1, 0.2, 1), (0.1, 0.1), (0.2, 0.3))
-    (turned,) = m.placed([m.leaning(mesh, angle, offset)], angle, offset)
-    assert volume(m.moved(turned, offset)) == pytest.approx(volume(mesh), rel=1e-2)
-    assert volume(m.merged(mesh, m.moved(mesh, (9, 9, 9)))) == pytest.approx(2 * volume(mesh), rel=1e-3)
-
-
 def test_a_part_measures_its_texture_in_repeats():
     piece = m.Cover(Material("plain"), (0.5, 0.25))(m.quad([(0, 0, 0), (2, 0, 0), (2, 1, 0), (0, 1, 0)]))
     assert piece.uv.reshape(-1, 2).max(axis=0) == pytest.approx([4, 4])

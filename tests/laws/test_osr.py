@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from osr_data import grid_of
+from osr_data import direction_label, grid_of
 from strategies import at_most
 
 from eagor import sphere
@@ -20,7 +20,7 @@ from eagor.evidence import Evidence
 from eagor.evidence.shapes import MIN_SPREAD
 from eagor.grids import ErpGrid
 from eagor.lab.tasks import osr
-from eagor.lab.tasks.osr import COUNTING, MAP, SIZE, direction_label, geometry, score, score_map, swapped, tags
+from eagor.lab.tasks.osr import COUNTING, MAP, SIZE, geometry, score, score_map, swapped, tags
 from eagor.lab.tasks.osr.geometry import MARGIN, Detection, direction_between, layout_from, place
 
 CELLS = st.lists(st.tuples(st.integers(0, 9), st.integers(0, 9)).map(list), min_size=1, max_size=3)

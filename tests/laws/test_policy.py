@@ -98,14 +98,3 @@ def test_an_unsteady_estimate_gets_there_too(ground, seed):
         return rng.uniform(-math.pi, math.pi) if rng.random() < 0.1 else math.radians(10) * rng.normal()
 
     assert arrived(walk(ground, (2.5, 3.0), (7.0, 3.0), 120, noise=noise), (7.0, 3.0))
-
-
-def test_walled_in_it_keeps_trying_elsewhere():
-    inside = room(width=1.6, depth=1.6)
-    policy, xy, yaw, places = Policy(STEP), np.array([0.8, 0.8]), 0.0, []
-    for _ in range(80):
-        heading = policy.heading(math.remainder(0.3 - yaw, 2 * math.pi), xy, yaw)
-        yaw += heading
-        xy, _ = inside.move(xy, STEP * np.array([math.cos(yaw), math.sin(yaw)]))
-        places.append(xy)
-    assert np.ptp(np.array(places), axis=0) == pytest.approx([1.2, 1.2], abs=0.2), "every wall was tried"

@@ -40,13 +40,6 @@ def test_what_matches_is_of_the_category_and_the_colour(query, scene):
         assert (place in found) == query.matches(thing) == wanted
 
 
-@given(st.sampled_from(CATEGORIES), st.sampled_from(COLOURS), st.lists(things))
-def test_a_colour_narrows(category, colour, scene):
-    narrow, wide = matching(Query(category, colour), scene), matching(Query(category), scene)
-    assert set(narrow) <= set(wide)
-    assert all(scene[place].colour == colour for place in narrow)
-
-
 @pytest.mark.parametrize(
     ("word", "meant"), [(word, meant) for word, meant in SYNONYMS.items() if meant not in COLOURS], ids=str
 )
@@ -72,7 +65,7 @@ def test_any_text_is_a_query_or_a_query_error(text):
     assert query.colour in (None, *COLOURS)
 
 
-@pytest.mark.parametrize("text", ["", "   ", "red", "the", "red red chair", "chair red", "chair and table", "chairman"])
+@pytest.mark.parametrize("text", ["", "red", "the", "red red chair", "chair and table", "chairman"])
 def test_half_a_query_is_refused(text):
     with pytest.raises(
         QueryError, match=r"Wanted '\[colour\] category'; categories: armchair, bathtub, .*colours: bla"

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from strategies import rotations
 
 from eagor.belief import Belief
@@ -166,36 +165,26 @@ def test_batches_are_loops():
     assert np.allclose(batch.log_density(np.eye(3))[0], one.log_density(np.eye(3)))
 
 
-@settings(max_examples=10)
-@given(st.floats(0.1, 0.9))
-def test_forgetting_and_diffusion_reach_every_shell(factor):
+def test_forgetting_and_diffusion_reach_every_shell():
     belief = walk(np.array([1.0, 2.0, 0.1]), 3, np.array([0.2, 0, 0]), degree=7)[0]
-    assert np.allclose(belief.forget(factor).shells, factor * belief.shells)
+    assert np.allclose(belief.forget(0.3).shells, 0.3 * belief.shells)
     assert belief.diffuse(0.2).entropy() > belief.entropy()
 
 
 @pytest.mark.parametrize(
     ("bad", "error"),
     [
-        (lambda b: b.predict(np.eye(3), [1.0, 2.0]), PoseError),
         (lambda b: b.predict(np.eye(3), [1.0, 2.0, math.nan]), PoseError),
         (lambda b: b.predict(np.ones((3, 3)), [0.0, 0, 0]), RotationError),
         (lambda b: RangedBelief.uniform(7, [2.0, 1.0]), EagorError),
         (lambda b: RangedBelief.uniform(7, [-1.0, 1.0]), EagorError),
         (lambda b: RangedBelief(np.zeros((3, 64)), log_ranges()), EagorError),
+        (lambda b: RangedBelief(np.zeros((3, 50)), np.array([1.0, 2.0, 4.0])), EagorError),
+        (lambda b: RangedBelief(np.zeros((3, 64)), np.array([1.0, 2.0, 4.0]), np.zeros((2, 64))), EagorError),
+        (lambda b: b.diffuse(-1.0), EagorError),
+        (lambda b: RangedBelief.uniform(7, batch_shape=(2,)).credible_region(), EagorError),
     ],
 )
 def test_bad_arguments_are_refused(bad, error):
     with pytest.raises(error):
         bad(RangedBelief.uniform(7))
-
-
-def test_what_is_no_belief_is_refused():
-    with pytest.raises(EagorError, match=r"\(degree \+ 1\)\^2"):
-        RangedBelief(np.zeros((3, 50)), np.array([1.0, 2.0, 4.0]))
-    with pytest.raises(EagorError, match="prior"):
-        RangedBelief(np.zeros((3, 64)), np.array([1.0, 2.0, 4.0]), np.zeros((2, 64)))
-    with pytest.raises(EagorError, match="sigma"):
-        RangedBelief.uniform(7).diffuse(-1.0)
-    with pytest.raises(EagorError, match="index it"):
-        RangedBelief.uniform(7, batch_shape=(2,)).credible_region()

@@ -128,10 +128,6 @@ def test_light_of_one_lamp_is_the_inverse_square_law():
     assert np.allclose(found[inner], expected[inner], rtol=0.03)
 
 
-def test_a_room_without_any_source_is_still_seen():
-    assert Renderer(bare()).panorama(EYE, np.eye(3), 16).rgb.min() > 40
-
-
 def test_light_is_kept_on_disk_for_the_same_walls_and_rooms_and_made_anew_if_it_is_damaged(tmp_path, monkeypatch):
     scene = two_rooms()
     lattice = Lattice.of(scene)

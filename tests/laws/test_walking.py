@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 pytest.importorskip("cyclonedds")
 
-from eagor.errors import EagorError
 from eagor.lab.worlds.painted import painted_room
 from eagor.live.events import Answer, Fault, PoseReceived
 from eagor.perception.colour import ColourPerception
@@ -147,12 +146,6 @@ def test_it_searches_towards_where_the_thing_was_and_gives_up_after_two_turns():
     assert command.velocity.turn > 0
     _, command = walk(RULES, state, TargetView(200.05, "searching", None))
     assert command.doing == "searching"
-
-
-def test_settings_check_themselves():
-    for name, value in (("distance", 0), ("blind", -1), ("speed", math.nan)):
-        with pytest.raises(EagorError, match=name):
-            WalkSettings(**{name: value})
 
 
 class Guarded(dict):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eagor.errors import EagorError, FormatError
+from eagor.errors import FormatError
 from eagor.evidence import Evidence
 from eagor.grids import ErpGrid
 from eagor.lab.tasks.eagle360 import EAGLE360, TOOL, parse_answer, parse_call, question_of, score
@@ -51,13 +51,6 @@ def test_what_is_no_such_data_says_so(tmp_path):
     (tmp_path / "test.json").write_text('[{"panoramic_image": "a.jpg", "metadata": {"azimuth_degrees": 900}}]')
     with pytest.raises(FormatError, match="azimuth_degrees"):
         EAGLE360.info(tmp_path)
-
-
-def test_there_is_no_truth_to_look_with(tmp_path):
-    with pytest.raises(EagorError, match=r"or endpoint:MODEL@ADDRESS$"):
-        configure(EAGLE360, {"data": str(tmp_path), "agent": "eagor"})
-    with pytest.raises(EagorError, match="truth reads what a simulator knows"):
-        configure(EAGLE360, {"data": str(tmp_path), "agent": "eagor", "perception": "truth"})
 
 
 class Brightest:

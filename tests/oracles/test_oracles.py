@@ -216,15 +216,6 @@ def test_evidence_of_another_device_is_brought_to_the_belief():
     assert Belief.uniform(5, like=torch.zeros(1, device="meta")).plus(torch.ones(36)).coefficients.is_meta
 
 
-def test_evidence_of_half_precision_reaches_a_belief_of_numpy():
-    response = np.random.default_rng(0).random((12, 24))
-    look = Evidence.from_response(torch.tensor(response, dtype=torch.bfloat16), PatchGrid(12, 24))
-    found = Belief.uniform(3).update(look).coefficients
-    expected = Belief.uniform(3).update(Evidence.from_response(response, PatchGrid(12, 24))).coefficients
-    assert found.dtype == np.float64
-    assert np.allclose(found, expected, atol=0.05 * np.abs(expected).max())
-
-
 def test_shells_of_other_arrays(kind):
     make, tolerance = kind
     c = np.stack([field(6, k) for k in range(14)])
@@ -236,13 +227,3 @@ def test_shells_of_other_arrays(kind):
     assert close(theirs.shells, ours.shells, 50 * tolerance)
     assert close(theirs.mode(), ours.mode(), 1e3 * tolerance)
     assert theirs.distance() == pytest.approx(ours.distance(), rel=1e-4)
-
-
-def test_four_thousand_beliefs_in_torch_agree_in_float32():
-    rng = np.random.default_rng(1)
-    c = rng.normal(size=(4096, 64)).astype(np.float32)
-    q = rng.normal(size=(4096, 4))
-    turns = conventions.rotation_from_wxyz(q)
-    ours = RealHarmonics(7).rotate(c.astype(np.float64), turns)
-    theirs = RealHarmonics(7).rotate(torch.tensor(c), torch.tensor(turns, dtype=torch.float32))
-    assert np.abs(theirs.numpy() - ours).max() < 1e-5

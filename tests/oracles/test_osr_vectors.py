@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from osr_data import distance_label
+from osr_data import direction_label, distance_label
 
-from eagor.lab.tasks.osr import COUNTING, DIRECTION, DISTANCE, MAP, SUFFIXES, direction_label, layout_of, load, score
+from eagor.lab.tasks.osr import COUNTING, DIRECTION, DISTANCE, MAP, SUFFIXES, layout_of, load, score
 
 SAMPLES = Path(__file__).parents[2] / ".." / "shared" / "bench_samples"
 pytestmark = pytest.mark.skipif(not SAMPLES.exists(), reason="the shared benchmark samples are not here")
@@ -49,7 +49,7 @@ def test_the_answers_of_the_scenes_follow_from_their_layouts(suffix: str) -> Non
             if question.skill == DIRECTION:
                 made = direction_label(layout, *names)
             elif question.skill == DISTANCE:
-                made = distance_label(layout, names[0], names[1:])
+                made = distance_label(layout, *names)
             else:
                 assert question.skill == COUNTING
                 made = str(counts.get(names[0], 0))

@@ -14,7 +14,7 @@ from eagor._checks import parsed
 from eagor.lab.eval import log
 from eagor.lab.tasks.hstar import Episode, View, normalised, parse_action, submit_succeeds
 from eagor.lab.tasks.hstar.bench import HOS, read_data
-from eagor.lab.tasks.osr import SKILLS, direction_label, load, score
+from eagor.lab.tasks.osr import SKILLS, load, score, steps
 from eagor.lab.tasks.task import Sample, read_config
 from eagor.perception.vlm.answers import parse_boxes, parse_presence
 
@@ -109,7 +109,7 @@ def test_questions(data, blob):
             result = reads(lambda question=question, said=said: score(question.skill, question.answer, said))
             assert result is None or 0 <= result <= 1
             if layout:
-                reads(lambda layout=layout: direction_label(layout, "sofa", "table", "chair"))
+                reads(lambda layout=layout: steps(layout, "sofa", "table", "chair"))
 
 
 @HOSTILE

@@ -76,16 +76,6 @@ def test_a_run_without_room_says_where_and_goes_on_when_there_is_room_again(told
     assert all(records(out)[key] == record for key, record in kept.items())
 
 
-def test_a_run_that_has_no_room_to_begin_leaves_no_run(told, tmp_path):
-    refused(*told, "--out", tmp_path / "run", room=10, says=str(tmp_path / "run"))
-    assert not (tmp_path / "run" / log.RUN).exists()
-
-
-def test_reports_are_whole_or_not_there(whole, tmp_path):
-    refused("bench", "report", whole, "--out", tmp_path, room=200, says="report.html")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_pictures_and_tables_are_whole_or_not_there(tmp_path):
     frames = tmp_path / "frames"
     frames.mkdir()
@@ -135,22 +125,6 @@ def test_a_file_in_place_of_the_folder_and_a_folder_of_another_run_are_refused(t
         assert (done.returncode, done.stdout) == (2, "")
         assert says in done.stderr
     assert (tmp_path / "file").read_text() == "x"
-
-
-def test_a_folder_that_cannot_be_written_to_any_more_is_named(told, tmp_path, monkeypatch):
-    out = tmp_path / "run"
-    commands.answer(*told, "--limit", 2, "--out", out)
-    before = records(out)
-    really = os.open
-
-    def read_only(path, flags, *more):
-        if flags & os.O_RDWR and str(path).startswith(str(out)):
-            raise PermissionError(13, "Permission denied", str(path))
-        return really(path, flags, *more)
-
-    monkeypatch.setattr(os, "open", read_only)
-    assert f"cannot write in {out}: Permission denied" in commands.refused(*told, "--out", out, code=1)
-    assert records(out) == before
 
 
 def test_a_folder_that_vanishes_is_named(tmp_path):

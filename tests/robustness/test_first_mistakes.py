@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import eagor
-from eagor.errors import EagorError, ImageError, RotationError, TimeError
+from eagor.errors import ImageError, RotationError
 from eagor.perception.colour import ColourPerception
 from eagor.perception.views import Detector
 from eagor.sources.odometry import prefetched
@@ -29,21 +29,6 @@ def test_degrees_for_radians():
     with pytest.raises(RotationError, match=r"pitch = -45; wanted radians: math\.radians\(-45\)"):
         world_R_body(0.0, -45.0)
     np.testing.assert_allclose(world_R_body(0.3 + 20 * math.tau), world_R_body(0.3), atol=1e-12)  # it turns and turns
-
-
-def test_things_that_are_no_evidence_stamp_or_rotation():
-    tracker = eagor.DirectionTracker()
-    with pytest.raises(EagorError, match=r"observe\(\) got an array of shape \(4, 8, 3\); wanted eagor.Evidence"):
-        tracker.observe(np.zeros((4, 8, 3)))  # type: ignore[arg-type]
-    with pytest.raises(EagorError, match=r"observe\(\) got a tuple|observe\(\) got tuple"):
-        tracker.observe(())  # type: ignore[arg-type]
-    for stamp in ("now", None):
-        with pytest.raises(TimeError, match="wanted the time in seconds, a number"):
-            tracker.add_pose(stamp, UNIT)  # type: ignore[arg-type]
-    with pytest.raises(RotationError, match=r"shape \(4, 4\).*M\[:3, :3\], and the position M\[:3, 3\] by itself"):
-        tracker.add_pose(0.0, np.eye(4))
-    with pytest.raises(RotationError, match=r"shape \(4,\)\. Quaternions"):
-        tracker.add_pose(0.0, np.ones(4))
 
 
 @pytest.mark.parametrize(

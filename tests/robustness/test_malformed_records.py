@@ -14,12 +14,12 @@ from eagor.lab.eval.results import made
 
 GONE = object()
 SIMULATED = [
-    ("episode", GONE), ("episode", []), ("episode/id", 3), ("episode/seed", [1]), ("episode/query", None),
-    ("episode/targets", "x"), ("episode/targets", [None]), ("episode/stratum", [1]), ("methods", []),
+    ("episode", GONE), ("episode/id", 3), ("episode/seed", [1]), ("episode/query", None),
+    ("episode/targets", "x"), ("episode/stratum", [1]), ("methods", []),
     ("methods/eagor", None), ("methods/eagor/metrics", GONE), ("methods/eagor/metrics/L1", "x"),
-    ("methods/eagor/metrics/L1", 1e308), ("methods/eagor/trace", []), ("methods/eagor/trace/error_deg", GONE),
+    ("methods/eagor/trace", []), ("methods/eagor/trace/error_deg", GONE),
     ("methods/eagor/trace/error_deg", []), ("methods/eagor/trace/error_deg/0", {}), ("truth", [1]),
-    ("truth/pose/0", [1, 2]), ("truth/pose/0", [0, 0, 0, 0, 0, 0, 0]), ("truth/leg", [{}]),
+    ("truth/pose/0", [1, 2]), ("truth/leg", [{}]),
     ("truth/azimuth_deg", [1.0]), ("seconds", "long"), ("truth", GONE),
     ("methods/eagor/trace/searching", [1, 0]), ("methods/eagor/trace/searching", "yes"),
 ]  # fmt: skip

@@ -69,11 +69,6 @@ def test_what_cannot_be_sent_is_the_senders_fault_and_the_worker_goes_on():
     worker.close(PATIENCE)
 
 
-def test_what_cannot_be_started_leaves_nothing():
-    with pytest.raises(TypeError, match="pickle"):
-        Worker(talkers.echo, (item for item in ()))
-
-
 PARENT = """
 import sys, talkers
 from eagor._processes import Worker

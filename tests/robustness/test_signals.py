@@ -79,14 +79,14 @@ def kept(folder):
 TOLD = {signal.SIGTERM: (143, "", "eagor: terminated"), signal.SIGINT: (130, "", "eagor: interrupted")}
 
 
-@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_path, workers):
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_path, number):
     out = tmp_path / "run"
     words = ("bench", "run", "tracking", "--perception", "truth", "--methods", "vmf", "--set", "steps=4")
-    run = begun(*words, "--episodes", 500, "--workers", workers, "--out", out, "--json")
+    run = begun(*words, "--episodes", 500, "--workers", 2, "--out", out, "--json")
     wait_for(lambda: len(kept(out)) >= 2)
     before = kept(out)
-    assert ended(run, signal.SIGTERM, whole_session=True) == TOLD[signal.SIGTERM]
+    assert ended(run, number, whole_session=True) == TOLD[number]
     after = kept(out)
     assert [record for record in after if record in before] == before
     assert {record["status"] for record in after} == {"ok"}

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from PIL import Image
 from eagor.cli import main
 from eagor.cli.answers import as_csv
 from eagor.drawing.still import draw_errors
-from eagor.lab.eval import log
 from eagor.lab.eval.page import Cell, Row, Table, markdown
 from eagor.lab.worlds.painted import painted_room
 
@@ -61,13 +59,3 @@ def test_tracks_and_reports_keep_their_cells(room, capsys):
     frames = str(room / "=a.png")
     assert main(["track", frames, "red", "--poses", str(room / "poses.csv"), "--out", str(out)]) == 0
     assert not any(cell.startswith("=") for row in csv.reader(io.StringIO(out.read_text())) for cell in row)
-
-
-def test_a_report_of_a_run_with_evil_names_has_no_tag_of_theirs(tmp_path, capsys):
-    words = ("bench", "run", "waypoint", "--perception", "truth", "--methods", "vmf", "--rows", "32", "--episodes", "1")
-    assert main([*words, "--out", str(tmp_path)]) == 0
-    place = tmp_path / log.RUN
-    place.write_text(json.dumps(json.loads(place.read_text()) | {"perception": EVIL, EVIL: EVIL}))
-    assert main(["bench", "report", str(tmp_path)]) == 0
-    for name in ("report.html", "tables.md"):
-        assert "<script" not in (tmp_path / name).read_text()

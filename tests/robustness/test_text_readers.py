@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
-from strategies import HOSTILE
+from strategies import HOSTILE, at_most
 
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
@@ -17,10 +17,11 @@ from eagor.lab.eval import log
 from eagor.lab.eval.labelled_looks import read_truth
 from eagor.lab.eval.predictions import predicted
 from eagor.odometry.files import read_poses
-from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibrated, read_labelled
+from eagor.perception.calibrated import labelled_lines, read_calibrated, read_labelled
 from eagor.perception.onnx.layouts import read_labels
 from eagor.perception.replay import ReplayPerception, read_records
 from eagor.perception.transformers.heads import read_heads
+from eagor.sources.rigs import read_rig
 
 POSES = [
     b"stamp,qw,qx,qy,qz,x,y,z,frame\n0,1,0,0,0,0,0,1,a.png\n0.5,0.99,0.1,0.1,0,0.1,0,1,\n1,0,0,0,1,0,0,1,b.png\n",
@@ -48,6 +49,16 @@ LABELS = [
     {"image": "a.png", "query": "red chair", "azimuth_deg": 30.5, "elevation_deg": -12, "radius_deg": 6},
     {"image": "a.png", "query": "the sofa", "box": [10, 4, 20, 9]},
 ]
+TRUTHS = [
+    {"stamp": 1.0, "query": "red chair", "targets": [{"azimuth_deg": 30, "elevation_deg": -5}], "group": "one"},
+    {"stamp": 2, "query": "fridge", "targets": []},
+]
+RIG = b"""pictures:
+  - {width: 400, height: 200}
+lenses:
+  - {name: front, centre: [100, 100], radius: 100, field_deg: 200}
+  - {name: back, centre: [300, 100], radius: 100, field_deg: 200, rotation: {yaw_deg: 180}}
+"""
 KEPT = [
     {"key": "a", "task": "t", "attempt": 1, "status": "ok", "seconds": 0.1, "x": [1]},
     {"key": "a", "task": "t", "attempt": 2, "status": "failed", "error": "no"},
@@ -82,93 +93,76 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("texts")
 
 
-@HOSTILE
-@given(damaged(POSES))
-@example(b"stamp,yaw_deg,pitch_deg,roll_deg\n1_0,0,0,0\n")
-def test_poses(folder, blob):
-    path = folder / "poses.csv"
-    path.write_bytes(blob)
-    poses = reads(lambda: read_poses(path), "poses.csv", also=("line ", "cannot be read", "is empty", "no poses"))
-    for pose in poses or ():
-        assert math.isfinite(pose.stamp)
+def poses_hold(found, path):
+    stamps = [pose.stamp for pose in found]
+    assert stamps == sorted(set(stamps))
+    assert np.isfinite(stamps).all()
+    for pose in found:
         assert np.allclose(pose.world_R_body @ pose.world_R_body.T, np.eye(3), atol=1e-6)
         assert pose.position is None or np.isfinite(pose.position).all()
-    stamps = [pose.stamp for pose in poses or ()]
-    assert stamps == sorted(set(stamps))
 
 
-@HOSTILE
-@given(blobs(*RECORDS))
-def test_replays(folder, blob):
-    path = folder / "looks.jsonl"
-    path.write_bytes(blob)
-    found = reads(lambda: read_records(path), "looks.jsonl", also=("line ", "cannot be read", "no records"))
-    for record in found or ():
+def records_hold(found, path):
+    for record in found:
         evidence = reads(lambda record=record: record.evidence("red chair"))
         assert evidence is None or np.isfinite(np.asarray(evidence.log_ratio)).all()
-    if found:
-        perception = ReplayPerception(path)
-        look = reads(lambda: perception(None, "red chair", stamp=found[0].stamp), "looks.jsonl")
-        assert look is None or isinstance(look, Evidence)
+    look = reads(lambda: ReplayPerception(path)(None, "red chair", stamp=found[0].stamp), path.name)
+    assert look is None or isinstance(look, Evidence)
 
 
-TRUTHS = [
-    {"stamp": 1.0, "query": "red chair", "targets": [{"azimuth_deg": 30, "elevation_deg": -5}], "group": "one"},
-    {"stamp": 2, "query": "fridge", "targets": []},
-]
-
-
-@HOSTILE
-@given(blobs(*TRUTHS))
-def test_true_directions(folder, blob):
-    path = folder / "truth.jsonl"
-    path.write_bytes(blob)
-    for truth in reads(lambda: read_truth(path), "truth.jsonl", also=("line ", "cannot be read", "no true")) or ():
+def truths_hold(found, path):
+    for truth in found:
         assert math.isfinite(truth.stamp)
         assert all(abs(at.azimuth_deg) <= 360 and abs(at.elevation_deg) <= 90 for at in truth.targets)
 
 
-@HOSTILE
-@given(objects(CALIBRATION))
-def test_calibrations(folder, blob):
-    path = folder / "calibration.json"
-    path.write_bytes(blob)
-    found = reads(lambda: read_calibrated(path), "calibration.json")
-    if found is not None:
-        assert isinstance(found, Calibrated)
-        assert all(np.isfinite(value).all() for value in found.forgetting.values())
-        found.write(folder / "again.json")
-        assert read_calibrated(folder / "again.json") == found
-
-
-@HOSTILE
-@given(objects(HEADS))
-def test_heads(folder, blob):
-    path = folder / "heads.json"
-    path.write_bytes(blob)
-    found = reads(lambda: read_heads(path), "heads.json")
-    if found is not None:
-        assert found.heads
-        assert math.isfinite(found.saturation)
-        found.write(folder / "again.json")
-        assert read_heads(folder / "again.json") == found
-
-
-@HOSTILE
-@given(blobs(*LABELS))
-def test_labels(folder, blob):
-    path = folder / "labels.jsonl"
-    path.write_bytes(blob)
-    found = reads(lambda: labelled_lines(path), "labels.jsonl", also=("line ", "cannot be read", "no labels"))
-    assert found is None or all(isinstance(line.image, str) for line, _ in found)
-    looks = reads(
-        lambda: list(read_labelled(path, lambda _: np.zeros((32, 64, 3), np.uint8))),
-        "labels.jsonl",
-        also=("line ", "cannot be read", "no labels"),
-    )
-    for look in looks or ():
+def labels_hold(found, path):
+    for look in found:
         assert abs(np.linalg.norm(look.direction) - 1) < 1e-9
         assert 0 < look.radius <= math.pi
+
+
+def written_again(read):
+    def holds(found, path):
+        again = path.with_name(f"again {path.name}")
+        found.write(again)
+        assert read(again) == found
+
+    return holds
+
+
+def labelled(path):
+    return [*read_labelled(path, lambda _: np.zeros((32, 64, 3), np.uint8))]
+
+
+LINE = ("line ", "cannot be read", "is empty", "no poses", "no records", "no true", "no labels")
+READERS = {  # a file: what it holds, who reads it, which words an error has beside its name, what holds of the result
+    "poses.csv": (damaged(POSES), read_poses, LINE, poses_hold),
+    "looks.jsonl": (blobs(*RECORDS), read_records, LINE, records_hold),
+    "truth.jsonl": (blobs(*TRUTHS), read_truth, LINE, truths_hold),
+    "calibration.json": (objects(CALIBRATION), read_calibrated, (), written_again(read_calibrated)),
+    "heads.json": (objects(HEADS), read_heads, (), written_again(read_heads)),
+    "labels.jsonl": (blobs(*LABELS), labelled, LINE, labels_hold),
+    "predictions.jsonl": (
+        blobs({"case": "a/0/0", "submit": [3, 4]}, {"doc_id": 1, "text": "<answer>x</answer>"}),
+        lambda path: predicted(path, ["a/0/0", "b/0/0"]),
+        ("line ", "cannot"),
+        lambda found, path: set(found) <= {"a/0/0", "b/0/0"},
+    ),
+    "rig.yaml": (damaged([RIG]), read_rig, (), lambda found, path: len(found.lenses) > 0),
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+@HOSTILE
+@given(data=st.data())
+def test_a_file_holds_a_right_value_or_is_named_in_the_error(folder, name, data):
+    content, read, words, holds = READERS[name]
+    path = folder / name
+    path.write_bytes(data.draw(content))
+    found = reads(lambda: read(path), name, also=words)
+    if found is not None:
+        assert holds(found, path) in (None, True)
 
 
 @HOSTILE
@@ -192,7 +186,7 @@ def test_logs(folder, blob):
         assert all(r["attempt"] >= 1 and r["status"] in ("ok", "failed") for r in after)
 
 
-@HOSTILE
+@at_most(25)
 @given(objects(RUN))
 def test_descriptions_of_runs(folder, blob):
     (folder / "run.json").write_bytes(blob)
@@ -200,15 +194,6 @@ def test_descriptions_of_runs(folder, blob):
     assert found is None or isinstance(found, dict)
     with log.Log(folder) as book:
         reads(lambda: book.begin(RUN), str(folder))
-
-
-@HOSTILE
-@given(blobs({"case": "a/0/0", "submit": [3, 4]}, {"doc_id": 1, "text": "<answer>x</answer>"}))
-def test_predictions(folder, blob):
-    path = folder / "predictions.jsonl"
-    path.write_bytes(blob)
-    found = reads(lambda: predicted(path, ["a/0/0", "b/0/0"]), "predictions.jsonl", also=("line ", "cannot"))
-    assert found is None or set(found) <= {"a/0/0", "b/0/0"}
 
 
 QUATERNIONS = "stamp,qw,qx,qy,qz\n"

@@ -41,6 +41,13 @@ def found(*box: float) -> Callable[[np.ndarray, str], Any]:
 
 
 MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
+    "no evidence": (
+        lambda: eagor.DirectionTracker().observe(np.zeros((4, 8, 3))),  # type: ignore[arg-type]
+        r"observe\(\) got an array of shape \(4, 8, 3\); wanted eagor.Evidence",
+    ),
+    "a stamp in words": (lambda: eagor.DirectionTracker().add_pose("now", np.eye(3)), "wanted the time in seconds"),  # type: ignore[arg-type]
+    "a matrix of 4 x 4": (lambda: posed(np.eye(4)), r"M\[:3, :3\], and the position M\[:3, 3\] by itself"),
+    "a quaternion": (lambda: posed(np.ones(4)), r"shape \(4,\)\. Quaternions"),
     "several poses": (
         lambda: eagor.DirectionTracker().add_pose(0, np.eye(3)[None]),
         r"\(1, 3, 3\); wanted one rotation",

@@ -42,7 +42,7 @@ from eagor.errors import FormatError
 from eagor.lab.tasks.published import answer_in, read_json
 
 __all__ = [
-    "SIZE", "SKILLS", "SUFFIXES", "Question", "Scene", "Turn", "cells", "direction_label", "extracted", "layout_of",
+    "SIZE", "SKILLS", "SUFFIXES", "Question", "Scene", "Turn", "cells", "extracted", "layout_of",
     "load", "map_text", "mistake", "named", "products", "questions_of", "ranked", "read_map", "score", "score_map",
     "steps", "swapped", "tags", "turned",
 ]  # fmt: skip
@@ -67,20 +67,11 @@ _SIDES = {"Left": "Right", "Right": "Left"}
 _HYPHENS = {f"{a} {b}": f"{a}-{b}" for a in ("front", "back") for b in ("left", "right")}
 
 
-def direction_label(map: Layout, P: str, O: str, Q: str) -> str:
-    """The published answer to "standing by P and facing the closest O, where is the closest Q?".
-
-    With v1 and v2 the steps (rows, columns) from P to the nearest O and Q: "Front" if v1 . v2 > 0, "Back" if it is
-    negative, "Left" if r1 c2 - c1 r2 > 0, "Right" if it is negative; both words, or the one that is not zero. Empty if
-    both are zero (an object in the cell of P); the benchmark leaves such questions out. "Unique" counts cells, not
-    things. If there is no answer, one of `ERRORS`. Raises `FormatError` for an invalid layout.
-    """
-    found = steps(map, P, O, Q)
-    return found if isinstance(found, str) else named(*found)
-
-
 def steps(layout: Layout, P: str, O: str, Q: str) -> tuple[Cell, Cell] | str:
-    """The steps (rows, columns) from P to the nearest O and to the nearest Q, or the error that is the answer."""
+    """The steps (rows, columns) from P to the nearest O and to the nearest Q, or the error that is the answer.
+
+    "Unique" counts cells, not things. Raises `FormatError` for an invalid layout.
+    """
     start = cells(layout, P)
     if len(start) != 1:
         return NOT_UNIQUE if start else NO_POSITION
@@ -94,7 +85,11 @@ def products(v1: Any, v2: Any) -> tuple[Any, Any]:
 
 
 def named(v1: Any, v2: Any) -> str:
-    """The words for the side of the direction v1 on which v2 lies."""
+    """The published words for the side of v1 (somebody by P faces O) on which v2 (from P to Q) lies.
+
+    "Front" if v1 . v2 > 0, "Back" if it is negative, "Left" if r1 c2 - c1 r2 > 0, "Right" if it is negative. Empty if
+    both are zero (an object in the cell of P); the benchmark leaves such questions out.
+    """
     dot, cross = products(v1, v2)
     along = "Front" if dot > 0 else "Back" if dot < 0 else ""
     aside = "Left" if cross > 0 else "Right" if cross < 0 else ""
