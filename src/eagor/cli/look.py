@@ -39,7 +39,8 @@ class Look(Footage):
 
 def look(options: Look) -> int:
     """Run the command; returns its exit code."""
-    from eagor.perception.recordings import ValidMasks, first_line, looked_at
+    from eagor.perception.partial import ValidMasks
+    from eagor.perception.replay import first_line, looked_at
     from eagor.sources.odometry import PosedFrames, prefetched
 
     queries = checks.checked_queries(options.queries)

@@ -26,7 +26,7 @@ from eagor.errors import EagorError, ImageError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.live.events import Diagnostic, Event, ObservationReceived
 from eagor.perception import NoEvidenceError, Perception, knows_classes, load
-from eagor.perception.recordings import ValidMasks
+from eagor.perception.partial import ValidMasks
 from eagor.perception.replay import infer_or_replay
 from eagor.sources import Frame
 from eagor.sources.panorama import Picture
