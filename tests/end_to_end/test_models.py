@@ -15,11 +15,10 @@ from PIL import Image
 from eagor._extras import how_to_install
 from eagor.belief import Belief
 from eagor.cli import main
-from eagor.errors import EagorError, FormatError
+from eagor.errors import FormatError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
 from eagor.lab.agents.models import shared
-from eagor.lab.eval.labelled_looks import apartment_labels
 from eagor.perception import is_model, load, rows_of, short_name
 from eagor.perception import transformers as local
 from eagor.perception.calibrated import Labelled, cap_radius, read_labelled
@@ -222,17 +221,6 @@ def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
     assert code == 0
     assert str(folder) in page
     assert "ms each on average" in page
-
-
-@pytest.mark.slow
-def test_a_run_on_two_processes(eagor, planted, tmp_path):
-    spec = f"{planted(QWEN)}?{SMALL}&extractor=attention"
-    words = ("bench", "run", "navigation", "--perception", spec, "--seed", "3", "--set", "max_steps=2")
-    code, out, err = eagor(
-        *words, "--episodes", "1", "--methods", "plain", "eagor", "--workers", "2", "--out", tmp_path / "run", "--json"
-    )
-    assert code == 0, err
-    assert json.loads(out)["failed"] == 0
 
 
 def test_a_run_with_a_server_survives_an_answer_that_cannot_be_read(eagor, tmp_path, monkeypatch):
@@ -438,21 +426,6 @@ def test_heads_of_what_has_none_are_refused(refused, planted, tmp_path):
     assert "which reads boxes" in refused(
         2, "locate", "x.png", "red", "--perception", f"{planted(QWEN)}?extractor=boxes&heads={heads}"
     )
-
-
-def test_labels_of_apartments_are_true():
-    """Where the label points, the picture shows a thing of its own; and it is of the size that is said."""
-    found = list(apartment_labels(2, 7, 64))
-    assert found
-    for example in found:
-        assert example.panorama.shape == (64, 128, 3)
-        assert example.panorama.dtype == np.uint8
-        assert np.linalg.norm(example.direction) == pytest.approx(1)
-        assert math.radians(3) <= example.radius <= math.radians(35)
-    again = list(apartment_labels(2, 7, 64))
-    assert [example.query for example in again] == [example.query for example in found]
-    with pytest.raises(EagorError, match="results"):
-        next(apartment_labels(1, 2000, 64))
 
 
 def test_labels_of_apartments_point_at_the_thing(monkeypatch):

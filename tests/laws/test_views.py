@@ -18,8 +18,8 @@ from eagor.live.events import Answer
 from eagor.perception import as_perception, check_perception, infer
 from eagor.perception.fusion import ViewBox, fuse_views
 from eagor.perception.views import Detector
-from eagor.sources.panorama import cut, turn
-from eagor.sphere import angular_distance, direction, rotation, world_R_body
+from eagor.sources.panorama import turn
+from eagor.sphere import angular_distance, direction, world_R_body
 
 GREY = 90
 GRID = ErpGrid(256, 512)
@@ -101,27 +101,6 @@ def test_a_camera_that_looks_straight_up_or_down_has_level_views_too(pitch):
     pose = world_R_body(0.7, pitch)
     for view in Detector(red, size=64).views(pose):
         assert abs((pose @ view.body_R_view[:, 1])[2]) < 1e-9
-
-
-def test_upright_pictures_reach_the_detector():
-    """A flag of two colours, one above the other: the detector sees red above blue under every tilt."""
-    flag = np.full((256, 512, 3), GREY, dtype=np.uint8)
-    flag[108:128, 250:262], flag[128:148, 250:262] = (220, 20, 20), (20, 20, 220)
-    seen = []
-
-    def upright(picture, query):
-        amounts = picture.astype(int)
-        reds = np.argwhere(amounts[..., 0] - amounts[..., 2] > 100)[:, 0]
-        blues = np.argwhere(amounts[..., 2] - amounts[..., 0] > 100)[:, 0]
-        if len(reds) and len(blues):
-            seen.append(reds.mean() < blues.mean())
-        return np.zeros((0, 4)), np.zeros(0)
-
-    for roll in (0.0, 1.5, 3.0):
-        pose = world_R_body(0.3, 0.2, roll)
-        Detector(upright, size=128)(turn(flag, pose.T), "flag", world_R_body=pose)
-    assert len(seen) >= 3
-    assert all(seen)
 
 
 def test_an_open_side_widens_and_shifts_what_one_view_alone_has_seen():
@@ -317,33 +296,6 @@ def test_a_look_tells_the_pose_only_to_who_takes_it():
         infer(perception, painted(), "thing", world_R_body=np.eye(3))
     np.testing.assert_array_equal(told[0], np.eye(3))
     assert told[1] == "nothing"
-
-
-def test_a_tumbling_camera_finds_the_thing():
-    where, panorama = direction(2.0, 0.3), painted((direction(2.0, 0.3), math.radians(7)))
-    tracker, perception = DirectionTracker(), Detector(red, size=96)
-    rng = np.random.default_rng(3)
-    for stamp in range(4):
-        pose = rotation(rng.normal(size=3), float(rng.uniform(0, 3)))
-        tracker.add_pose(float(stamp), pose)
-        tracker.observe(infer(perception, turn(panorama, pose.T), "thing", stamp=float(stamp), world_R_body=pose))
-    estimate = tracker.estimate(3.0)
-    assert angular_distance(pose @ estimate.direction, where) < math.radians(2)
-    assert estimate.presence > 0.85
-
-
-def test_more_views_overlap_more():
-    few, many = Detector(red, hfov_deg=100, views=6), Detector(red, hfov_deg=100, views=14)
-    assert "6 views of 100" in repr(few)
-    assert len(many.views()) == 14
-    assert few.rows == many.rows
-
-
-def test_cutting_is_the_same_for_one_view_and_for_all():
-    panorama = painted((direction(0.4, 0.2), 0.3))
-    views = tangent_views(64)
-    for together, view in zip(cut(panorama, *views), views, strict=True):
-        np.testing.assert_array_equal(together, cut(panorama, view)[0])
 
 
 class Yolo:

@@ -95,7 +95,7 @@ def coverage(rows: int, columns: int, grid: PerspectiveGrid) -> np.ndarray:
     return inside.reshape(rows, fine, columns, fine).mean(axis=(1, 3))
 
 
-# --- masks of what a camera never sees ---------------------------------------------------------------------------------
+# --- masks of what a camera never sees --------------------------------------------------------------------------------
 
 
 class ValidMasks:
