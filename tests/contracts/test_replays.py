@@ -58,7 +58,7 @@ VIEW = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60
         (line(boxes=None, views=[{"image": PANORAMA, "boxes": []}]), 'wanted "perspective" in views'),
         (line(pose={"qw": 1, "qx": 0, "qy": 0, "qz": 0, "x": 1}), "wanted x, y and z, or none of them"),
         (line(pose={"qw": 1, "qx": 1, "qy": 0, "qz": 0}), r"wanted 1 \(a rotation, world_R_body\)"),
-        (line(unseen={"rows": 2, "runs": [1, 2]}), r"runs is '3 cells'; wanted rows \* 2 \* rows = 8 in all"),
+        (line(valid_mask={"rows": 2, "runs": [1, 2]}), r"runs is '3 cells'; wanted rows \* 2 \* rows = 8 in all"),
         (line(boxes=None), "has none of boxes, points, response, views; wanted exactly one, or a pose"),
         ('{"footage": {"of": "a.mp4", "perception": "coco"}}', "has footage; wanted that in the first line alone"),
     ],
@@ -171,7 +171,7 @@ def test_a_file_that_never_ends_is_refused(tmp_path):
 
 def test_what_the_camera_never_sees_says_nothing():
     """A box under the tripod's patch is none, and not having seen anything there is no sign of absence."""
-    seen = {"unseen": {"rows": 2, "runs": [4, 4]}}  # the lower half is black
+    seen = {"valid_mask": {"rows": 2, "runs": [4, 4]}}  # the lower half is black
     boxes = [{"box": [500, 100, 540, 140]}, {"box": [500, 400, 540, 440]}]
     evidence = parse_record(line(boxes=boxes, **seen)).evidence("thing")
     assert len(evidence.detections) == 1

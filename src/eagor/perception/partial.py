@@ -154,5 +154,5 @@ def read_mask(path: str | os.PathLike[str]) -> BodyMask:
             raise ImageError(f"is grey in {100 * grey:.0f} % of its pixels; wanted black and white")
         return BodyMask(values >= 0.5)
     except ImageError as error:
-        told = str(error).removeprefix("the mask ")
-        raise ImageError(f"the mask {os.fspath(path)}: {told}; white is where the camera sees the world") from error
+        reason = str(error).removeprefix("the mask ")
+        raise ImageError(f"the mask {os.fspath(path)}: {reason}; white is where the camera sees the world") from error

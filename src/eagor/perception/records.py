@@ -166,7 +166,7 @@ class _Pose(_Turned):
         return Pose(stamp, self.rotation("world_R_body"), position, math.radians(self.spread_deg))
 
 
-class _Unseen(_Part):
+class _Mask(_Part):
     rows: Annotated[int, Meta(ge=1, le=4096)]
     runs: list[Annotated[int, Meta(ge=0)]]  # lengths of runs, row by row from the upper left: seen, not seen, seen, ...
 
@@ -209,7 +209,7 @@ class _Line(_Part):
     frame: str | None = None
     lost: bool = False
     problem: str | None = None
-    unseen: _Unseen | None = None
+    valid_mask: _Mask | None = None
 
 
 # --- records ----------------------------------------------------------------------------------------------------------
@@ -223,7 +223,7 @@ class Record:
     ``(n, 4)`` in pixels; points ``(n, 3)`` as azimuth, elevation, spread in radians (NaN if not given); or the
     response. `scores` ``(n,)`` in [0, 1] and `labels` are empty for a response. `views`: of one camera, with their
     boxes. `pose` of the camera. `frame`: the name of what was looked at; `lost`: nothing tells how the camera turned
-    since the frame before; `problem`: why the frame could not be used; `unseen`: what the camera never sees.
+    since the frame before; `problem`: why the frame could not be used; `valid_mask`: what the camera sees.
     """
 
     stamp: float
@@ -238,7 +238,7 @@ class Record:
     frame: str | None = None
     lost: bool = False
     problem: str | None = None
-    unseen: BodyMask | None = None
+    valid_mask: BodyMask | None = None
 
     def answers(self, query: str) -> bool:
         """Whether this line is for `query`; letter case and spaces do not matter."""
@@ -281,7 +281,7 @@ class Record:
             raise FormatError(
                 f"the line at {self.stamp:g} s is a pose without a look; wanted one of {', '.join(KINDS)}"
             )
-        return found if self.unseen is None else found.covered(self.unseen)
+        return found if self.valid_mask is None else found.covered(self.valid_mask)
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
@@ -340,7 +340,7 @@ def _record(found: dict[str, Any]) -> Record:
     return Record(
         entry.stamp, entry.query, [*kinds, "pose"][0], **look, frame=entry.frame, lost=entry.lost,
         pose=entry.pose and entry.pose.at(entry.stamp), problem=entry.problem,
-        unseen=entry.unseen and entry.unseen.mask(),
+        valid_mask=entry.valid_mask and entry.valid_mask.mask(),
     )  # fmt: skip
 
 

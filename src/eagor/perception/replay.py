@@ -1,7 +1,7 @@
 """Recorded detections and responses in place of pictures: one JSON object per line (docs/replay-format.md).
 
 Any detector can write the file. `ReplayPerception` answers from it by time stamp. `eagor look` writes one of all that a
-detector sees in footage, with the poses (`looked_at`): look once, ask often. `RecordedLooks` gives such a file back as
+detector sees in footage, with the poses (`detection_lines`): look once, ask often. `RecordedLooks` gives such a file back as
 a source without pictures; `summarise_objects` lists what there is.
 """
 
@@ -46,7 +46,7 @@ from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
     "NEAR", "ObjectSummary", "Record", "RecordedLooks", "ReplayPerception", "first_line", "infer_or_replay",
-    "looked_at", "parse_record", "read_records", "summarise_objects", "write_record",
+    "detection_lines", "parse_record", "read_records", "summarise_objects", "write_record",
 ]  # fmt: skip
 
 MOST_LABELS = 12  # in a sentence
@@ -210,13 +210,13 @@ def first_line(of: str, perception: str, views: Detector, poses: str, begins: fl
     return json.dumps({"footage": {key: value for key, value in about.items() if value}})
 
 
-def looked_at(
-    frames: Iterable[PosedFrame], views: Detector, queries: Sequence[str], hidden: ValidMasks
+def detection_lines(
+    frames: Iterable[PosedFrame], views: Detector, queries: Sequence[str], masks: ValidMasks
 ) -> Iterator[tuple[PosedFrame, list[dict[str, Any]]]]:
     """Each frame, and its entries, one for each line: the poses before it, then one for a look.
 
-    Without classes there is one for each of `queries`; of a frame that cannot be used one with the reason. What is
-    `hidden` is written as not seen. Raises `EagorError` for a query without meaning, and what `frames` raise.
+    Without classes there is one for each of `queries`; of a frame that cannot be used one with the reason. What
+    `masks` hide is written as not seen. Raises `EagorError` for a query without meaning, and what `frames` raise.
     """
     for posed in frames:
         frame, pose = posed.frame, posed.pose or Pose(posed.frame.stamp, np.eye(3))
@@ -229,11 +229,11 @@ def looked_at(
         try:
             if frame.picture is None:
                 raise ImageError(frame.problem)
-            mask = hidden.of(Picture(frame.picture, frame.unseen, grid=frame.grid))
+            mask = masks.of(Picture(frame.picture, frame.unseen, grid=frame.grid))
             if mask is not None:
-                at["unseen"] = mask_entry(mask)
+                at["valid_mask"] = mask_entry(mask)
             for query in queries or (None,):
-                seen = views.seen(frame.picture, pose.world_R_body, query or "", frame.grid)
+                seen = views.detect(frame.picture, pose.world_R_body, query or "", frame.grid)
                 entries.append(at | ({"query": query} if query else {}) | {"views": [*map(view_entry, seen)]})
         except QueryError:
             raise

@@ -192,7 +192,7 @@ class Detector:
                 answers.append(error)
         return answers
 
-    def seen(
+    def detect(
         self,
         picture: np.ndarray,
         world_R_body: np.ndarray | None = None,

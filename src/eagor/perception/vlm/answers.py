@@ -113,8 +113,8 @@ def parse_boxes(
     if not found and not _CUT.match(answer, max(map(answer.rfind, "])}")) + 1):
         found = [*_bare(answer, order)]
     if not found:
-        said = answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
-        if _EMPTY.search(said) or _ABSENT.search(said):
+        lower = answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
+        if _EMPTY.search(lower) or _ABSENT.search(lower):
             return []
         raise AnswerError(
             f"the model answered {_shortened(text)}; wanted boxes as a JSON list, [] if there are none. If it was cut "
