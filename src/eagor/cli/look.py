@@ -40,7 +40,7 @@ class Look(Footage):
 def look(options: Look) -> int:
     """Run the command; returns its exit code."""
     from eagor.perception.partial import ValidMasks
-    from eagor.perception.replay import first_line, detection_lines
+    from eagor.perception.replay import detection_lines, first_line
     from eagor.sources.odometry import PosedFrames, prefetched
 
     queries = checks.checked_queries(options.queries)

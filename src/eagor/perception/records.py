@@ -47,7 +47,7 @@ class _Part(msgspec.Struct, forbid_unknown_fields=True):
     """A part of a line: other keys are refused."""
 
 
-class _Turned(_Part):
+class _Rotation(_Part):
     qw: _Component | None = None
     qx: _Component | None = None
     qy: _Component | None = None
@@ -65,7 +65,7 @@ class _Turned(_Part):
         return rotation_from_wxyz(np.array(wxyz, dtype=np.float64))
 
 
-class _Image(_Turned):
+class _Image(_Rotation):
     projection: Literal["equirectangular", "perspective"] = "equirectangular"
     width: _Pixels | None = None
     height: _Pixels | None = None
@@ -153,7 +153,7 @@ class _View(_Part):
     boxes: list[_Box]
 
 
-class _Pose(_Turned):
+class _Pose(_Rotation):
     x: _Metres | None = None
     y: _Metres | None = None
     z: _Metres | None = None
@@ -331,7 +331,7 @@ def _record(found: dict[str, Any]) -> Record:
         look = {"values": values, "grid": entry.image.view(*values.shape) or PatchGrid(*values.shape)}
     elif entry.boxes is not None:
         grid = entry.image.view() or ErpGrid(*entry.image.size())
-        look = {"values": _corners(entry.boxes, grid), "grid": grid}
+        look = {"values": _decode_xyxy(entry.boxes, grid), "grid": grid}
     elif entry.points is not None:
         points = [(each.azimuth_deg, each.elevation_deg, each.spread_deg) for each in entry.points]
         look = {"values": np.radians(points).reshape(-1, 3), "grid": entry.image.view()}
@@ -355,7 +355,7 @@ def _views(views: Sequence[_View]) -> tuple[ViewDetections, ...]:
         every = len(labels or ()) in (0, len(each.boxes))
         require_field(every, "label", None, "one for each box of a view, or for none")
         scores = np.array([box.score for box in each.boxes])
-        found.append(ViewDetections(grid, RawDetections(_corners(each.boxes, grid), scores, labels)))
+        found.append(ViewDetections(grid, RawDetections(_decode_xyxy(each.boxes, grid), scores, labels)))
     area = sum(float(view.grid.weights.sum()) for view in found)
     if len(found) != 1 and area < 4 * math.pi * WHOLE:
         raise FormatError(
@@ -365,7 +365,7 @@ def _views(views: Sequence[_View]) -> tuple[ViewDetections, ...]:
     return tuple(found)
 
 
-def _corners(boxes: Sequence[_Box], grid: ErpGrid | PerspectiveGrid) -> np.ndarray:
+def _decode_xyxy(boxes: Sequence[_Box], grid: ErpGrid | PerspectiveGrid) -> np.ndarray:
     """The pixel coordinates ``(n, 4)`` of boxes that overlap the image."""
     (height, width), panorama = grid.shape, isinstance(grid, ErpGrid)
     for x0, y0, x1, y1 in (each.box for each in boxes):

@@ -1,8 +1,8 @@
 """Recorded detections and responses in place of pictures: one JSON object per line (docs/replay-format.md).
 
 Any detector can write the file. `ReplayPerception` answers from it by time stamp. `eagor look` writes one of all that a
-detector sees in footage, with the poses (`detection_lines`): look once, ask often. `RecordedLooks` gives such a file back as
-a source without pictures; `summarise_objects` lists what there is.
+detector sees in footage, with the poses (`detection_lines`): look once, ask often. `RecordedLooks` gives such a file
+back as a source without pictures; `summarise_objects` lists what there is.
 """
 
 from __future__ import annotations
@@ -45,8 +45,18 @@ from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
-    "NEAR", "ObjectSummary", "Record", "RecordedLooks", "ReplayPerception", "first_line", "infer_or_replay",
-    "detection_lines", "parse_record", "read_records", "summarise_objects", "write_record",
+    "NEAR",
+    "ObjectSummary",
+    "Record",
+    "RecordedLooks",
+    "ReplayPerception",
+    "detection_lines",
+    "first_line",
+    "infer_or_replay",
+    "parse_record",
+    "read_records",
+    "summarise_objects",
+    "write_record",
 ]  # fmt: skip
 
 MOST_LABELS = 12  # in a sentence
