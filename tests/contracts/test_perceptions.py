@@ -62,12 +62,6 @@ def test_colour_keeps_the_contract_at_any_size(shape):
     check_perception(ColourPerception(), panorama, "blue")
 
 
-def test_colour_averages_large_panoramas_and_rolls_with_them():
-    mapped = ColourPerception(rows=32, calibration=Calibration())
-    check_perception(mapped, painted_room(128, 256), "red", roll=4 * 13)
-    assert mapped(painted_room(128, 256), "red").grid == PatchGrid(32, 64)
-
-
 @pytest.mark.parametrize("stamp", [1.0, 2.0, 3.0, 4.0])
 def test_replay_keeps_the_contract(replay_file, stamp):
     check_perception(ReplayPerception(replay_file), painted_room(32, 64), "chair", stamp=stamp)
@@ -265,14 +259,6 @@ def test_single_pixels_do_not_count_but_small_things_do():
     assert ColourPerception().respond(panorama, "red")[20:22, [0, 127]].min() > 0.9
 
 
-def test_nothing_of_the_colour_is_a_look_that_saw_nothing():
-    for perception in (ColourPerception(calibration=Calibration(0.1, 0.05)), ColourPerception()):
-        evidence = perception(np.full((8, 16, 3), 180, np.uint8), "red", stamp=2)
-        assert np.asarray(evidence.response).max() == pytest.approx(0, abs=1e-6)
-        assert np.asarray(evidence.log_ratio).max() < 0
-        assert evidence.stamp == 2
-
-
 @pytest.mark.parametrize("query", ["", "the chair", "redwood", "rot", None, 7])
 def test_a_query_without_a_colour_lists_the_known_ones(query):
     with pytest.raises(QueryError, match=r"red.*turquoise"):
@@ -340,13 +326,6 @@ def test_a_wall_of_a_colour_points_nowhere_in_particular():
     ball = DirectionTracker()
     ball.observe(ColourPerception()(disc(20, 10, 4, RED), "red", stamp=0.0))
     assert ball.estimate(0.0).within(math.radians(15)) > 0.5 > estimate.within(math.radians(15))
-
-
-def test_a_colour_that_is_everywhere_names_no_direction():
-    tracker = DirectionTracker()
-    tracker.observe(ColourPerception()(np.full((90, 180, 3), RED, dtype=np.uint8), "red", stamp=0.0))
-    assert tracker.estimate(0.0).presence > 0.5
-    assert tracker.estimate(0.0).direction is None
 
 
 def test_patches_that_are_too_small_for_the_picture_are_no_detections():

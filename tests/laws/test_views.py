@@ -88,14 +88,6 @@ def test_views_are_level_however_the_camera_is_turned(where, yaw, pitch, roll):
     assert angular_distance(pose @ seen.directions[0], where) < math.radians(2.5)
 
 
-def test_without_a_pose_the_camera_counts_as_level():
-    told, untold = (Detector(red, size=64).views(pose) for pose in (np.eye(3), None))
-    for a, b in zip(told, untold, strict=True):
-        np.testing.assert_allclose(a.body_R_view, b.body_R_view, atol=1e-12)
-    heading = Detector(red, size=64).views(world_R_body(1.0))
-    np.testing.assert_allclose(heading[0].body_R_view, untold[0].body_R_view, atol=1e-12)
-
-
 @pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
 def test_a_camera_that_looks_straight_up_or_down_has_level_views_too(pitch):
     pose = world_R_body(0.7, pitch)
@@ -118,33 +110,12 @@ def test_an_open_side_widens_and_shifts_what_one_view_alone_has_seen():
     assert along > 2 * across, "it may go on along the open side, and is no higher"
 
 
-def test_nothing_found_is_a_look_that_saw_nothing():
-    evidence = Detector(red, size=64)(painted(), "thing", stamp=2.0)
-    assert isinstance(evidence, Evidence)
-    assert len(evidence.detections) == 0
-    assert evidence.stamp == 2.0
-    assert (np.asarray(evidence.log_ratio) < 0).all()
-
-
 def test_the_contract_of_perceptions_is_kept():
     panorama = painted((direction(0.4, 0.2), math.radians(8)))
     check_perception(Detector(red, size=96), panorama, "thing")
     model = DetectorModel(detection_probability=0.8, spread=math.radians(3))
     evidence = Detector(red, size=96, detector=model)(panorama, "thing")
     assert evidence.detections.model is model
-
-
-def test_labels_that_the_query_does_not_mean_are_left_out():
-    def labelled(picture, query):
-        boxes, scores = red(picture, query)
-        return boxes, scores, ["sofa"] * len(boxes)
-
-    labelled.classes = ("sofa", "chair")
-    panorama = painted((direction(0.4, 0.2), math.radians(8)))
-    assert len(Detector(labelled, size=96)(panorama, "sofas").detections) == 1
-    assert len(Detector(labelled, size=96)(panorama, "chair").detections) == 0
-    with pytest.raises(QueryError, match="zebra"):
-        Detector(labelled, size=96)(panorama, "zebra")
 
 
 @pytest.mark.parametrize(("classes", "says"), [(None, "none fits 'green lamp'"), (["lamp"], "is called so")])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from eagor.errors import AnswerError, GridError, ImageError
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid, tangent_views
 from eagor.perception.vlm import SERVED, ask_boxes, boxes_schema, exact_size, family_of
-from eagor.perception.vlm.answers import Box, Trace, parse_boxes, parse_presence
+from eagor.perception.vlm.answers import Box, parse_boxes, parse_presence
 from eagor.perception.vlm.perception import plan_view, project_to_sphere
 from eagor.sources.panorama import cut
 from eagor.sphere import angular_distance, direction, unit, world_R_body
@@ -260,24 +260,6 @@ def test_a_key_written_again_and_again_holds_all(times):
 
 
 # --- token probabilities ---------------------------------------------------------------------------------------------
-
-
-@given(WRITTEN, st.lists(st.integers(1, 7), min_size=1, max_size=20), st.sampled_from(["", "<s>", "\n", "\n\n"]))
-@settings(deadline=None)
-def test_a_token_is_found_by_any_of_its_characters(entries, lengths, before):
-    text = json.dumps(printed(entries, "thousand", "xyxy"))
-    pieces, place, index = [], 0, 0
-    while place < len(text):
-        length = lengths[index % len(lengths)]
-        pieces.append((text[place : place + length], -0.01 * (index + 1)))
-        place, index = place + length, index + 1
-    trace = Trace(text, [*([(before, -9.0)] if before else []), *pieces, ("</s>", -9.0)])
-    place = 0
-    for piece, log in pieces:
-        for at in range(place, place + len(piece)):
-            assert trace.log_probability(at, at + 1) == log
-        place += len(piece)
-    assert trace.log_probability(0, len(text)) == pytest.approx(sum(log for _, log in pieces))
 
 
 def test_the_score_is_the_decision_times_the_leading_digits():

@@ -41,8 +41,8 @@ Shown = list[tuple[PerspectiveGrid, np.ndarray]]  # pictures of one moment
 class Detector:
     """A perception of any `function` that finds things in ordinary pictures: it is shown views all around a panorama.
 
-    The views overlap, cover the whole sphere, poles included, and stand level with gravity where the pose is known:
-    detectors have learnt upright things. Boxes of one thing in several views are one detection; all views are ONE look.
+    The views overlap, cover the sphere, and stand level with gravity where the pose is known: detectors have learnt
+    upright things. Boxes of one thing in several views are one detection; all views are ONE look.
 
     - `function`: a picture ``(h, w, 3)`` uint8 RGB, and the query if it takes two arguments; ``boxes, scores[,
       labels]`` out: boxes ``(n, 4)`` x0, y0, x1, y1 in its pixels, scores in [0, 1]. What detectors of known libraries
