@@ -97,7 +97,7 @@ class ReplayPerception:
         Errors as of `near`, and `FormatError` if several records (views) are of that moment.
         """
         found = self.looks(query, stamp)
-        if len(found) > 1:
+        if len(found) != 1:
             raise FormatError(
                 f"{self.name} has {len(found)} records for {query!r} at stamp {found[0].stamp:.6f}; wanted one. "
                 "If they are views of one moment, use each of looks(query, stamp)"

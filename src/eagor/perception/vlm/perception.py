@@ -102,7 +102,8 @@ class ModelPerception:
         if self.extractor == "views":
             plan = plan_views(image, self.model.sizes(1.0, True)[0][0], self.model.view_rows)
         else:
-            plan = plan_panorama(image, *self.model.sizes(2.0), self.seam)
+            size, cells = self.model.sizes(2.0)
+            plan = plan_panorama(image, size, cells, self.seam)
         return self._infer(plan, asked, stamp, began)
 
     def view(self, image: np.ndarray, grid: PerspectiveGrid, query: str, *, stamp: float | None = None) -> Evidence:
