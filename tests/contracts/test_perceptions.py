@@ -18,7 +18,8 @@ from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import BALL_COLOURS, Ball, painted_room
 from eagor.perception import Perception, check_perception, known, load, short_name
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
-from eagor.perception.replay import ReplayPerception, parse_record, read_records, write_record
+from eagor.perception.records import read_looks
+from eagor.perception.replay import ReplayPerception, parse_record, write_record
 from eagor.perception.truth import Noise, TruthPerception
 from eagor.queries import Query
 from eagor.sphere import angular_distance, azimuth_elevation, direction
@@ -514,15 +515,15 @@ def test_a_torn_last_line_is_told_apart(tmp_path):
     path = tmp_path / "looks.jsonl"
     path.write_text(line() + "\n" + line()[:-20])
     with pytest.raises(FormatError, match=r"line 2: is not JSON.*writer was probably interrupted"):
-        read_records(path)
+        read_looks(path)[1]
     path.write_text(line() + "\n" + line())  # a last line without its newline is whole
-    assert len(read_records(path)) == 2
+    assert len(read_looks(path)[1]) == 2
 
 
 def test_a_missing_file_and_a_bad_tolerance(tmp_path, replay_file):
     for path in (tmp_path / "no.jsonl", tmp_path, "a\0b"):
         with pytest.raises(FormatError, match="cannot be read"):
-            read_records(path)
+            read_looks(path)[1]
     for tolerance in (-1.0, math.nan, "1", None, True):
         with pytest.raises(TimeError, match="tolerance"):
             ReplayPerception(replay_file, tolerance=tolerance)
@@ -534,7 +535,7 @@ def test_a_missing_file_and_a_bad_tolerance(tmp_path, replay_file):
 def test_windows_line_ends_and_a_byte_order_mark_are_fine(tmp_path):
     path = tmp_path / "looks.jsonl"
     path.write_bytes(b"\xef\xbb\xbf" + (line() + "\r\n" + line(stamp=2) + "\r\n").encode())
-    assert [r.stamp for r in read_records(path)] == [1, 2]
+    assert [r.stamp for r in read_looks(path)[1]] == [1, 2]
 
 
 def test_writing_checks_first():

@@ -9,7 +9,8 @@ import pytest
 
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import FormatError, QueryError
-from eagor.perception.replay import ReplayPerception, parse_record, read_records
+from eagor.perception.records import read_looks
+from eagor.perception.replay import ReplayPerception, parse_record
 from eagor.perception.vocabulary import fitting
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 
@@ -163,10 +164,10 @@ def test_a_file_that_never_ends_is_refused(tmp_path):
     os.mkfifo(pipe)
     for path in ("/dev/zero", pipe):
         with pytest.raises(FormatError, match="is a pipe or a device"):
-            read_records(path)
+            read_looks(path)[1]
     (path := tmp_path / "looks.jsonl").write_text(line() + "\n")
     (link := tmp_path / "link.jsonl").symlink_to(path)
-    assert len(read_records(link)) == 1
+    assert len(read_looks(link)[1]) == 1
 
 
 def test_what_the_camera_never_sees_says_nothing():

@@ -19,7 +19,8 @@ from eagor.lab.eval.predictions import predicted
 from eagor.odometry.files import read_poses
 from eagor.perception.calibrated import Calibrated, labelled_lines, read_calibrated, read_labelled
 from eagor.perception.onnx.layouts import read_labels
-from eagor.perception.replay import ReplayPerception, read_records
+from eagor.perception.records import read_looks
+from eagor.perception.replay import ReplayPerception
 from eagor.perception.transformers.heads import read_heads
 
 POSES = [
@@ -102,7 +103,7 @@ def test_poses(folder, blob):
 def test_replays(folder, blob):
     path = folder / "looks.jsonl"
     path.write_bytes(blob)
-    found = reads(lambda: read_records(path), "looks.jsonl", also=("line ", "cannot be read", "no records"))
+    found = reads(lambda: read_looks(path)[1], "looks.jsonl", also=("line ", "cannot be read", "no records"))
     for record in found or ():
         evidence = reads(lambda record=record: record.evidence("red chair"))
         assert evidence is None or np.isfinite(np.asarray(evidence.log_ratio)).all()

@@ -287,13 +287,11 @@ class Record:
 # --- reading ----------------------------------------------------------------------------------------------------------
 
 
-def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
-    """The records of a JSONL file in order of time; `FormatError` names the file and the line of a fault."""
-    return read_looks(path)[1]
-
-
 def read_looks(path: str | os.PathLike[str]) -> tuple[Footage | None, tuple[Record, ...]]:
-    """What the first line says of the footage, if it does, and the records as `read_records` gives them."""
+    """What the first line of a JSONL file says of the footage, if it does, and its records in order of time.
+
+    Raises `FormatError`, which names the file and the line of a fault.
+    """
     records, footage = list[Record](), None
     for found, where in parsed_lines(path, _parse):
         if isinstance(found, Record):

@@ -24,18 +24,9 @@ from eagor.evidence import BodyMask, Evidence, model_as_json
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PerspectiveGrid
-from eagor.perception import Perception, infer
+from eagor.perception import Perception, infer, records
 from eagor.perception.partial import ValidMasks, infer_view
-from eagor.perception.records import (
-    Record,
-    mask_entry,
-    parse_record,
-    pose_entry,
-    read_looks,
-    read_records,
-    view_entry,
-    write_record,
-)  # fmt: skip
+from eagor.perception.records import Record, parse_record, read_looks, write_record
 from eagor.perception.views import Detector
 from eagor.perception.vocabulary import colour_of, fitting, match_class, named
 from eagor.sources import Frame, Pose
@@ -45,18 +36,8 @@ from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
-    "NEAR",
-    "ObjectSummary",
-    "Record",
-    "RecordedLooks",
-    "ReplayPerception",
-    "detection_lines",
-    "first_line",
-    "infer_or_replay",
-    "parse_record",
-    "read_records",
-    "summarise_objects",
-    "write_record",
+    "NEAR", "ObjectSummary", "Record", "RecordedLooks", "ReplayPerception", "detection_lines", "first_line",
+    "infer_or_replay", "parse_record", "summarise_objects", "write_record",
 ]  # fmt: skip
 
 MOST_LABELS = 12  # in a sentence
@@ -106,8 +87,8 @@ class ReplayPerception:
 
     def looks(self, query: str, stamp: float | None, strict: bool = True) -> tuple[Evidence, ...]:
         """The evidence of each of `near`: all of them are one look, and have one stamp. Errors as there."""
-        records, wanted, looks = self.near(query, stamp, strict), self._wanted(query), []
-        for record in records:
+        found, wanted, looks = self.near(query, stamp, strict), self._wanted(query), []
+        for record in found:
             look = record.evidence(query, self.calibration, self.detector, self.labels, wanted)
             asked = record.query is not None  # the detector had these words
             looks.append(look if asked else named(look, query, wanted or sorted(fitting(query, self.labels))))
@@ -230,7 +211,9 @@ def detection_lines(
     """
     for posed in frames:
         frame, pose = posed.frame, posed.pose or Pose(posed.frame.stamp, np.eye(3))
-        *entries, at = ({"stamp": float(each.stamp), "pose": pose_entry(each)} for each in (*posed.before, pose))
+        *entries, at = (
+            {"stamp": float(each.stamp), "pose": records.pose_entry(each)} for each in (*posed.before, pose)
+        )
         at["stamp"] = float(frame.stamp)
         if not posed.looked:
             yield posed, [*entries, at]
@@ -241,10 +224,10 @@ def detection_lines(
                 raise ImageError(frame.problem)
             mask = masks.of(Picture(frame.picture, frame.unseen, grid=frame.grid))
             if mask is not None:
-                at["valid_mask"] = mask_entry(mask)
+                at["valid_mask"] = records.mask_entry(mask)
             for query in queries or (None,):
                 seen = views.detect(frame.picture, pose.world_R_body, query or "", frame.grid)
-                entries.append(at | ({"query": query} if query else {}) | {"views": [*map(view_entry, seen)]})
+                entries.append(at | ({"query": query} if query else {}) | {"views": [*map(records.view_entry, seen)]})
         except QueryError:
             raise
         except EagorError as error:
