@@ -85,9 +85,8 @@ class _Image(_Rotation):
 
     def view(self, *shape: int) -> PerspectiveGrid | None:
         """The perspective view that it describes, in pixels or in so many rows and columns; None for a panorama."""
-        stated = {
-            key: value for key in ("hfov_deg", *_LENS, *_LEAN, *_TURN) if (value := getattr(self, key)) is not None
-        }
+        values = {key: getattr(self, key) for key in ("hfov_deg", *_LENS, *_LEAN, *_TURN)}
+        stated = {key: value for key, value in values.items() if value is not None}
         if self.projection == "equirectangular":
             if stated:
                 raise FormatError(

@@ -273,13 +273,8 @@ def checked_address(url: str) -> str:
     shown = re.sub(r"//[^/]*@", "//***@", str(url).partition("?")[0])
     try:
         parts = urlsplit(str(url).strip())
-        if (
-            parts.scheme not in ("http", "https")
-            or not parts.hostname
-            or parts.port == 0
-            or parts.query
-            or "," in str(url)
-        ):
+        known = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
+        if not known or parts.query or "," in str(url):
             raise ValueError
     except ValueError:
         raise EagorError(

@@ -106,9 +106,8 @@ class OnnxDetector:
             raise EagorError(f"{path} does not say what its classes are called; name a file with labels=FILE.txt")
         self.classes = tuple(filter(None, self._names))
         self.size = self._network.size(size, usual.size)
-        tried = self._network.run(
-            np.full((*self.size, 3), PAD, dtype=np.uint8), given.values or usual.values, given.order
-        )
+        grey = np.full((*self.size, 3), PAD, dtype=np.uint8)
+        tried = self._network.run(grey, given.values or usual.values, given.order)
         try:
             self.layout, self._outputs = choose_layout(layout, metadata, tried, len(self._names))
         except EagorError as error:
@@ -164,14 +163,10 @@ class OnnxDetector:
         boxes, scores = boxes[rows], np.clip(scores[reach], 0, 1)
         numbers = numbers[0][rows] if numbers else columns[0]
         classes = np.rint(numbers).astype(np.int64)
-        whole_numbers = (np.abs(numbers - classes) <= SLACK) & (classes >= 0) & (classes < len(self._names))
-        self._check(
-            whole_numbers.all(), f"classes such as {numbers[:3].tolist()} of {len(self._names)} that have labels"
-        )
-        inverted, middles = (
-            (boxes[:, :2] > boxes[:, 2:]).any(axis=1),
-            (boxes[:, :2] + boxes[:, 2:]) / 2 / self.size[::-1],
-        )
+        known = (np.abs(numbers - classes) <= SLACK) & (classes >= 0) & (classes < count)
+        self._check(known.all(), f"classes such as {numbers[:3].tolist()} of {count} that have labels")
+        inverted = (boxes[:, :2] > boxes[:, 2:]).any(axis=1)
+        middles = (boxes[:, :2] + boxes[:, 2:]) / 2 / self.size[::-1]
         right = 2 * inverted.sum() <= len(boxes) and not are_fractions(boxes) and (np.abs(middles - 0.5) <= 1.5).all()
         self._check(right, f"boxes such as {boxes[:1].round(3).tolist()}, where corners in pixels are wanted")
         return boxes, scores, classes
