@@ -16,7 +16,7 @@ from eagor.evidence import BodyMask
 from eagor.grids import tangent_views
 from eagor.live.events import Answer
 from eagor.perception import as_perception, check_perception, infer
-from eagor.perception.fusion import ViewBox, fuse_views
+from eagor.perception.fusion import ViewBox, extend_truncated_box, fuse_views
 from eagor.perception.views import Detector
 from eagor.sources.panorama import turn
 from eagor.sphere import angular_distance, direction, world_R_body
@@ -108,6 +108,12 @@ def test_an_open_side_widens_and_shifts_what_one_view_alone_has_seen():
     assert math.radians(2) < shift < math.radians(8), "the thing goes on to the right, behind the border"
     across, along = np.linalg.eigvalsh(opened.covariance)
     assert along > 2 * across, "it may go on along the open side, and is no higher"
+
+
+def test_what_two_borders_cut_goes_on_by_its_own_width_and_height():
+    grid = tangent_views(100, math.radians(90), 0.0)[0]
+    corner = ViewBox(0, grid, np.array([90.0, 80.0, 100.0, 100.0]), 0.9)
+    np.testing.assert_allclose(extend_truncated_box(corner, [corner]), [90, 80, 110, 120])
 
 
 def test_the_contract_of_perceptions_is_kept():

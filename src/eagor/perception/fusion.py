@@ -175,8 +175,8 @@ def extend_truncated_box(piece: ViewBox, group: Sequence[ViewBox], chords: np.nd
         centre, focal = lens.centre[side % 2], lens.focal[side % 2]
         angle = math.atan(border[side] / focal) + min(length / focal, math.radians(60))
         reach = focal * math.tan(min(angle, math.radians(80)))
-        low, high = max(found[side] - length, centre - reach), min(found[side] + length, centre + reach)
-        found[side] = high if side >= 2 else low
+        before, after = max(found[side] - length, centre - reach), min(found[side] + length, centre + reach)
+        found[side] = after if side >= 2 else before
     return found
 
 
