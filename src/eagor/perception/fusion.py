@@ -9,7 +9,7 @@ length. Extended things are the connected regions of a response map.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -279,13 +279,14 @@ def combined(
     fit: Collection[str],
     detector: DetectorModel | None = None,
     stamp: float | None = None,
+    weighed: Callable[[Sequence[ViewBox]], Sequence[ViewBox]] = lambda pieces: pieces,
 ) -> Evidence:
     """The evidence of a look from what was `seen` in its views: one view, or several that cover the whole sphere.
 
-    `fit`: the labels that count (`eagor.perception.vocabulary.fitting`).
+    `fit`: the labels that count (`eagor.perception.vocabulary.fitting`); `weighed`: gives their boxes other scores.
     """
     view = View(seen[0].grid if len(seen) == 1 else WHOLE_SPHERE)
-    return spread_evidence(fuse_views(pieces_of(seen, fit)), detector or DetectorModel(), view, stamp)
+    return spread_evidence(fuse_views(weighed(pieces_of(seen, fit))), detector or DetectorModel(), view, stamp)
 
 
 def pieces_of(seen: Sequence[ViewDetections], fit: Collection[str]) -> list[ViewBox]:
