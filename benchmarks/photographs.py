@@ -131,7 +131,7 @@ def look(folder: Path, files: Sequence[Path], wanted: Sequence[tuple[str, str]])
             for frame, picture in enumerate(pictures(photograph, condition) if frames else ()):
                 if frame not in frames:
                     continue
-                seen = views.seen(picture, say[frame])
+                seen = views.detect(picture, say[frame])
                 of_class = ((name, fuse_views(pieces_of(seen, {name}))) for name in CLASSES)
                 found = {name: [stored(thing) for thing in found] for name, found in of_class if found}
                 entry: dict[str, Any] = {"photograph": name, "condition": condition, "frame": frame, "seen": found}

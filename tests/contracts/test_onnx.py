@@ -8,7 +8,7 @@ import pytest
 from onnx import TensorProto, helper
 from onnx_files import onnx_file, seeing_file
 
-from eagor.errors import EagorError, FormatError, ImageError, ResponseError
+from eagor.errors import EagorError, FormatError, ResponseError
 from eagor.perception import load
 from eagor.perception.onnx import LAYOUTS, Network, OnnxDetector, from_text
 from eagor.perception.onnx.layouts import names_of
@@ -390,15 +390,8 @@ def test_files_that_are_no_detectors(tmp_path):
 )  # fmt: skip
 def test_options_that_make_no_sense(options, tmp_path):
     (name,) = options
-    with pytest.raises(EagorError, match=rf"{name} = .*; wanted"):
+    with pytest.raises(EagorError, match=rf"{name} (is|=) .*; wanted"):
         OnnxDetector(onnx_file(tmp_path / "d.onnx", yolov8()), THREE, **{"layout": "yolov8"} | options)
-
-
-@pytest.mark.parametrize("picture", [np.zeros((64, 64)), SQUARE[..., 0], SQUARE.astype(float), SQUARE[:0]])
-def test_pictures_that_are_none(picture, tmp_path):
-    detect = OnnxDetector(onnx_file(tmp_path / "d.onnx", yolov8()), THREE, layout="yolov8")
-    with pytest.raises(ImageError, match=r"wanted uint8 sRGB \(H, W, 3\)"):
-        detect(picture, "chair")
 
 
 # --- by name ----------------------------------------------------------------------------------------------------------

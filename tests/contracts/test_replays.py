@@ -9,7 +9,8 @@ import pytest
 
 from eagor.conventions import wxyz_from_rotation
 from eagor.errors import FormatError, QueryError
-from eagor.perception.replay import ReplayPerception, parse_record, read_records
+from eagor.perception.records import read_looks
+from eagor.perception.replay import ReplayPerception, parse_record
 from eagor.perception.vocabulary import fitting
 from eagor.sphere import azimuth_elevation, direction, world_R_body
 
@@ -31,13 +32,13 @@ VIEW = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60
         (line(lable="chair"), "'lable' is no key of a line"),
         (
             line(image=PANORAMA | {"yaw_deg": 90}),
-            "'yaw_deg' is no key of image; did you mean yaw_left_deg.*to the LEFT",
+            "'yaw_deg' is no key of image; did you mean yaw_left_deg",
         ),
         (
             line(image=VIEW | {"pitch_deg": 9}),
-            "did you mean pitch_up_deg.*positive UP.*pose file is positive nose DOWN",
+            "did you mean pitch_up_deg",
         ),
-        (line(image=VIEW | {"roll": 9}), "roll_right_deg is positive where the camera leans to its RIGHT"),
+        (line(image=VIEW | {"roll": 9}), "'roll' is no key of image"),
         (line(image=PANORAMA | {"hfov_deg": 90}), 'hfov_deg is for a perspective image.*"projection": "perspective"'),
         (line(image=PANORAMA | {"roll_right_deg": 0}), "roll_right_deg is for a perspective image"),
         (line(image=PANORAMA | {"focal": [9, 9]}), "focal is for a perspective image"),
@@ -45,12 +46,12 @@ VIEW = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60
         (line(image=VIEW | {"hfov_deg": None, "focal": [9, 9]}), "centre is missing; wanted two numbers"),
         (line(image=VIEW | {"hfov_deg": None, "focal": [-9, 9], "centre": [1, 1]}), r"has focal \(-9.*above 0"),
         (line(image=VIEW | {"distortion": [0.0] * 9}), r"image.distortion is .*; wanted `array` of length <= 8"),
-        (line(boxes=[{"bbox": [1, 2, 30, 40]}]), r"'bbox' is no key of boxes\[0\]; did you mean box\?.*not x, y"),
+        (line(boxes=[{"bbox": [1, 2, 30, 40]}]), r"'bbox' is no key of boxes\[0\]; did you mean box\?"),
         (line(boxes=[{"box": [1, 2, 30, 40], "confidence": 1}]), r"'confidence' is no key of boxes\[0\]"),
         (line(boxes=None, points=[{"azimuth": 3, "elevation_deg": 5}]), "did you mean azimuth_deg"),
         (line(boxes=None, response={"rows": 1, "columns": 1, "values": [0]}), "'columns' is no key of response"),
         (line(boxes=[{"box": [1, 2, 30, 40], "score": 7.5}]), r"score is 7.5.*exp\(-score.*percentages by 100"),
-        (line(look=1), r"'look' is no key of a line.*the same stamp"),
+        (line(look=1), r"'look' is no key of a line"),
         (line(image=VIEW | {"qw": 1}), "qx is missing"),
         (line(image=VIEW | {"qw": 1, "qx": 1, "qy": 0, "qz": 0}), r"length of qw, qx, qy, qz is 1\.4142; wanted 1"),
         (line(image=VIEW | {"qw": 1, "qx": 0, "qy": 0, "qz": 0, "pitch_up_deg": 3}), "not both"),
@@ -58,7 +59,7 @@ VIEW = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60
         (line(boxes=None, views=[{"image": PANORAMA, "boxes": []}]), 'wanted "perspective" in views'),
         (line(pose={"qw": 1, "qx": 0, "qy": 0, "qz": 0, "x": 1}), "wanted x, y and z, or none of them"),
         (line(pose={"qw": 1, "qx": 1, "qy": 0, "qz": 0}), r"wanted 1 \(a rotation, world_R_body\)"),
-        (line(unseen={"rows": 2, "runs": [1, 2]}), r"runs is '3 cells'; wanted rows \* 2 \* rows = 8 in all"),
+        (line(valid_mask={"rows": 2, "runs": [1, 2]}), r"runs is '3 cells'; wanted rows \* 2 \* rows = 8 in all"),
         (line(boxes=None), "has none of boxes, points, response, views; wanted exactly one, or a pose"),
         ('{"footage": {"of": "a.mp4", "perception": "coco"}}', "has footage; wanted that in the first line alone"),
     ],
@@ -163,15 +164,15 @@ def test_a_file_that_never_ends_is_refused(tmp_path):
     os.mkfifo(pipe)
     for path in ("/dev/zero", pipe):
         with pytest.raises(FormatError, match="is a pipe or a device"):
-            read_records(path)
+            read_looks(path)[1]
     (path := tmp_path / "looks.jsonl").write_text(line() + "\n")
     (link := tmp_path / "link.jsonl").symlink_to(path)
-    assert len(read_records(link)) == 1
+    assert len(read_looks(link)[1]) == 1
 
 
 def test_what_the_camera_never_sees_says_nothing():
     """A box under the tripod's patch is none, and not having seen anything there is no sign of absence."""
-    seen = {"unseen": {"rows": 2, "runs": [4, 4]}}  # the lower half is black
+    seen = {"valid_mask": {"rows": 2, "runs": [4, 4]}}  # the lower half is black
     boxes = [{"box": [500, 100, 540, 140]}, {"box": [500, 400, 540, 440]}]
     evidence = parse_record(line(boxes=boxes, **seen)).evidence("thing")
     assert len(evidence.detections) == 1

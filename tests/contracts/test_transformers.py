@@ -12,11 +12,8 @@ import pytest
 import torch
 import transformers
 import vlm_models
-from hypothesis import given
-from hypothesis import strategies as st
-from torch.utils._python_dispatch import TorchDispatchMode
 
-from eagor.errors import AnswerError, EagorError, QueryError
+from eagor.errors import EagorError, QueryError
 from eagor.evidence.calibration import Calibration
 from eagor.grids import PatchGrid
 from eagor.perception import check_perception, load, parse_options
@@ -184,47 +181,6 @@ def test_it_works_inside_generate_and_decodes_like_it(random_models, family):
         torch.testing.assert_close(during[layer], rows[layer], atol=1e-6, rtol=1e-5)
 
 
-class Largest(TorchDispatchMode):
-    """Watches for floating tensors that are square in (almost) the number of tokens: attention matrices."""
-
-    def __init__(self, tokens):
-        super().__init__()
-        self.tokens, self.found = tokens, 0
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        out = func(*args, **(kwargs or {}))
-        for tensor in out if isinstance(out, tuple | list) else [out]:
-            if isinstance(tensor, torch.Tensor) and tensor.is_floating_point() and tensor.ndim >= 3:
-                self.found += min(tensor.shape[-2:]) >= self.tokens
-        return out
-
-
-@some
-def test_no_attention_matrix_is_ever_made(random_models, family):
-    language = random_models(family)
-    feed, columns, _ = whole_feed(language, [noise()], "Is there a red chair?")
-    tokens = len(columns)  # queries by keys of a full matrix are more each way
-    assert tokens > vlm_models.TEXT["intermediate_size"]
-    text = language.model.model.language_model
-    embedded = []
-    hook = text.register_forward_pre_hook(lambda _module, _args, kwargs: embedded.append(kwargs), with_kwargs=True)
-    with torch.inference_mode():
-        language.model(**feed)
-        hook.remove()
-        with capturing(language.model, full_layers(language.model), columns) as capture, Largest(tokens) as watch:
-            text(**embedded[0])
-        assert watch.found == 0
-        assert all(rows.shape == (1, 4, len(columns)) for rows in capture.values())
-        language.model.set_attn_implementation("eager")
-        try:
-            with Largest(tokens) as watch:
-                text(**{**embedded[0], "attention_mask": None})
-        finally:
-            language.model.set_attn_implementation("sdpa")
-            language.model.set_attn_implementation({"text_config": "eagor_rows"})
-    assert watch.found > 0  # it would have been seen
-
-
 def test_layers_with_a_window_are_not_read(random_models):
     assert full_layers(random_models("gemma3").model) == [vlm_models.LAYERS - 1]
 
@@ -304,19 +260,6 @@ def test_templates_of_checkpoints_count_where_they_know_images(random_models, mo
 # --- where tokens look -----------------------------------------------------------------------------------------------
 
 
-@given(
-    rows=st.integers(1, 9), cols=st.integers(1, 9), height=st.integers(1, 12), width=st.integers(1, 12),
-    seed=st.integers(0, 99),
-)  # fmt: skip
-def test_sums_are_kept_and_constants_stay_constant(rows, cols, height, width, seed):
-    block = Block(rows, cols, (0.0, 0.0, 1.0, 1.0))
-    planned = InputPlan((1, 1), (height, width), (block, block))
-    tokens = np.random.default_rng(seed).random((2, planned.tokens))
-    np.testing.assert_allclose(planned.cells(tokens).sum(axis=(-2, -1)), tokens.sum(axis=-1))
-    flat = planned.cells(np.ones(planned.tokens))
-    np.testing.assert_allclose(flat, 2 * rows * cols / (height * width))
-
-
 def test_padding_is_left_out_and_thumbnails_are_shared_out():
     padded = InputPlan((1, 1), (2, 4), (Block(4, 4, (0.0, -0.5, 1.0, 1.5)),))
     np.testing.assert_array_equal(padded.cells(np.arange(16.0)), np.arange(4.0, 12.0).reshape(2, 4))
@@ -336,64 +279,6 @@ def test_plans_fit_their_models(random_models, family, aspect):
     features = torch.cat(list(features)) if isinstance(features, tuple | list) else features
     assert features.reshape(-1, features.shape[-1]).shape[0] == planned.tokens
     assert planned.cells(np.ones(planned.tokens)).min() > 0
-
-
-@some
-def test_a_change_in_a_cell_changes_its_token_most(random_models, family):
-    language = random_models(family)
-    planned = language.plan(2.0)
-    rows, cols = planned.shape
-    height, width = planned.size[0] // rows, planned.size[1] // cols
-    plain = np.full((*planned.size, 3), 120, np.uint8)
-
-    def features(images):
-        tensors = inputs.pictures(images, planned, language.processor)
-        with torch.inference_mode():
-            out = language.model.model.get_image_features(**tensors, return_dict=True).pooler_output
-        out = torch.cat(list(out)) if isinstance(out, tuple | list) else out
-        return out.reshape(len(images), planned.tokens, -1)
-
-    for row, col in [(0, 0), (rows // 2, 1), (rows - 1, cols - 1), (1, cols // 2)]:
-        image = plain.copy()
-        image[row * height : (row + 1) * height, col * width : (col + 1) * width] = (255, 0, 0)
-        changes = (features([image, plain])[0] - features([plain, plain])[0]).norm(dim=-1).numpy()
-        cells = planned.cells(changes)
-        assert np.unravel_index(cells.argmax(), cells.shape) == (row, col)
-
-
-@languages
-def test_planted_cells_come_back_at_their_directions(random_models, monkeypatch, family):
-    """Attention to one cell's tokens alone: the response's middle is the cell's centre, to a hundredth of a cell."""
-    language = random_models(family)
-    planned = language.plan(2.0)
-    rows, cols = planned.shape
-    where = {}
-
-    def last_row(query, *_):
-        tokens = np.zeros(planned.tokens)
-        for index in range(planned.tokens):
-            only = np.eye(1, planned.tokens, index)[0]
-            cell = np.unravel_index(planned.cells(only).argmax(), planned.shape)
-            tokens[index] = cell == where["cell"] and planned.cells(only).max() > 0.99
-        row = torch.tensor(tokens / tokens.sum(), dtype=torch.float32)
-        return row.expand(query.shape[0], query.shape[1], -1)
-
-    monkeypatch.setattr(language_module, "last_row", last_row)
-    monkeypatch.setattr(language, "heads", Heads("x", family, ((vlm_models.LAYERS - 1, 0),), 3.0))
-    for row, col in [(rows // 2, 1), (rows // 2 - 1, cols // 2), (rows // 2, cols - 1), (rows // 2, 0)]:
-        where["cell"] = (row, col)
-        response = response_of(perception_of(language, seam=False), noise(), "red chair").astype(float)
-        assert response.shape == planned.shape
-        across, down = response.sum(axis=0), response.sum(axis=1)
-        turns = np.exp(2j * np.pi * (np.arange(cols) + 0.5) / cols)
-        column = np.angle((across * turns).sum() / turns[0]) * cols / (2 * np.pi) % cols
-        assert abs((column - col + cols / 2) % cols - cols / 2) < 0.01
-        assert down.argmax() == row
-        peak = np.unravel_index(response.argmax(), response.shape)
-        looks = PatchGrid(rows, cols).directions[peak]
-        azimuth = math.pi - 2 * math.pi * (col + 0.5) / cols  # the centre of the picture is ahead, left is positive
-        elevation = math.pi / 2 - math.pi * (row + 0.5) / rows
-        assert float(angular_distance(looks, direction(azimuth, elevation))) < 0.01 * math.pi / rows
 
 
 @some
@@ -588,14 +473,6 @@ def test_boxes_are_scored_by_the_probability_of_their_tokens(random_models, monk
     assert 0.2 < scores[0] < 1
 
 
-@pytest.mark.parametrize("family", BOXES)
-def test_answers_that_cannot_be_read_are_errors(random_models, monkeypatch, family):
-    language = random_models(family)
-    writing(monkeypatch, language, lambda image: "I would rather talk about the weather.")
-    with pytest.raises(AnswerError, match="weather"):
-        perception_of(language, "boxes")(noise(), "red chair")
-
-
 @pytest.mark.parametrize("family", [one for one in LANGUAGE if one not in BOXES])
 def test_families_without_boxes_say_so(folders, family):
     with pytest.raises(EagorError, match=r"extractor = 'boxes'; for this model it can be (attention|views)"):
@@ -686,7 +563,7 @@ def test_a_file_of_heads_is_used(folders, tmp_path):
     assert response_of(perception, noise()).max() > 0
 
 
-# --- localisers ------------------------------------------------------------------------------------------------------
+# --- detectors -------------------------------------------------------------------------------------------------------
 
 
 DETECTORS = (*LOCALISERS, "yolos")
@@ -725,11 +602,11 @@ def test_planted_boxes_come_back_where_they_are_in_the_picture(folders, monkeypa
         with monkeypatch.context() as patch:
             planted_outputs(patch, detector.model, (x, y))
             found = detector.many([picture, picture[::-1]], "chair")
-        for boxes, scores, *labels in found:
+        for boxes, scores, labels in found:
             (left, top, right, bottom), (score,) = boxes[0], scores
             assert ((left + right) / 2, (top + bottom) / 2) == pytest.approx((96 * x, 96 * y), abs=2)
             assert score > 0.9
-            assert labels == ([["chair"]] if family == "yolos" else [])
+            assert labels == (["chair"] if family == "yolos" else None)
 
 
 def test_scores_below_the_threshold_are_dropped(folders, monkeypatch):
@@ -820,12 +697,6 @@ def test_options_without_a_meaning_are_refused_before_weights_are_read(folders, 
     monkeypatch.setattr(transformers.AutoModelForImageTextToText, "from_pretrained", read)
     with pytest.raises(EagorError, match=option.partition("=")[0]):
         load(f"{folders('llava')}?{option}")
-
-
-@pytest.mark.parametrize("threshold", ["nan", "inf", "-1", "2", "true", "low"])
-def test_thresholds_that_are_no_scores_are_refused(folders, threshold):
-    with pytest.raises(EagorError, match=r"threshold is .*; wanted `"):
-        load(f"{folders('owlv2')}?threshold={threshold}")
 
 
 @pytest.mark.parametrize("file", ["config.json", "model.safetensors", "tokenizer.json", "preprocessor_config.json"])

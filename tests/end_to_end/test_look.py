@@ -104,7 +104,7 @@ def test_what_was_seen_once_answers_as_the_footage_does(paints, film, eagor, tmp
     assert code == 0, err
     assert f'eagor track {looks} "marble"' in out
     assert "black around a pole" in err
-    assert '"unseen"' in looks.read_text()
+    assert '"valid_mask"' in looks.read_text()
     seen = paints.looks
     answers = {}
     for query in ("ball", "marbles", "door"):
@@ -205,7 +205,7 @@ def test_an_interruption_says_what_is_kept(paints, eagor, tmp_path, monkeypatch)
     folder.mkdir()
     for k in range(4):
         Image.fromarray(painted_room(64, 128)).save(folder / f"{k}.png")
-    seen, two = Detector.seen, [1, 2]
+    seen, two = Detector.detect, [1, 2]
 
     def broken_off(self, *of):
         if not two:
@@ -213,7 +213,7 @@ def test_an_interruption_says_what_is_kept(paints, eagor, tmp_path, monkeypatch)
         two.pop()
         return seen(self, *of)
 
-    monkeypatch.setattr(Detector, "seen", broken_off)
+    monkeypatch.setattr(Detector, "detect", broken_off)
     code, out, err = eagor("look", folder, "--out", looks, "--perception", "paints", "--rate", 2)
     assert (code, out) == (130, "")
     assert err.splitlines()[-2:] == [f"eagor: kept: {looks}, 2 looks to 0.50 s", "eagor: interrupted"]

@@ -12,15 +12,12 @@ import vlm_models
 from contract_server import ContractServer, Reply, reddish
 from PIL import Image
 
-from eagor._extras import how_to_install
 from eagor.belief import Belief
 from eagor.cli import main
-from eagor.errors import EagorError, FormatError
+from eagor.errors import FormatError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
-from eagor.lab.agents.models import shared
-from eagor.lab.eval.labelled_looks import apartment_labels
-from eagor.perception import is_model, load, rows_of, short_name
+from eagor.perception import is_model, load, short_name
 from eagor.perception import transformers as local
 from eagor.perception.calibrated import Labelled, cap_radius, read_labelled
 from eagor.perception.partial import infer_view
@@ -172,18 +169,6 @@ def test_a_model_looks_at_an_ordinary_picture(planted, family):
         assert abs(behind) < 0.1
 
 
-@pytest.mark.parametrize("model", ["qwen2.5-vl-7b", "gemma-3-4b"])
-def test_a_server_is_sent_an_ordinary_picture(model):
-    place = (0.45, 0.2)
-    with ContractServer(reddish, (model,)) as server:
-        perception = load(f"endpoint:{model}@{server.url}?pixels=451584&extractor=boxes")
-        evidence, mode = seen_in_a_view(perception, place)
-        images = [request.image.shape for request in server.requests if request.image is not None]
-    assert angular_distance(mode, direction(*place)) < math.radians(3)
-    assert (images[0][0] == images[0][1]) == model.startswith("gemma"), images
-    assert evidence.source["extractor"] == "boxes"
-
-
 # --- runs ------------------------------------------------------------------------------------------------------------
 
 
@@ -222,17 +207,6 @@ def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
     assert code == 0
     assert str(folder) in page
     assert "ms each on average" in page
-
-
-@pytest.mark.slow
-def test_a_run_on_two_processes(eagor, planted, tmp_path):
-    spec = f"{planted(QWEN)}?{SMALL}&extractor=attention"
-    words = ("bench", "run", "navigation", "--perception", spec, "--seed", "3", "--set", "max_steps=2")
-    code, out, err = eagor(
-        *words, "--episodes", "1", "--methods", "plain", "eagor", "--workers", "2", "--out", tmp_path / "run", "--json"
-    )
-    assert code == 0, err
-    assert json.loads(out)["failed"] == 0
 
 
 def test_a_run_with_a_server_survives_an_answer_that_cannot_be_read(eagor, tmp_path, monkeypatch):
@@ -275,23 +249,6 @@ def test_the_plain_model_is_compared_where_a_model_looks(monkeypatch):
     assert default_methods("endpoint:qwen2.5vl:7b") == ("plain", *NAMES)
 
 
-def test_a_perception_is_made_once_per_process():
-    shared.cache_clear()
-    assert shared("colour") is shared("colour")
-    shared.cache_clear()
-
-
-@families
-def test_panoramas_are_rendered_as_fine_as_the_model_sees(planted, family):
-    perception = load(str(planted(family)))
-    rows = rows_of(perception)
-    if perception.extractor == "views":  # a pixel of the panorama is one in the middle of a view
-        side = min(perception.loaded.plan(1.0, True).size)
-        assert rows == pytest.approx(math.pi * (side / 2) / math.tan(math.radians(50)), abs=1)
-    else:
-        assert rows == perception.loaded.plan(2.0).size[0]
-
-
 @pytest.mark.parametrize(
     ("spec", "name", "model"),
     [
@@ -313,29 +270,6 @@ def test_names_of_runs_and_files(spec, name, model):
 
 
 # --- what goes wrong -------------------------------------------------------------------------------------------------
-
-
-def test_models_that_are_not_there(refused, panorama, tmp_path):
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "bert").mkdir()
-    (tmp_path / "bert" / "config.json").write_text('{"model_type": "bert"}')
-    for spec, says in [
-        (tmp_path / "nowhere", "there is no folder"),
-        (tmp_path / "empty", "no config.json"),
-        (tmp_path / "bert", "type 'bert', which cannot be read here; known are Qwen2.5-VL"),
-    ]:
-        assert says in refused(2, "locate", panorama, "red thing", "--perception", spec)
-        words = ("bench", "run", "tracking", "--episodes", "1", "--out", tmp_path / "run")
-        assert says in refused(2, *words, "--perception", spec)
-    assert not (tmp_path / "run").exists()
-
-
-def test_packages_that_are_not_there(refused, planted, panorama, monkeypatch):
-    folder = planted(QWEN)
-    monkeypatch.setitem(sys.modules, "transformers", None)
-    assert how_to_install("vlm") in refused(2, "locate", panorama, "red thing", "--perception", folder)
-    monkeypatch.setitem(sys.modules, "openai", None)
-    assert how_to_install("endpoint") in refused(2, "locate", panorama, "red", "--perception", "endpoint:qwen")
 
 
 def test_servers_that_are_not_there(refused, panorama, tmp_path, nobody):
@@ -438,21 +372,6 @@ def test_heads_of_what_has_none_are_refused(refused, planted, tmp_path):
     assert "which reads boxes" in refused(
         2, "locate", "x.png", "red", "--perception", f"{planted(QWEN)}?extractor=boxes&heads={heads}"
     )
-
-
-def test_labels_of_apartments_are_true():
-    """Where the label points, the picture shows a thing of its own; and it is of the size that is said."""
-    found = list(apartment_labels(2, 7, 64))
-    assert found
-    for example in found:
-        assert example.panorama.shape == (64, 128, 3)
-        assert example.panorama.dtype == np.uint8
-        assert np.linalg.norm(example.direction) == pytest.approx(1)
-        assert math.radians(3) <= example.radius <= math.radians(35)
-    again = list(apartment_labels(2, 7, 64))
-    assert [example.query for example in again] == [example.query for example in found]
-    with pytest.raises(EagorError, match="results"):
-        next(apartment_labels(1, 2000, 64))
 
 
 def test_labels_of_apartments_point_at_the_thing(monkeypatch):

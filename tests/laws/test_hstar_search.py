@@ -25,7 +25,7 @@ from eagor.lab.tasks.hstar.agents import (
     stated,
 )
 from eagor.perception.truth import Noise
-from eagor.tracking.looking import information
+from eagor.tracking.next_view import information
 
 poses = st.tuples(st.integers(0, 359), st.sampled_from(PITCHES))
 

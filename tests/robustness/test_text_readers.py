@@ -19,7 +19,8 @@ from eagor.lab.eval.predictions import predicted
 from eagor.odometry.files import read_poses
 from eagor.perception.calibrated import labelled_lines, read_calibrated, read_labelled
 from eagor.perception.onnx.layouts import read_labels
-from eagor.perception.replay import ReplayPerception, read_records
+from eagor.perception.records import read_looks
+from eagor.perception.replay import ReplayPerception
 from eagor.perception.transformers.heads import read_heads
 from eagor.sources.rigs import read_rig
 
@@ -138,7 +139,7 @@ def labelled(path):
 LINE = ("line ", "cannot be read", "is empty", "no poses", "no records", "no true", "no labels")
 READERS = {  # a file: what it holds, who reads it, which words an error has beside its name, what holds of the result
     "poses.csv": (damaged(POSES), read_poses, LINE, poses_hold),
-    "looks.jsonl": (blobs(*RECORDS), read_records, LINE, records_hold),
+    "looks.jsonl": (blobs(*RECORDS), lambda path: read_looks(path)[1], LINE, records_hold),
     "truth.jsonl": (blobs(*TRUTHS), read_truth, LINE, truths_hold),
     "calibration.json": (objects(CALIBRATION), read_calibrated, (), written_again(read_calibrated)),
     "heads.json": (objects(HEADS), read_heads, (), written_again(read_heads)),

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
     from eagor.live.in_turn import Followed
-    from eagor.perception.recordings import RecordedLooks
+    from eagor.perception.replay import RecordedLooks
     from eagor.tracking.config import TrackerConfig
     from eagor.tracking.estimate import Estimate
 
@@ -240,8 +240,7 @@ def recorded(options: Footage, places: Sequence[Path]) -> RecordedLooks | None:
     """
     if len(places) != 1 or places[0].suffix.lower() != ".jsonl":
         return None
-    from eagor.perception.recordings import RecordedLooks
-    from eagor.perception.replay import ReplayPerception
+    from eagor.perception.replay import RecordedLooks, ReplayPerception
 
     looks = RecordedLooks(ReplayPerception(places[0]))
     common = {"json", "debug"}
@@ -258,13 +257,13 @@ def recorded(options: Footage, places: Sequence[Path]) -> RecordedLooks | None:
 def list_seen(options: Answering, looks: RecordedLooks, config: TrackerConfig) -> int:
     """Print what was seen where, the surest first; returns the exit code."""
     from eagor.cli.checks import mask_of
-    from eagor.perception.recordings import NEAR, ValidMasks, asked_for, summarise_objects
+    from eagor.perception.replay import NEAR, summarise_objects
 
     if wrong := given(options, _OF_ONE):
         raise UsageError(f"--{wrong[0]} is for one question: eagor track {looks.replay.name} QUERY --{wrong[0]}")
-    about, queries, mask = looks.about, asked_for(looks.replay), mask_of(options.mask)
+    about, queries, mask = looks.about, looks.asked_for(), mask_of(options.mask)
     with terminal.progress("adding up", len(queries), shown=not options.json) as advance:
-        found = summarise_objects(looks, config, ValidMasks([mask] if mask else []), advance)
+        found = summarise_objects(looks, config, [mask] if mask else [], advance)
     near, things = round(math.degrees(NEAR)), []
     lines = [f"{'thing':<16}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'sure':>7}{'presence':>10}{'looks':>9}"
              f"{'last seen':>11}  status"]  # fmt: skip

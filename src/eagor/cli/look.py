@@ -39,7 +39,8 @@ class Look(Footage):
 
 def look(options: Look) -> int:
     """Run the command; returns its exit code."""
-    from eagor.perception.recordings import ValidMasks, first_line, looked_at
+    from eagor.perception.partial import ValidMasks
+    from eagor.perception.replay import detection_lines, first_line
     from eagor.sources.odometry import PosedFrames, prefetched
 
     queries = checks.checked_queries(options.queries)
@@ -55,7 +56,7 @@ def look(options: Look) -> int:
         head = [first_line(of, options.perception, views, stream.told, stream.begins)]
         frames = PosedFrames(stream.source, stream.poses, stream.looks, terminal.log)
         try:
-            for posed, entries in looked_at(prefetched(frames), views, queries, ValidMasks(say=terminal.log)):
+            for posed, entries in detection_lines(prefetched(frames), views, queries, ValidMasks(say=terminal.log)):
                 file.add("".join(f"{line}\n" for line in [*head, *map(json.dumps, entries)]))
                 head.clear()
                 if not posed.looked:

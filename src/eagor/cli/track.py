@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from eagor.live.events import Answer, Event
     from eagor.live.in_turn import Followed
     from eagor.live.loop import Sink
-    from eagor.perception.recordings import RecordedLooks
+    from eagor.perception.replay import RecordedLooks
 
 
 @dataclass(frozen=True, kw_only=True)

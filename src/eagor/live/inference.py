@@ -26,7 +26,7 @@ from eagor.errors import EagorError, ImageError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.live.events import Diagnostic, Event, ObservationReceived
 from eagor.perception import NoEvidenceError, Perception, knows_classes, load
-from eagor.perception.recordings import ValidMasks
+from eagor.perception.partial import ValidMasks
 from eagor.perception.replay import infer_or_replay
 from eagor.sources import Frame
 from eagor.sources.panorama import Picture
@@ -219,7 +219,7 @@ class _Model:
         except Exception as error:
             raise EagorError(error_text(error)) from error
         self.knows_classes = knows_classes(self._perception)
-        self._hidden = ValidMasks(masks, say)
+        self._masks = ValidMasks(masks, say)
 
     def infer(self, frame: Frame, queries: Sequence[str], pose: np.ndarray | None) -> Iterator[Inferred]:
         picture, stamp, grid = frame.picture, frame.stamp, frame.grid
@@ -227,7 +227,7 @@ class _Model:
             picture = picture.view()
             picture.flags.writeable = False
         try:
-            masks = self._hidden.masks(None if picture is None else Picture(picture, frame.unseen, grid=grid))
+            masks = self._masks.masks(None if picture is None else Picture(picture, frame.unseen, grid=grid))
         except ImageError as error:
             yield Inferred(None, problem=str(error))
             return

@@ -37,7 +37,7 @@ from eagor.live.recording import Pictures, Recorder
 from eagor.live.threads import FrozenCamera, LatestWorker, LoopClock, Reader
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception import Perception, as_perception
-from eagor.perception.recordings import RecordedLooks
+from eagor.perception.replay import RecordedLooks
 from eagor.sources import CameraSource, Frame, Pose, PoseSource
 from eagor.sources.camera_sources import open_source
 from eagor.sources.odometry import PosedFrame, PosedFrames, poses_for, prefetched

@@ -9,7 +9,7 @@ length. Extended things are the connected regions of a response map.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -175,9 +175,8 @@ def extend_truncated_box(piece: ViewBox, group: Sequence[ViewBox], chords: np.nd
         centre, focal = lens.centre[side % 2], lens.focal[side % 2]
         angle = math.atan(border[side] / focal) + min(length / focal, math.radians(60))
         reach = focal * math.tan(min(angle, math.radians(80)))
-        found[side] = (
-            min(found[side] + length, centre + reach) if side >= 2 else max(found[side] - length, centre - reach)
-        )
+        before, after = max(found[side] - length, centre - reach), min(found[side] + length, centre + reach)
+        found[side] = after if side >= 2 else before
     return found
 
 
@@ -269,11 +268,10 @@ def connected(inside: np.ndarray, around: bool) -> np.ndarray:
 
 def blurred(cells: np.ndarray, wrap: bool = True) -> np.ndarray:
     """`cells` ``(..., h, w)`` filtered with the binomial kernel (1 2 1) / 4 each way."""
-    flat = [(0, 0)] * (cells.ndim - 2)
-    wide = np.pad(cells, [*flat, (0, 0), (1, 1)], mode="wrap" if wrap else "edge")
-    across = (wide[..., :-2] + 2 * cells + wide[..., 2:]) / 4
-    tall = np.pad(across, [*flat, (1, 1), (0, 0)], mode="edge")
-    return (tall[..., :-2, :] + 2 * across + tall[..., 2:, :]) / 4
+    from scipy.ndimage import correlate1d
+
+    across = correlate1d(cells, [0.25, 0.5, 0.25], axis=-1, mode="wrap" if wrap else "nearest")
+    return correlate1d(across, [0.25, 0.5, 0.25], axis=-2, mode="nearest")
 
 
 def combined(
@@ -281,13 +279,14 @@ def combined(
     fit: Collection[str],
     detector: DetectorModel | None = None,
     stamp: float | None = None,
+    weighed: Callable[[Sequence[ViewBox]], Sequence[ViewBox]] = lambda pieces: pieces,
 ) -> Evidence:
     """The evidence of a look from what was `seen` in its views: one view, or several that cover the whole sphere.
 
-    `fit`: the labels that count (`eagor.perception.vocabulary.fitting`).
+    `fit`: the labels that count (`eagor.perception.vocabulary.fitting`); `weighed`: gives their boxes other scores.
     """
     view = View(seen[0].grid if len(seen) == 1 else WHOLE_SPHERE)
-    return spread_evidence(fuse_views(pieces_of(seen, fit)), detector or DetectorModel(), view, stamp)
+    return spread_evidence(fuse_views(weighed(pieces_of(seen, fit))), detector or DetectorModel(), view, stamp)
 
 
 def pieces_of(seen: Sequence[ViewDetections], fit: Collection[str]) -> list[ViewBox]:

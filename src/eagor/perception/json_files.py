@@ -8,7 +8,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from json import JSONDecodeError
 from typing import Annotated, Any, TypeVar
 
@@ -60,13 +60,11 @@ def object_of(line: str | bytes) -> dict[str, Any]:
     return entry
 
 
-def checked(
-    entry: Any, kind: type[_Kind], name: str, *, noted: bool = False, hints: Mapping[str, str] | None = None
-) -> _Kind:
+def checked(entry: Any, kind: type[_Kind], name: str, *, noted: bool = False) -> _Kind:
     """Parsed JSON as the structure `kind`, a `msgspec.Struct` or a dataclass, which errors call `name`.
 
-    `noted`: keys that begin with ``_`` are notes, and null means absent, at any depth. `hints`: what to say of keys
-    that others use. Raises `FormatError`; a key that is not known is refused with the nearest that is.
+    `noted`: keys that begin with ``_`` are notes, and null means absent, at any depth. Raises `FormatError`; a key that
+    is not known is refused with the nearest that is.
     """
     bare = _without_notes(entry) if noted else entry
     try:
@@ -75,7 +73,7 @@ def checked(
         raise FormatError(f"{name} has a key that is no text ({error})") from error
     except msgspec.ValidationError as error:
         own = error.__cause__  # what the class in the structure says itself
-        text = str(own) if isinstance(own, EagorError) else _fault(bare, kind, name, str(error), hints or {})
+        text = str(own) if isinstance(own, EagorError) else _fault(bare, kind, name, str(error))
         raise FormatError(text) from error
 
 
@@ -92,7 +90,7 @@ def require_field(holds: bool, what: str, came: Any, wanted: str) -> None:
         raise FormatError(f"{what} {'is missing' if came is None else f'is {shown(came)}'}; wanted {wanted}")
 
 
-def _fault(entry: Any, kind: type, name: str, error: str, hints: Mapping[str, str]) -> str:
+def _fault(entry: Any, kind: type, name: str, error: str) -> str:
     """What came and what was wanted, from the text of msgspec, which tells the types and the place."""
     text, _, place = error.removesuffix("`").partition(" - at `$")
     for key, index in re.findall(r"\.(\w+)|\[(\d+)\]", place):
@@ -106,5 +104,4 @@ def _fault(entry: Any, kind: type, name: str, error: str, hints: Mapping[str, st
         return f"{key} is missing in {where}"
     known = msgspec.json.schema(kind, schema_hook=lambda _: {}).get("$defs", {}).values()
     near = difflib.get_close_matches(key, {key for each in known for key in each.get("properties", ())}, 1, 0.5)
-    meant = "".join(f"; did you mean {each}?" for each in near) + (f" ({hints[key]})" if key in hints else "")
-    return f"{key!r} is no key of {where}{meant}"
+    return f"{key!r} is no key of {where}" + "".join(f"; did you mean {each}?" for each in near)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
@@ -21,9 +22,11 @@ from eagor.evidence.detections import View
 from eagor.evidence.shapes import canvas_of
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.perception import Perception, rows_of
-from eagor.sources.panorama import by_area, checked_picture, read_panorama
+from eagor.sources.defects import InvalidMask
+from eagor.sources.panorama import Picture, by_area, checked_picture, read_panorama
 
 BORDER = 0.5  # share of a cell that the picture has to fill for the cell to count as looked at
+WORTH_SAYING = 0.002  # share of the sphere from which on a black region is worth a sentence
 GREY = 0.02  # share of a mask's pixels that may be neither black nor white: smoothed edges
 
 
@@ -92,6 +95,51 @@ def coverage(rows: int, columns: int, grid: PerspectiveGrid) -> np.ndarray:
     return inside.reshape(rows, fine, columns, fine).mean(axis=(1, 3))
 
 
+# --- masks of what a camera never sees --------------------------------------------------------------------------------
+
+
+class ValidMasks:
+    """What the camera never sees: looks say nothing there.
+
+    That is each of the `masks` that are given, what a file says that its picture lacks, and black around a pole in all
+    frames so far; of the last two `say` is told, once.
+    """
+
+    def __init__(self, masks: Sequence[BodyMask] = (), say: Callable[[str], object] = lambda text: None) -> None:
+        self._given, self._say, self._black = tuple(masks), say, InvalidMask()
+
+    def masks(self, frame: Picture | None) -> tuple[BodyMask, ...]:
+        """All masks of a frame; those that are given for a look without a picture, whose record says what is black."""
+        own = None if frame is None else self.of(frame)
+        return self._given if own is None else (*self._given, own)
+
+    def of(self, frame: Picture) -> BodyMask | None:
+        """What `frame` shows, beside the masks that are given; None if that is all."""
+        if frame.grid is not None:  # an ordinary picture has no poles
+            return None if frame.unseen is None else _around(frame.grid, ~frame.unseen)
+        black = self._black.add(frame.picture)
+        hidden = black if frame.unseen is None else black | frame.unseen
+        if not hidden.any():
+            return None
+        if hidden.all():
+            raise ImageError("the picture is black or transparent everywhere: nothing can be seen in it")
+        mask = BodyMask(~hidden)
+        share = 1 - float(np.sum(mask.seen * mask.grid.weights)) / (4 * np.pi)
+        if share > WORTH_SAYING and black.any():
+            self._say(f"{100 * share:.1f} % of the sphere is black around a pole, or missing: taken as not seen")
+            self._say = lambda text: None
+        return mask
+
+
+def _around(grid: PerspectiveGrid, seen: np.ndarray) -> BodyMask:
+    """What an ordinary picture shows, ``(H, W)``, as a mask of the sphere; what is beside it says nothing anyway."""
+    x, y, inside = grid.project(ErpGrid(512, 1024).directions)
+    cells = (
+        np.clip(np.where(inside, at, 0).astype(int), 0, most - 1) for at, most in zip((y, x), seen.shape, strict=True)
+    )
+    return BodyMask(inside & seen[tuple(cells)])
+
+
 def read_mask(path: str | os.PathLike[str]) -> BodyMask:
     """The mask in a picture, 2:1, of any size: white where the camera sees the world, black where it never does.
 
@@ -106,5 +154,5 @@ def read_mask(path: str | os.PathLike[str]) -> BodyMask:
             raise ImageError(f"is grey in {100 * grey:.0f} % of its pixels; wanted black and white")
         return BodyMask(values >= 0.5)
     except ImageError as error:
-        told = str(error).removeprefix("the mask ")
-        raise ImageError(f"the mask {os.fspath(path)}: {told}; white is where the camera sees the world") from error
+        reason = str(error).removeprefix("the mask ")
+        raise ImageError(f"the mask {os.fspath(path)}: {reason}; white is where the camera sees the world") from error

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta
 
 from eagor.cameras import Lens
-from eagor.conventions import rotation_from_wxyz
+from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import FormatError
 from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.calibration import Calibration
@@ -31,15 +31,7 @@ KINDS = ("boxes", "points", "response", "views")
 LONGEST = 32  # a view this many times longer than wide is taken for a mistake
 UNIT = 1e-3  # by how much the length of a quaternion may differ from 1
 WHOLE = 0.999  # of the sphere: the least that the solid angles of several views of one look come to
-HINTS = {  # for keys that others use, and whose sign or unit may differ
-    "pitch_deg": "pitch_up_deg is positive UP, like elevation_deg; pitch_deg of a pose file is positive nose DOWN",
-    "yaw_deg": "yaw_left_deg is positive to the LEFT",
-    "roll": "roll_right_deg is positive where the camera leans to its RIGHT, in degrees",
-    "roll_deg": "roll_right_deg is positive where the camera leans to its RIGHT",
-    "look": "lines with the same stamp are views of one moment",
-    "fov": "hfov_deg is the HORIZONTAL field of view, in degrees",
-    "bbox": "box is x0, y0, x1, y1, not x, y, width, height",
-}
+PIXELS, SCORES, TURNS, METRES = 3, 6, 12, 6  # decimals that are written
 
 # --- the structure of a line ------------------------------------------------------------------------------------------
 
@@ -49,14 +41,31 @@ _Metres = Annotated[float, Meta(ge=-1e9, le=1e9)]
 _Component = Annotated[float, Meta(ge=-2, le=2)]
 _LENS, _LEAN = ("focal", "centre", "distortion"), ("yaw_left_deg", "pitch_up_deg", "roll_right_deg")
 _TURN = ("qw", "qx", "qy", "qz")
-_SCORE = "a number from 0 to 1: 1 / (1 + exp(-score)) of logits; divide percentages by 100"
 
 
 class _Part(msgspec.Struct, forbid_unknown_fields=True):
     """A part of a line: other keys are refused."""
 
 
-class _Image(_Part):
+class _Rotation(_Part):
+    qw: _Component | None = None
+    qx: _Component | None = None
+    qy: _Component | None = None
+    qz: _Component | None = None
+
+    def rotation(self, name: str) -> np.ndarray:
+        """The rotation ``(3, 3)`` of the quaternion."""
+        wxyz = [getattr(self, key) for key in _TURN]
+        for key, value in zip(_TURN, wxyz, strict=True):
+            require_field(value is not None, key, None, "a number from -2 to 2")
+        length = float(np.linalg.norm(wxyz))
+        require_field(
+            abs(length - 1) <= UNIT, "the length of qw, qx, qy, qz", round(length, 4), f"1 (a rotation, {name})"
+        )
+        return rotation_from_wxyz(np.array(wxyz, dtype=np.float64))
+
+
+class _Image(_Rotation):
     projection: Literal["equirectangular", "perspective"] = "equirectangular"
     width: _Pixels | None = None
     height: _Pixels | None = None
@@ -67,10 +76,6 @@ class _Image(_Part):
     yaw_left_deg: Turn | None = None
     pitch_up_deg: Tilt | None = None
     roll_right_deg: Turn | None = None
-    qw: _Component | None = None
-    qx: _Component | None = None
-    qy: _Component | None = None
-    qz: _Component | None = None
 
     def size(self) -> tuple[int, int]:
         """Height and width in pixels."""
@@ -80,52 +85,53 @@ class _Image(_Part):
 
     def view(self, *shape: int) -> PerspectiveGrid | None:
         """The perspective view that it describes, in pixels or in so many rows and columns; None for a panorama."""
-        stated = {
-            key: value for key in ("hfov_deg", *_LENS, *_LEAN, *_TURN) if (value := getattr(self, key)) is not None
-        }
+        values = {key: getattr(self, key) for key in ("hfov_deg", *_LENS, *_LEAN, *_TURN)}
+        stated = {key: value for key, value in values.items() if value is not None}
         if self.projection == "equirectangular":
-            for key in stated:
+            if stated:
                 raise FormatError(
-                    f"{key} is for a perspective image, and this one is a panorama; add "
+                    f"{next(iter(stated))} is for a perspective image, and this one is a panorama; add "
                     '"projection": "perspective" to image, or leave the key out'
                 )
             return None
         height, width = shape or self.size()
-        require_field(
-            max(height, width) <= LONGEST * min(height, width), "image", (width, height), f"sides up to {LONGEST}:1"
-        )
+        short = max(height, width) <= LONGEST * min(height, width)
+        require_field(short, "image", (width, height), f"sides up to {LONGEST}:1")
         turn, lean, lens = ([key for key in keys if key in stated] for keys in (_TURN, _LEAN, _LENS))
         if turn and lean:
             raise FormatError(f"has {turn[0]} and {lean[0]}; wanted the quaternion qw, qx, qy, qz or angles, not both")
         yaw, pitch, roll = (math.radians(stated.get(key, 0.0)) for key in _LEAN)
         # In REP-103 a positive pitch turns the nose down.
-        body_R_view = _rotation(self, "body_R_view") if turn else world_R_body(yaw, -pitch, roll)
+        body_R_view = self.rotation("body_R_view") if turn else world_R_body(yaw, -pitch, roll)
         if not lens:
             require_field(self.hfov_deg is not None, "hfov_deg", None, "a number from 0.1 to 179")
             return PerspectiveGrid(height, width, math.radians(self.hfov_deg or 0.0), body_R_view)
         if self.hfov_deg is not None:
             raise FormatError(f"has hfov_deg and {lens[0]}; wanted one of them: focal and centre tell the field")
         for key in ("focal", "centre"):
-            require_field(
-                key in stated, key, None, "two numbers, of x and of y, in pixels of an image of width and height"
-            )
+            require_field(key in stated, key, None, "two numbers, of x and of y, in pixels")
         rows, columns = self.size()
         of = Lens("view", (columns, rows), stated["focal"], stated["centre"], tuple(self.distortion or ()), body_R_view)
         return PerspectiveGrid.of_lens(of).resized(height, width)
 
 
-class _Box(_Part):
-    box: tuple[_Coordinate, _Coordinate, _Coordinate, _Coordinate]  # x0, y0, x1, y1 in pixels
-    score: Finite | None = None
+class _Item(_Part, kw_only=True):
+    score: Finite = 1.0  # where the file tells none
     label: str | None = None
 
+    def __post_init__(self) -> None:
+        wanted = "a number from 0 to 1: 1 / (1 + exp(-score)) of logits; divide percentages by 100"
+        require_field(0 <= self.score <= 1, "score", self.score, wanted)
 
-class _Point(_Part):
+
+class _Box(_Item, kw_only=True):
+    box: tuple[_Coordinate, _Coordinate, _Coordinate, _Coordinate]  # x0, y0, x1, y1 in pixels
+
+
+class _Point(_Item, kw_only=True):
     azimuth_deg: Turn
     elevation_deg: Tilt
     spread_deg: Annotated[float, Meta(ge=0.1, le=180)] = math.nan
-    score: Finite | None = None
-    label: str | None = None
 
 
 class _Response(_Part):
@@ -146,11 +152,7 @@ class _View(_Part):
     boxes: list[_Box]
 
 
-class _Pose(_Part):
-    qw: _Component
-    qx: _Component
-    qy: _Component
-    qz: _Component
+class _Pose(_Rotation):
     x: _Metres | None = None
     y: _Metres | None = None
     z: _Metres | None = None
@@ -160,10 +162,10 @@ class _Pose(_Part):
         place = [self.x, self.y, self.z]
         require_field(None not in place or place == [None] * 3, "pose", place, "x, y and z, or none of them")
         position = None if None in place else np.array(place, dtype=np.float64)
-        return Pose(stamp, _rotation(self, "world_R_body"), position, math.radians(self.spread_deg))
+        return Pose(stamp, self.rotation("world_R_body"), position, math.radians(self.spread_deg))
 
 
-class _Unseen(_Part):
+class _Mask(_Part):
     rows: Annotated[int, Meta(ge=1, le=4096)]
     runs: list[Annotated[int, Meta(ge=0)]]  # lengths of runs, row by row from the upper left: seen, not seen, seen, ...
 
@@ -175,7 +177,7 @@ class _Unseen(_Part):
         return BodyMask(seen.reshape(self.rows, 2 * self.rows))
 
 
-class Footage(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+class Footage(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
     """The first line of a file of looks: what was looked at, by whom, and where the poses come from, in words.
 
     `classes`: all that the detector knows; None: it was asked for the queries of the lines. `detector`: how it errs.
@@ -206,7 +208,7 @@ class _Line(_Part):
     frame: str | None = None
     lost: bool = False
     problem: str | None = None
-    unseen: _Unseen | None = None
+    valid_mask: _Mask | None = None
 
 
 # --- records ----------------------------------------------------------------------------------------------------------
@@ -220,7 +222,7 @@ class Record:
     ``(n, 4)`` in pixels; points ``(n, 3)`` as azimuth, elevation, spread in radians (NaN if not given); or the
     response. `scores` ``(n,)`` in [0, 1] and `labels` are empty for a response. `views`: of one camera, with their
     boxes. `pose` of the camera. `frame`: the name of what was looked at; `lost`: nothing tells how the camera turned
-    since the frame before; `problem`: why the frame could not be used; `unseen`: what the camera never sees.
+    since the frame before; `problem`: why the frame could not be used; `valid_mask`: what the camera sees.
     """
 
     stamp: float
@@ -235,7 +237,7 @@ class Record:
     frame: str | None = None
     lost: bool = False
     problem: str | None = None
-    unseen: BodyMask | None = None
+    valid_mask: BodyMask | None = None
 
     def answers(self, query: str) -> bool:
         """Whether this line is for `query`; letter case and spaces do not matter."""
@@ -278,16 +280,17 @@ class Record:
             raise FormatError(
                 f"the line at {self.stamp:g} s is a pose without a look; wanted one of {', '.join(KINDS)}"
             )
-        return found if self.unseen is None else found.covered(self.unseen)
+        return found if self.valid_mask is None else found.covered(self.valid_mask)
 
 
-def read_records(path: str | os.PathLike[str]) -> tuple[Record, ...]:
-    """The records of a JSONL file in order of time; `FormatError` names the file and the line of a fault."""
-    return read_looks(path)[1]
+# --- reading ----------------------------------------------------------------------------------------------------------
 
 
 def read_looks(path: str | os.PathLike[str]) -> tuple[Footage | None, tuple[Record, ...]]:
-    """What the first line says of the footage, if it does, and the records as `read_records` gives them."""
+    """What the first line of a JSONL file says of the footage, if it does, and its records in order of time.
+
+    Raises `FormatError`, which names the file and the line of a fault.
+    """
     records, footage = list[Record](), None
     for found, where in parsed_lines(path, _parse):
         if isinstance(found, Record):
@@ -303,9 +306,7 @@ def read_looks(path: str | os.PathLike[str]) -> tuple[Footage | None, tuple[Reco
 
 def _parse(line: bytes) -> Record | Footage:
     entry = object_of(line)
-    if "footage" in entry:
-        return checked(entry, _Head, "the first line", noted=True).footage
-    return _record(entry)
+    return checked(entry, _Head, "the first line", noted=True).footage if "footage" in entry else _record(entry)
 
 
 def parse_record(line: str | bytes) -> Record:
@@ -314,38 +315,66 @@ def parse_record(line: str | bytes) -> Record:
 
 
 def _record(found: dict[str, Any]) -> Record:
-    entry = checked(found, _Line, "a line", noted=True, hints=HINTS)
+    entry = checked(found, _Line, "a line", noted=True)
     require_field(entry.query is None or plain(entry.query) != "", "query", entry.query, "words, or no such key")
     kinds = [kind for kind in KINDS if getattr(entry, kind) is not None]
     if len(kinds) != 1 and (kinds or entry.pose is None):
         raise FormatError(f"has {' and '.join(kinds) or 'none'} of {', '.join(KINDS)}; wanted exactly one, or a pose")
+    look: dict[str, Any] = {}
+    if entry.views is not None:
+        look = {"views": _views(entry.views), "labels": [box.label for view in entry.views for box in view.boxes]}
+    elif entry.response is not None:
+        values = entry.response.table()
+        look = {"values": values, "grid": entry.image.view(*values.shape) or PatchGrid(*values.shape)}
+    elif entry.boxes is not None:
+        grid = entry.image.view() or ErpGrid(*entry.image.size())
+        look = {"values": _decode_xyxy(entry.boxes, grid), "grid": grid}
+    elif entry.points is not None:
+        points = [(each.azimuth_deg, each.elevation_deg, each.spread_deg) for each in entry.points]
+        look = {"values": np.radians(points).reshape(-1, 3), "grid": entry.image.view()}
+    if items := entry.boxes or entry.points:
+        look |= {"scores": np.array([each.score for each in items]), "labels": [each.label for each in items]}
     return Record(
-        entry.stamp, entry.query, kinds[0] if kinds else "pose", **_looked(entry), frame=entry.frame,
-        pose=None if entry.pose is None else entry.pose.at(entry.stamp), lost=entry.lost, problem=entry.problem,
-        unseen=None if entry.unseen is None else entry.unseen.mask(),
+        entry.stamp, entry.query, [*kinds, "pose"][0], **look, frame=entry.frame, lost=entry.lost,
+        pose=entry.pose and entry.pose.at(entry.stamp), problem=entry.problem,
+        valid_mask=entry.valid_mask and entry.valid_mask.mask(),
     )  # fmt: skip
 
 
-def _looked(entry: _Line) -> dict[str, Any]:
-    """What a line says of a look: the fields `grid`, `values`, `scores`, `labels` and `views` of `Record`."""
-    image = entry.image
-    if entry.views is not None:
-        views = _views(entry.views)
-        return {"views": views, "labels": tuple(box.label for view in entry.views for box in view.boxes)}
-    if entry.response is not None:
-        values = entry.response.table()
-        return {"values": values, "grid": image.view(*values.shape) or PatchGrid(*values.shape)}
-    items = entry.boxes if entry.boxes is not None else entry.points
-    if items is None:
-        return {}
-    grid, labels, scores = image.view(), tuple(each.label for each in items), _scores(items)
-    if entry.boxes is not None:
-        grid = grid or ErpGrid(*image.size())
-        values = _boxes(entry.boxes, grid)
-    else:
-        points = [(each.azimuth_deg, each.elevation_deg, each.spread_deg) for each in entry.points or ()]
-        values = np.radians(points).reshape(-1, 3)
-    return {"grid": grid, "values": values, "scores": scores, "labels": labels}
+def _views(views: Sequence[_View]) -> tuple[ViewDetections, ...]:
+    """The views of one camera, each with its boxes."""
+    found = []
+    for each in views:
+        grid = each.image.view()
+        if grid is None:
+            raise FormatError("projection is 'equirectangular'; wanted \"perspective\" in views")
+        labels = [box.label for box in each.boxes if box.label is not None] or None
+        every = len(labels or ()) in (0, len(each.boxes))
+        require_field(every, "label", None, "one for each box of a view, or for none")
+        scores = np.array([box.score for box in each.boxes])
+        found.append(ViewDetections(grid, RawDetections(_decode_xyxy(each.boxes, grid), scores, labels)))
+    area = sum(float(view.grid.weights.sum()) for view in found)
+    if len(found) != 1 and area < 4 * math.pi * WHOLE:
+        raise FormatError(
+            f"has {len(found)} views of {area:.1f} sr in all; wanted one view, or several that cover the whole sphere. "
+            "Views of a part of it want lines of their own, with boxes"
+        )
+    return tuple(found)
+
+
+def _decode_xyxy(boxes: Sequence[_Box], grid: ErpGrid | PerspectiveGrid) -> np.ndarray:
+    """The pixel coordinates ``(n, 4)`` of boxes that overlap the image."""
+    (height, width), panorama = grid.shape, isinstance(grid, ErpGrid)
+    for x0, y0, x1, y1 in (each.box for each in boxes):
+        left, right = (x0, x1 + width * (x1 < x0)) if panorama else (max(x0, 0.0), min(x1, float(width)))
+        touches = not (panorama and is_beside(x0, x1, width)) and not are_fractions(np.array([x0, y0, x1, y1]))
+        fine = touches and left < right <= left + width and max(y0, 0.0) < min(y1, float(height))
+        wanted = f"[x0, y0, x1, y1] in pixels of the {width} x {height} image (not x, y, width, height, and not 0 to 1)"
+        require_field(fine, "box", [x0, y0, x1, y1], wanted)
+    return np.array([each.box for each in boxes], dtype=np.float64).reshape(-1, 4)
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
 
 
 def write_record(file: TextIO, stamp: float, *, response: np.ndarray | None = None, **entry: Any) -> None:
@@ -368,51 +397,37 @@ def write_record(file: TextIO, stamp: float, *, response: np.ndarray | None = No
     file.flush()
 
 
-def _views(views: Sequence[_View]) -> tuple[ViewDetections, ...]:
-    """The views of one camera, each with its boxes."""
-    found = []
-    for each in views:
-        grid = each.image.view()
-        if grid is None:
-            raise FormatError("projection is 'equirectangular'; wanted \"perspective\" in views")
-        labels = [box.label for box in each.boxes if box.label is not None] or None
-        require_field(
-            len(labels or ()) in (0, len(each.boxes)), "label", None, "one for each box of a view, or for none"
-        )
-        found.append(ViewDetections(grid, RawDetections(_boxes(each.boxes, grid), _scores(each.boxes), labels)))
-    area = sum(float(view.grid.weights.sum()) for view in found)
-    if len(found) != 1 and area < 4 * math.pi * WHOLE:
-        raise FormatError(
-            f"has {len(found)} views of {area:.1f} sr in all; wanted one view, or several that cover the whole sphere. "
-            "Views of a part of it want lines of their own, with boxes"
-        )
-    return tuple(found)
+def pose_entry(pose: Pose) -> dict[str, float]:
+    """A pose as a line has it."""
+    place = () if pose.position is None else pose.position.tolist()
+    entry = _quaternion(pose.world_R_body) | dict(zip("xyz", (round(value, METRES) for value in place), strict=False))
+    return entry | ({"spread_deg": round(math.degrees(pose.spread), TURNS)} if pose.spread else {})
 
 
-def _rotation(turn: _Image | _Pose, name: str) -> np.ndarray:
-    """The rotation ``(3, 3)`` of a quaternion."""
-    for key in _TURN:
-        require_field(getattr(turn, key) is not None, key, None, "a number from -2 to 2")
-    wxyz = np.array([getattr(turn, key) for key in _TURN], dtype=np.float64)
-    length = float(np.linalg.norm(wxyz))
-    require_field(abs(length - 1) <= UNIT, "the length of qw, qx, qy, qz", round(length, 4), f"1 (a rotation, {name})")
-    return rotation_from_wxyz(wxyz)
+def _quaternion(turn: np.ndarray) -> dict[str, float]:
+    return dict(zip(_TURN, wxyz_from_rotation(turn).round(TURNS).tolist(), strict=True))
 
 
-def _boxes(boxes: Sequence[_Box], grid: ErpGrid | PerspectiveGrid) -> np.ndarray:
-    """The pixel coordinates ``(n, 4)`` of boxes that overlap the image."""
-    (height, width), panorama = grid.shape, isinstance(grid, ErpGrid)
-    for x0, y0, x1, y1 in (each.box for each in boxes):
-        left, right = (x0, x1 + width * (x1 < x0)) if panorama else (max(x0, 0.0), min(x1, float(width)))
-        touches = not (panorama and is_beside(x0, x1, width)) and not are_fractions(np.array([x0, y0, x1, y1]))
-        fine = touches and left < right <= left + width and max(y0, 0.0) < min(y1, float(height))
-        wanted = f"[x0, y0, x1, y1] in pixels of the {width} x {height} image (not x, y, width, height, and not 0 to 1)"
-        require_field(fine, "box", [x0, y0, x1, y1], wanted)
-    return np.array([each.box for each in boxes], dtype=np.float64).reshape(-1, 4)
+def view_entry(seen: ViewDetections) -> dict[str, Any]:
+    """A view with its boxes as a line has it."""
+    grid, (boxes, scores, labels) = seen
+    image = {"projection": "perspective", "width": grid.width, "height": grid.height}
+    if (lens := grid.optics) is None:
+        image |= {"hfov_deg": round(math.degrees(grid.hfov), TURNS)}
+    else:  # exactly: a millionth of distortion may be pixels at the border
+        image |= {"focal": list(lens.focal), "centre": list(lens.centre), "distortion": list(lens.distortion)}
+    inside = np.clip(boxes, 0, [grid.width, grid.height] * 2).round(PIXELS)
+    entries = [
+        {"box": box.tolist(), "score": round(float(score), SCORES)} | ({} if label is None else {"label": label})
+        for box, score, label in zip(inside, scores, labels or [None] * len(inside), strict=True)
+        if (box[2:] > box[:2]).all()
+    ]
+    return {"image": image | _quaternion(grid.body_R_view), "boxes": entries}
 
 
-def _scores(items: Sequence[_Box] | Sequence[_Point]) -> np.ndarray:
-    """The scores of boxes or points ``(n,)`` in [0, 1]; 1 where there is none."""
-    for item in items:
-        require_field(item.score is None or 0 <= item.score <= 1, "score", item.score, _SCORE)
-    return np.array([1.0 if item.score is None else item.score for item in items])
+def mask_entry(mask: BodyMask) -> dict[str, Any]:
+    """A mask as the lengths of runs: seen, not seen, seen, ..., along the rows of a panorama twice as wide as high."""
+    rows = mask.seen.shape[0]
+    seen = mask.at(ErpGrid(rows, 2 * rows).directions).ravel()
+    runs = np.diff(np.flatnonzero(np.diff(seen, prepend=True, append=~seen[-1])), prepend=0).tolist()
+    return {"rows": rows, "runs": runs}

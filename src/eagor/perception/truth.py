@@ -182,9 +182,8 @@ class TruthEpisode:
             if relation[thing] == _FOUND or np.trace(covariance) <= WIDEST**2:
                 reports.append(self._report(_KINDS[relation[thing]], thing, centre, covariance, turn))
         if self._luck[-2, 0] < noise.false_alarm:
-            reports.append(
-                self._false_alarm(np.where((relation != _FOUND) & (seen > 0), self._appeal, -1.0), flat, turn)
-            )
+            candidates = np.where((relation != _FOUND) & (seen > 0), self._appeal, -1.0)
+            reports.append(self._false_alarm(candidates, flat, turn))
         return reports
 
     def _relation(self, query: str) -> np.ndarray:
@@ -242,13 +241,8 @@ def _pixels(rows: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _areas(ids: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The ids in a row, checked, and the solid angle ``(count,)`` that each thing covers."""
-    if (
-        not isinstance(ids, np.ndarray)
-        or ids.dtype.kind not in "iu"
-        or ids.ndim != 2
-        or ids.shape[1] != 2 * len(ids)
-        or not ids.size
-    ):
+    table = isinstance(ids, np.ndarray) and ids.dtype.kind in "iu" and ids.ndim == 2 and ids.size > 0
+    if not table or ids.shape[1] != 2 * len(ids):
         what = f"shape {ids.shape}, {ids.dtype}" if isinstance(ids, np.ndarray) else type(ids).__name__
         raise ImageError(f"the panorama is not a map of ids ({what}): {_WANTED_IDS}")
     flat = ids.reshape(-1)

@@ -19,11 +19,10 @@ from PIL import Image
 
 from eagor._checks import warn_unless_whole, within
 from eagor.errors import EagorError, GridError, ImageError, QueryError
-from eagor.evidence import DetectorModel, Evidence, View
-from eagor.evidence.shapes import WHOLE_SPHERE
+from eagor.evidence import DetectorModel, Evidence
 from eagor.grids import PerspectiveGrid, tangent_views
 from eagor.perception.colour import share_of
-from eagor.perception.fusion import RawDetections, ViewBox, ViewDetections, fuse_views, pieces_of, spread_evidence
+from eagor.perception.fusion import ViewBox, ViewDetections, combined
 from eagor.perception.results import Names, boxes_of, names_in
 from eagor.perception.vocabulary import colour_of, fitting, match_class, named, same_name
 from eagor.sources.panorama import checked_picture, cut
@@ -41,8 +40,8 @@ Shown = list[tuple[PerspectiveGrid, np.ndarray]]  # pictures of one moment
 class Detector:
     """A perception of any `function` that finds things in ordinary pictures: it is shown views all around a panorama.
 
-    The views overlap, cover the whole sphere, poles included, and stand level with gravity where the pose is known:
-    detectors have learnt upright things. Boxes of one thing in several views are one detection; all views are ONE look.
+    The views overlap, cover the sphere, and stand level with gravity where the pose is known: detectors have learnt
+    upright things. Boxes of one thing in several views are one detection; all views are ONE look.
 
     - `function`: a picture ``(h, w, 3)`` uint8 RGB, and the query if it takes two arguments; ``boxes, scores[,
       labels]`` out: boxes ``(n, 4)`` x0, y0, x1, y1 in its pixels, scores in [0, 1]. What detectors of known libraries
@@ -170,21 +169,18 @@ class Detector:
 
         `picture` is a panorama, or an ordinary one with the pixels of `grid`, which then is the only view.
         """
-        pictures, results = self._shown(picture, world_R_body, grid), None
+        pictures, seen = self._shown(picture, world_R_body, grid), None
         answers: list[Evidence | QueryError] = []
         for query in queries:
             try:
                 wanted = self._wanted(query)
-                if results is None or self.classes is None:
-                    results = self._detected(pictures, query)
+                if seen is None or self.classes is None:
+                    seen = self._detected(pictures, query)
                     wanted = self._wanted(query)  # its results may have named its classes
-                labels = {label for boxes in results for label in boxes.labels or ()}
+                labels = {label for each in seen for label in each.boxes.labels or ()}
                 fit = fitting(query, labels, wanted)
                 self._name_strangers(labels, query, fit)
-                seen = [ViewDetections(view, boxes) for (view, _), boxes in zip(pictures, results, strict=True)]
-                pieces = fuse_views(self._weighed(pieces_of(seen, fit), pictures, query))
-                view = View(WHOLE_SPHERE if grid is None else grid)
-                evidence = spread_evidence(pieces, self.detector, view, stamp)
+                evidence = combined(seen, fit, self.detector, stamp, partial(self._weighed, pictures, query))
                 if self.classes is not None:
                     evidence = named(evidence, query, match_class(query, self.classes, described=True))
                 answers.append(evidence)
@@ -192,7 +188,7 @@ class Detector:
                 answers.append(error)
         return answers
 
-    def seen(
+    def detect(
         self,
         picture: np.ndarray,
         world_R_body: np.ndarray | None = None,
@@ -203,11 +199,7 @@ class Detector:
 
         `eagor.perception.fusion.combined` makes of it what `answers` makes of the same picture. Errors as there.
         """
-        pictures = self._shown(picture, world_R_body, grid)
-        return [
-            ViewDetections(view, boxes)
-            for (view, _), boxes in zip(pictures, self._detected(pictures, query), strict=True)
-        ]
+        return self._detected(self._shown(picture, world_R_body, grid), query)
 
     def _shown(self, picture: np.ndarray, pose: np.ndarray | None, grid: PerspectiveGrid | None) -> Shown:
         """What the detector is shown: the views of a panorama, or the ordinary picture of a `grid`."""
@@ -218,25 +210,26 @@ class Detector:
         grids = self.views(pose)
         return list(zip(grids, cut(picture, *grids), strict=True))
 
-    def _detected(self, pictures: Shown, query: str) -> list[RawDetections]:
+    def _detected(self, pictures: Shown, query: str) -> list[ViewDetections]:
         """What the detector finds in each picture: in all of them at once, if it has a method `many`."""
         images, many = [image for _, image in pictures], getattr(self.function, "many", None)
         more = (query,) if self._takes_query else ()
         results = [self.function(each, *more) for each in images] if many is None else many(images, query)
         if self.classes is None:
             self._know(next(filter(None, map(names_in, results)), None))
-        return [boxes_of(each, self._names) for each in results]
+        return [ViewDetections(view, boxes_of(each, self._names))
+                for (view, _), each in zip(pictures, results, strict=True)]  # fmt: skip
 
     def _wanted(self, query: str) -> tuple[str, ...] | None:
         if not isinstance(query, str) or not query.strip():
             raise QueryError(f"the query is {query!r}; wanted words, such as 'chair'")
         return None if self.classes is None else match_class(query, self.classes, coloured=True)
 
-    def _weighed(self, pieces: Sequence[ViewBox], pictures: Shown, query: str) -> list[ViewBox]:
+    def _weighed(self, pictures: Shown, query: str, pieces: Sequence[ViewBox]) -> Sequence[ViewBox]:
         """The boxes, with lower scores where they show little of the colour that the query names."""
         colour = None if self.classes is None else colour_of(query, self.classes)
         if colour is None:
-            return [*pieces]
+            return pieces
         weighed = []
         for piece in pieces:
             (x0, y0), (x1, y1) = np.floor(piece.box[:2]).astype(int), np.ceil(piece.box[2:]).astype(int)

@@ -44,11 +44,10 @@ IRREGULAR: dict[str, str] = _TABLES["irregular"]
 WIDER: dict[str, tuple[str, ...]] = {wide: _names(kinds) for wide, kinds in _TABLES["wider"].items()} | {
     narrow: (wide,) for wide, words in _TABLES["narrower"].items() for narrow in words.split()
 }
-_PLACES = """
-on in at by near next beside behind under above below between with without to from over inside outside against
-around that which who
-"""
-RELATIONS = frozenset(_PLACES.split())
+RELATIONS = frozenset(
+    """on in at by near next beside behind under above below between with without to from over inside outside against
+    around that which who""".split()  # noqa: SIM905
+)
 _ANYTHING = {"something", "anything", "thing", "things", "stuff"}
 _HOLDING = {"cup", "glass", "mug", "bottle", "bowl", "vase", "box", "can", "jar", "pot"}  # a cup of tea is a cup
 _PARTS = {"slice", "piece", "pair", "bunch", "group", "kind", "sort", "couple"}  # a slice of pizza is pizza
@@ -79,26 +78,23 @@ def match_class(
     found, noun, left_out = _looked_up(tuple(words), tuple(classes))
     if found and (not left_out or described or (coloured and is_colour(" ".join(left_out)))):
         return found
+    any_words = f"To look for any words: {for_any_words()}"
     if COLOURS.keys() >= {*(words := _asked(words))}:
         raise QueryError(
             f"the query {query!r} names a colour and no thing; this detector does not know colours. It knows "
-            f"{_some(classes)}. --perception colour finds what is of a colour; for any words: {for_any_words()}"
+            f"{_some(classes)}. --perception colour finds what is of a colour. {any_words}"
         )
     if found:
         what = "words such as" if COLOURS.keys().isdisjoint(left_out) else "colours, such as"
         raise QueryError(
             f"the query {query!r}: this detector does not know {what} {' '.join(left_out)!r}; it finds every "
-            f"{' or '.join(found)}. Ask for {' '.join(noun)!r} alone. To look for any words: {for_any_words()}"
+            f"{' or '.join(found)}. Ask for {' '.join(noun)!r} alone. {any_words}"
         )
-    near = nearest(" ".join(noun or words), classes)
-    hint = (
-        f"the nearest that it knows: {', '.join(near)}"
-        if near
-        else f"it knows {_some(classes)}, and none spelt like it"
-    )
+    near = ", ".join(nearest(" ".join(noun or words), classes))
+    hint = f"the nearest that it knows: {near}" if near else f"it knows {_some(classes)}, and none spelt like it"
     raise QueryError(
-        f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. To look for any "
-        f"words: {for_any_words()}{by_colour_alone(query, classes)}"
+        f"the query {query!r} names none of this detector's {len(classes)} classes; {hint}. "
+        f"{any_words}{by_colour_alone(query, classes)}"
     )
 
 
@@ -263,14 +259,22 @@ def _noun(words: list[str]) -> tuple[list[str], list[str]]:
 
 def _called(name: str, classes: Sequence[str]) -> tuple[str, ...]:
     """The classes by their name, by another of it, or by a wider word, each by any of its names."""
-    if found := _named(name, classes) or _other(name, classes):
+    if found := _by_name(name, classes):
         return found
-    ways = (name, singular(name), *GROUPS.get(name, ()), *GROUPS.get(singular(name), ()))
-    for way in ways:
-        kinds = [each for kind in WIDER.get(way, ()) for each in _named(kind, classes) or _other(kind, classes)]
+    for way in (name, singular(name), *_alike(name)):
+        kinds = {each for kind in WIDER.get(way, ()) for each in _by_name(kind, classes)}
         if kinds:
             return tuple(each for each in dict.fromkeys(classes) if each in kinds)
     return ()
+
+
+def _by_name(name: str, classes: Sequence[str]) -> tuple[str, ...]:
+    """The classes that are called so, else those of the nearest other name for it."""
+    return next(filter(None, (_named(same, classes) for same in (name, *_alike(name)))), ())
+
+
+def _alike(name: str) -> tuple[str, ...]:
+    return (*GROUPS.get(name, ()), *GROUPS.get(singular(name), ()))
 
 
 def _named(name: str, classes: Collection[str]) -> tuple[str, ...]:
@@ -296,18 +300,12 @@ def _spelt(classes: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     return {way: tuple(dict.fromkeys(names)) for way, names in (parts | exact).items()}
 
 
-def _other(name: str, classes: Sequence[str]) -> tuple[str, ...]:
-    """The classes with another name for `name`: the nearest in the group, and all that are spelt so."""
-    group = (*GROUPS.get(name, ()), *GROUPS.get(singular(name), ()))
-    return next(filter(None, (_named(same, classes) for same in group)), ())
-
-
 def nearest(name: str, classes: Sequence[str], most: int = 5) -> tuple[str, ...]:
     """The classes nearest to `name`: those spelt alike, by any of their names, and those with its last word."""
     name = singular(plain(name))
-    by_way = dict.fromkeys([*_spelt(tuple(classes)), *(other for other in GROUPS if _other(other, classes))])
+    by_way = dict.fromkeys([*_spelt(tuple(classes)), *(other for other in GROUPS if _by_name(other, classes))])
     alike = difflib.get_close_matches(name, by_way, n=3, cutoff=0.8)  # a lower one takes a wall for a ball
-    found = [each for way in alike for each in _named(way, classes) or _other(way, classes)]
+    found = [each for way in alike for each in _by_name(way, classes)]
     found += [each for each in classes if name.rpartition(" ")[2] in plain(each).split()]
     return tuple(dict.fromkeys(found))[:most]
 

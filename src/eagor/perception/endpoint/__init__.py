@@ -71,8 +71,8 @@ class EndpointPerception(ModelPerception):
     @property
     def family(self) -> vlm.Family:
         """How the model is asked, by its name and the options."""
-        told = {name: given for name in ("cell", "frame", "order") if (given := getattr(self.options, name))}
-        return replace(vlm.family_of(self.client.model()), **told)
+        stated = {name: given for name in ("cell", "frame", "order") if (given := getattr(self.options, name))}
+        return replace(vlm.family_of(self.client.model()), **stated)
 
     def extractors(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Boxes first for a model that was trained to write them."""
@@ -152,9 +152,9 @@ class ServedChat:
     def __call__(self, messages: Sequence[Message], max_tokens: int = 0) -> ChatReply:
         """The reply. Raises `ServerError`, `QueryError` (no such model), or `AnswerError` for a reply without text."""
         options, form = self.options, "jpeg" if self.options.quality else "png"
-        said = [{"role": each.role, "content": [part(one, form, options.quality) for one in each.parts()]
+        turns = [{"role": each.role, "content": [part(one, form, options.quality) for one in each.parts()]
                  if each.images else each.text} for each in messages]  # fmt: skip
-        body = {"messages": said, "max_tokens": max_tokens or options.max_tokens, "temperature": options.temperature}
+        body = {"messages": turns, "max_tokens": max_tokens or options.max_tokens, "temperature": options.temperature}
         (answer,) = self.client.ask([body], silence=True)
         return ChatReply(answer.text, answer.prompt_tokens, answer.completion_tokens)
 

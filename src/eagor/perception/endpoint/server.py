@@ -76,9 +76,9 @@ class Answer(NamedTuple):
         """The alternatives at the first piece, after any thoughts, that means yes or no; [] if there is none."""
         bare, place = without_thoughts("".join(piece for piece, _ in self.tokens)), 0
         for token, others in zip(self.tokens, self.likeliest, strict=True):
-            said = bare[place : place + len(token[0])]
+            piece = bare[place : place + len(token[0])]
             place += len(token[0])
-            if said.strip() and means(said) is not None:
+            if piece.strip() and means(piece) is not None:
                 return others or [token]
         return []
 
@@ -226,15 +226,15 @@ class ChatClient:
         """The error to raise for what the client raised after its tries."""
         import openai
 
-        request, model, said = getattr(error, "request", None), self._model, _message(error)
+        request, model, reason = getattr(error, "request", None), self._model, _message(error)
         count = 1 + int(request.headers.get(_TRIES, 0)) if request is not None else 1
         tries, status = "tried once" if count == 1 else f"tried {count} times", getattr(error, "status_code", None)
-        if model and (status == 404 or (status is not None and "model" in said.lower())):
+        if model and (status == 404 or (status is not None and "model" in reason.lower())):
             with suppress(EagorError):
                 if (served := await self._names(client)) and model not in served:
-                    has = f"{self.shown} has no model {model!r} ({said}); it has {', '.join(map(repr, served))}"
+                    has = f"{self.shown} has no model {model!r} ({reason}); it has {', '.join(map(repr, served))}"
                     return QueryError(f"{has}. Name one of these before the @")
-        what = f"{self.shown} refused the request ({tries}; HTTP {status}): {said}"
+        what = f"{self.shown} refused the request ({tries}; HTTP {status}): {reason}"
         advice = (
             f"Is {model!r} a vision-language model, and loaded (llama.cpp: with its --mmproj file)? If the picture "
         )
@@ -248,7 +248,9 @@ class ChatClient:
             what = f"no server answers at {self.shown} ({reason}; {tries})"
             advice = f"Start one (`vllm serve {model or 'MODEL'}`), or check host, port and path (most end in /v1)"
         elif status is None:
-            what = f"{self.shown} answered with something other than a chat completion ({type(error).__name__}: {said})"
+            what = (
+                f"{self.shown} answered with something other than a chat completion ({type(error).__name__}: {reason})"
+            )
             advice = "Is it an OpenAI-compatible server, and does the address end in /v1?"
         elif status in (401, 403):
             advice = "It wants a key: put that in an environment variable, and name it with key=VARIABLE"
@@ -271,13 +273,8 @@ def checked_address(url: str) -> str:
     shown = re.sub(r"//[^/]*@", "//***@", str(url).partition("?")[0])
     try:
         parts = urlsplit(str(url).strip())
-        if (
-            parts.scheme not in ("http", "https")
-            or not parts.hostname
-            or parts.port == 0
-            or parts.query
-            or "," in str(url)
-        ):
+        known = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
+        if not known or parts.query or "," in str(url):
             raise ValueError
     except ValueError:
         raise EagorError(
@@ -312,9 +309,9 @@ def _read(found: Any, sent: Mapping[str, Any], silence: bool, tries: int) -> Ans
     choices, who = found["choices"], str(found.get("model") or sent["model"])
     if choices == []:
         raise AnswerError(f"{who} returned no choices; look at the log of its server")
-    choice, said = choices[0], choices[0]["message"]
-    content, reason, probabilities = said.get("content"), choice.get("finish_reason"), choice.get("logprobs")
-    text, thoughts = _text(content), _text(said.get("reasoning_content") or said.get("reasoning"))
+    choice, message = choices[0], choices[0]["message"]
+    content, reason, probabilities = message.get("content"), choice.get("finish_reason"), choice.get("logprobs")
+    text, thoughts = _text(content), _text(message.get("reasoning_content") or message.get("reasoning"))
     if not text.strip() and thoughts.strip() and reason != "length":
         # Servers whose parser waits for the end of thoughts that were never begun: the end of these is the answer.
         content = text = re.split(r"\n\s*\n", without_thoughts(thoughts).strip() or thoughts.strip())[-1]
@@ -385,16 +382,16 @@ def _error_within(body: str) -> Any:
     choices = found.get("choices")
     if isinstance(choices, list) and choices:
         return choices[0].get("error") if isinstance(choices[0], dict) else None
-    told = next((found[key] for key in ("message", "detail", "msg", "error_msg") if found.get(key)), None)
-    return found.get("error") or (told and not choices and {"message": told, "code": found.get("code")})
+    fault = next((found[key] for key in ("message", "detail", "msg", "error_msg") if found.get(key)), None)
+    return found.get("error") or (fault and not choices and {"message": fault, "code": found.get("code")})
 
 
 def _refused(error: Any, used: set[str]) -> set[str]:
     """What to leave out or call otherwise where a server refuses a request: what it names, else what is tried."""
     if getattr(error, "status_code", None) not in (400, 404, 422, 500, 501):
         return set()
-    said = _message(error).lower()
-    named = {name for name in used & (_FEATURES | {*_RENAMED, "temperature"}) if name in said}
+    reason = _message(error).lower()
+    named = {name for name in used & (_FEATURES | {*_RENAMED, "temperature"}) if name in reason}
     return named or (used & _FEATURES if error.status_code in (400, 422, 501) else set())
 
 

@@ -9,21 +9,23 @@ published weights of CenterNet alone.
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from PIL import Image
 
-from eagor._checks import checked_picture, whole, within
+from eagor._checks import checked_picture
 from eagor._extras import require_extra
 from eagor.errors import EagorError, ResponseError
 from eagor.evidence.shapes import are_fractions
+from eagor.perception.json_files import checked, require_field
 from eagor.perception.onnx.layouts import LAYOUTS, Labels, choose_layout, literal, names_of
 
 if TYPE_CHECKING:
@@ -36,13 +38,10 @@ MOST_COMPARED = 2000  # boxes that suppression looks at: the best
 OVERLAP = 0.5  # intersection over union beyond which two boxes of a class are of one thing
 SLACK = 1e-3  # by which a probability of 16 bits may leave [0, 1]
 OF_VIEWS = {"hfov_deg": "hfov_deg", "views": "views", "view": "size", "detector": "detector"}  # names of `Detector`
-COUNT = "a whole number, 1 or more"
 
 Size = tuple[int, int]  # rows, columns
-FITS, ORDERS = ("letterbox", "corner", "stretch"), ("rgb", "bgr")
 # What is taken from colours in [0, 255], red first, and what they are then divided by: ImageNet's mean and deviation.
 _MEAN, _STD = np.array([0.485, 0.456, 0.406], np.float32), np.array([0.229, 0.224, 0.225], np.float32)
-VALUES = ("unit", "byte", "imagenet")
 
 LARGEST = 8192  # rows or columns of an input
 PAD = 114  # grey beside a letterboxed picture, as the YOLO family is trained
@@ -52,25 +51,35 @@ _DTYPES = {
 }  # fmt: skip
 
 
+class _Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    threshold: Annotated[float, Meta(ge=0, le=1)] | None = None
+    layout: str | None = None
+    fit: Annotated[str, Meta(pattern="^(letterbox|corner|stretch)$")] | None = None
+    values: Annotated[str, Meta(pattern="^(unit|byte|imagenet)$")] | None = None
+    order: Annotated[str, Meta(pattern="^(rgb|bgr)$")] = "rgb"
+    threads: Annotated[int, Meta(ge=1, le=1024)] = 1
+    together: Annotated[int, Meta(ge=1, le=1024)] = 1
+
+
 class OnnxDetector:
     """Runs a detector that was exported to ONNX on an ordinary picture.
 
     Called with a picture ``(h, w, 3)``, uint8 RGB, and a query, which it does not read, it returns boxes ``(n, 4)``
-    x0, y0, x1, y1 in pixels of the picture, scores ``(n,)`` in [0, 1], and n labels, the best first. A box comes once
-    for each of its classes that reaches the threshold. At most 300 boxes are returned.
+    x0, y0, x1, y1 in pixels of the picture, scores ``(n,)`` in [0, 1], and n labels, the best first, at most 300. A box
+    comes once for each of its classes that reaches the threshold.
 
     - `path`: the file. `labels`: what the classes are called, a file, a list, or names by number (default: what the
       file itself says). There have to be as many as the network has classes.
     - `size`: rows and columns of the network's input, a number or a pair (default: what the file says).
-    - `threshold`: least score, in [0, 1] (default: as usual for the layout).
-    - `layout`: how the network writes boxes, one of `LAYOUTS` (default: what the file's metadata settle).
-    - `fit` ("letterbox", "corner", "stretch"), `values` ("unit": 0 to 1, "byte", "imagenet": standardised), `order`
-      ("rgb", "bgr"): how the picture is put into the input (default: as usual for the layout).
-    - `threads`: cores that the network runs on; `together`: pictures that `many` looks at at the same time.
+    - ``threshold``: least score, in [0, 1] (default: as usual for the layout).
+    - ``layout``: how the network writes boxes, one of `LAYOUTS` (default: what the file's metadata settle).
+    - ``fit`` ("letterbox", "corner", "stretch"), ``values`` ("unit": 0 to 1, "byte", "imagenet": standardised),
+      ``order`` ("rgb", "bgr"): how the picture is put into the input (default: as usual for the layout).
+    - ``threads``: cores that the network runs on; ``together``: pictures that `many` looks at at the same time.
 
     It tries the network once on a grey picture. Raises `EagorError` for a file that is no such network, for outputs
-    whose layout is not told or does not fit, and for values that make no sense; `FormatError` for labels that cannot be
-    read; `MissingExtraError` without what the extra ``photos`` brings.
+    whose layout is not told or does not fit, and for options that make no sense; `FormatError` for labels that cannot
+    be read; `MissingExtraError` without what the extra ``photos`` brings.
 
     Attributes: `classes`, the names of all classes; `layout`, its name; `size`, rows and columns.
     """
@@ -80,28 +89,13 @@ class OnnxDetector:
         path: str | os.PathLike[str],
         labels: Labels | None = None,
         size: int | Size | str | None = None,
-        threshold: float | None = None,
-        layout: str | None = None,
-        *,
-        fit: str | None = None,
-        values: str | None = None,
-        order: str = "rgb",
-        threads: int = 1,
-        together: int = 1,
+        **options: Any,
     ) -> None:
-        self._options: dict[str, Any] = {name: value for name, value in locals().items() if name != "self"}
-        for name, fits, wanted in (
-            ("layout", layout in (None, *LAYOUTS), ", ".join(LAYOUTS)),
-            ("fit", fit in (None, *FITS), ", ".join(FITS)),
-            ("values", values in (None, *VALUES), ", ".join(VALUES)),
-            ("order", order in ORDERS, ", ".join(ORDERS)),
-            ("threshold", threshold is None or within(threshold, 0, 1), "a number from 0 to 1"),
-            ("threads", whole(threads, 1, 1024), COUNT),
-            ("together", whole(together, 1, 1024), COUNT),
-        ):
-            if not fits:
-                raise EagorError(f"OnnxDetector: {name} = {self._options[name]!r}; wanted {wanted}")
-        self._network = Network(path, threads)
+        given = checked(options, _Options, "OnnxDetector")
+        layout = given.layout
+        require_field(layout in (None, *LAYOUTS), "layout", layout, ", ".join(LAYOUTS))
+        self._made_of = partial(OnnxDetector, path, labels, size, **options)
+        self._network = Network(path, given.threads)
         metadata, noted = self._network.metadata, "'names' in the file's metadata"
         usual = LAYOUTS.get(layout or metadata.get("layout", ""), LAYOUTS["yolov8"])  # other metadata are YOLO's
         if labels is not None:
@@ -112,14 +106,16 @@ class OnnxDetector:
             raise EagorError(f"{path} does not say what its classes are called; name a file with labels=FILE.txt")
         self.classes = tuple(filter(None, self._names))
         self.size = self._network.size(size, usual.size)
-        tried = self._network.run(np.full((*self.size, 3), PAD, dtype=np.uint8), values or usual.values, order)
+        grey = np.full((*self.size, 3), PAD, dtype=np.uint8)
+        tried = self._network.run(grey, given.values or usual.values, given.order)
         try:
             self.layout, self._outputs = choose_layout(layout, metadata, tried, len(self._names))
         except EagorError as error:
             raise EagorError(f"{path}: {error}") from None
         self._layout = usual = LAYOUTS[self.layout]
-        self.fit, self.values, self.order, self.together = fit or usual.fit, values or usual.values, order, together
-        self.threshold = usual.threshold if threshold is None else threshold
+        self.fit, self.values = given.fit or usual.fit, given.values or usual.values
+        self.order, self.together = given.order, given.together
+        self.threshold = usual.threshold if given.threshold is None else given.threshold
 
     def __call__(self, picture: np.ndarray, query: str = "") -> tuple[np.ndarray, np.ndarray, list[str]]:
         """Boxes, scores and labels in `picture`; see the class.
@@ -167,14 +163,10 @@ class OnnxDetector:
         boxes, scores = boxes[rows], np.clip(scores[reach], 0, 1)
         numbers = numbers[0][rows] if numbers else columns[0]
         classes = np.rint(numbers).astype(np.int64)
-        whole_numbers = (np.abs(numbers - classes) <= SLACK) & (classes >= 0) & (classes < len(self._names))
-        self._check(
-            whole_numbers.all(), f"classes such as {numbers[:3].tolist()} of {len(self._names)} that have labels"
-        )
-        inverted, middles = (
-            (boxes[:, :2] > boxes[:, 2:]).any(axis=1),
-            (boxes[:, :2] + boxes[:, 2:]) / 2 / self.size[::-1],
-        )
+        known = (np.abs(numbers - classes) <= SLACK) & (classes >= 0) & (classes < count)
+        self._check(known.all(), f"classes such as {numbers[:3].tolist()} of {count} that have labels")
+        inverted = (boxes[:, :2] > boxes[:, 2:]).any(axis=1)
+        middles = (boxes[:, :2] + boxes[:, 2:]) / 2 / self.size[::-1]
         right = 2 * inverted.sum() <= len(boxes) and not are_fractions(boxes) and (np.abs(middles - 0.5) <= 1.5).all()
         self._check(right, f"boxes such as {boxes[:1].round(3).tolist()}, where corners in pixels are wanted")
         return boxes, scores, classes
@@ -188,7 +180,7 @@ class OnnxDetector:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Other processes open the file again."""
-        return partial(OnnxDetector, **self._options), ()
+        return self._made_of, ()
 
 
 def from_text(text: str = "", /, **options: Any) -> Detector:
@@ -213,7 +205,7 @@ def in_views(name: str, path: str | os.PathLike[str], given: dict[str, Any]) -> 
     """The detector in a file, looking around, with options as of `from_text`; `name`: of the perception, for errors."""
     from eagor.perception.views import Detector
 
-    own = [*inspect.signature(OnnxDetector).parameters][1:]
+    own = ["labels", "size", *_Options.__struct_fields__]
     if unknown := sorted(given.keys() - {*own, *OF_VIEWS}):
         raise EagorError(f"{name} has no option {', '.join(unknown)}; it has {', '.join([*own, *OF_VIEWS])}")
     detect = OnnxDetector(path, **{key: given[key] for key in own if key in given})

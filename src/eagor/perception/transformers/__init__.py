@@ -9,18 +9,22 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import redirect_stdout
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from threading import RLock
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import msgspec
+import numpy as np
 
 from eagor._extras import extras, how_to_install, is_older, require_extra
 from eagor.errors import EagorError
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import tangent_views
+from eagor.perception.fusion import RawDetections
 from eagor.perception.json_files import checked
 from eagor.perception.vlm import FAMILIES, MAX_TOKENS, Family, Labelled
 from eagor.perception.vlm.perception import ModelPerception, chosen
@@ -145,11 +149,10 @@ def hub_detector(
     config = read_config(name, given.revision)
     import transformers
 
-    from eagor.perception.transformers.localisers import CLASSES, KINDS, HubDetector
     from eagor.perception.views import Detector
 
-    kind = KINDS.get(config.model_type, CLASSES)
-    if kind is CLASSES and type(config) not in transformers.AutoModelForObjectDetection._model_mapping:
+    kind = _KINDS.get(config.model_type, _CLASSES)
+    if kind is _CLASSES and type(config) not in transformers.AutoModelForObjectDetection._model_mapping:
         raise _unknown(name, config)
     classes = None if kind.sentence else config.id2label
     processor = "AutoProcessor" if kind.sentence else "AutoImageProcessor"
@@ -157,6 +160,65 @@ def hub_detector(
     threshold = kind.threshold if given.threshold is None else given.threshold
     function = HubDetector(model, prepared, kind, threshold, classes)
     return Detector(function, classes, hfov_deg=hfov_deg, views=views, size=size, detector=detector)
+
+
+class _Kind(NamedTuple):
+    """Detectors of a model type: their class in transformers, the usual least score, and how a query is written."""
+
+    loaded_by: str
+    threshold: float
+    sentence: str = ""  # empty for a detector with classes
+
+
+# OWL-ViT, OWLv2 (Minderer et al., arXiv 2306.09683) and Grounding DINO (Liu et al., arXiv 2303.05499) take any words.
+_OWL = _Kind("AutoModelForZeroShotObjectDetection", 0.1, "a photo of a {}")
+_DINO = _Kind("AutoModelForZeroShotObjectDetection", 0.25, "{}.")
+_CLASSES = _Kind("AutoModelForObjectDetection", 0.3)
+_KINDS = {"owlvit": _OWL, "owlv2": _OWL, "grounding-dino": _DINO, "mm-grounding-dino": _DINO}
+
+
+@dataclass
+class HubDetector:
+    """A loaded detector: pictures ``(h, w, 3)`` uint8 of one size and a query in; boxes, scores, labels out.
+
+    `classes`: its labels by number; None: it takes any words, and its boxes have no labels.
+    """
+
+    model: Any
+    processor: Any
+    kind: _Kind
+    threshold: float
+    classes: dict[int, str] | None
+    lock: Any = field(default_factory=RLock, repr=False)
+
+    def __call__(self, picture: np.ndarray, query: str) -> RawDetections:
+        """What it finds in one picture."""
+        return self.many([picture], query)[0]
+
+    def many(self, pictures: Sequence[np.ndarray], query: str) -> list[RawDetections]:
+        """What it finds in each of several pictures: at most 50 boxes."""
+        import torch
+
+        words = query.lower().rstrip(".") if self.kind is _DINO else query.lower()
+        if self.kind is not _DINO and words.split(" ")[0] in ("the", "an", "a"):
+            words = words.partition(" ")[2]
+        text = {"text": [self.kind.sentence.format(words)] * len(pictures)} if self.kind.sentence else {}
+        inputs = self.processor(images=list(pictures), return_tensors="pt", **text).to(self.model.device)
+        inputs["pixel_values"] = inputs["pixel_values"].to(self.model.dtype)
+        with self.lock, torch.inference_mode():
+            out = self.model(**inputs)
+        name = "post_process_grounded_object_detection" if text else "post_process_object_detection"
+        more = {"input_ids": inputs["input_ids"]} if self.kind is _DINO else {}
+        sizes = [picture.shape[:2] for picture in pictures]
+        read = getattr(self.processor, name)
+        return [self._best(found) for found in read(out, threshold=self.threshold, target_sizes=sizes, **more)]
+
+    def _best(self, found: dict[str, Any]) -> RawDetections:
+        best = found["scores"].argsort(descending=True)[:50]
+        boxes, scores = (found[key][best].float().cpu().numpy() for key in ("boxes", "scores"))
+        if self.classes is None:
+            return RawDetections(boxes, scores)
+        return RawDetections(boxes, scores, [self.classes[number] for number in found["labels"][best].tolist()])
 
 
 def perception_here(name: str, **options: Any) -> TransformersPerception | Detector:

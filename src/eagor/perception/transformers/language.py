@@ -139,8 +139,8 @@ class LanguageModel:
                 for answer in running.decode(logits, self.max_tokens, stops):
                     cost["answer_tokens"] += len(answer)
                     tokens = [(self.tokenizer.decode([token]), log) for token, log in answer]
-                    said = self.tokenizer.decode([token for token, _ in answer], skip_special_tokens=True)
-                    readings.append(read(said, tokens))
+                    written = self.tokenizer.decode([token for token, _ in answer], skip_special_tokens=True)
+                    readings.append(read(written, tokens))
         return found, cost
 
     def _cost(self) -> dict[str, Any]:

@@ -33,26 +33,22 @@ PIXELS = 700 * 1400  # of a panorama, by default
 class Family:
     """A family of models, here or on a server, which reveals only the model's name.
 
-    - `pattern`: regular expression that finds the family in lower-case names such as ``qwen2.5vl:7b``.
-    - `cell`: side of an image token in pixels; a server is sent pictures in multiples of it. `view`: side of a square
-      view. `pixels`: the most of a picture, if the family leaves a choice.
-    - `aspect`: width / height of a panorama as sent. For processors that make everything square, some by cropping,
-      the panorama is squeezed beforehand: cells are then twice as wide as high.
+    - `pattern` finds it in lower-case names such as ``qwen2.5vl:7b``. `source`: who says what it writes.
+    - `cell`: side of an image token in pixels; pictures have multiples of it. `view`: side of a square view. `pixels`:
+      the most of a picture, if the family leaves a choice. `aspect`: width / height of a panorama as sent: where
+      processors make everything square, it is squeezed beforehand, and cells are twice as wide as high.
     - `frame`, `order`: of the coordinates to ask for. `grounded`: whether it was trained to write boxes; others are
-      better asked yes or no. `source`: who says what it writes.
+      better asked yes or no.
 
     The rest is of families that also run here:
 
     - `title` is its common name, `model_types` are values of ``model_type`` in ``config.json``.
     - `fit`: how an image becomes the model's input. ``exact``: resized to whole cells, any aspect; ``squash``: to the
-      model's square; ``pad``: into the square with background around it; ``tiles``: cut into squares, followed by the
-      whole image at a smaller scale.
-    - `extractor`: how directions are read by default: ``attention``, ``boxes`` that it writes, or ``views``: one of
-      these, `per_view`, in tangent views that cover the sphere.
+      model's square; ``pad``: into the square with background around it; ``tiles``: squares, then the whole, smaller.
+    - `extractor`, and `per_view` for ``views``: how directions are read by default (docs/models.md).
     - `type_ids`: the input that tells image tokens from text; without it the model runs and answers wrongly.
-    - `prompt`: of its training, about a picture, with ``{text}`` for the question; for checkpoints without a chat
-      template. `placeholder`: what it has for an image. It is replaced by the `expansion`, in which the `image_token`
-      is then repeated.
+    - `prompt`: of its training, with ``{text}`` for the question, for checkpoints without a chat template; the image's
+      `placeholder` in it becomes the `expansion`, in which the `image_token` is then repeated.
     - `depth`: the layer whose attention is read by default, as a fraction of all layers. 22 of 28 for Qwen2.5-VL-7B
       and 14 of 32 for LLaVA-1.5-7B are published (Zhang et al., arXiv 2502.17422); the others are not measured.
     """

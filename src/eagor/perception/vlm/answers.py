@@ -113,8 +113,8 @@ def parse_boxes(
     if not found and not _CUT.match(answer, max(map(answer.rfind, "])}")) + 1):
         found = [*_bare(answer, order)]
     if not found:
-        said = answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
-        if _EMPTY.search(said) or _ABSENT.search(said):
+        lower = answer.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'")
+        if _EMPTY.search(lower) or _ABSENT.search(lower):
             return []
         raise AnswerError(
             f"the model answered {_shortened(text)}; wanted boxes as a JSON list, [] if there are none. If it was cut "
@@ -241,9 +241,8 @@ def _listed(text: str, order: Order) -> list[_Coordinates]:
         places = _PLACES["yxyx" if key == _Y_FIRST else order]
         decided, score = _entry(text, start, stop, end)
         score, end = (*numbers[4:], score)[0], stop
-        boxes.append(
-            _Coordinates(tuple(numbers[at] for at in places), tuple(found[at].start() for at in places), decided, score)
-        )
+        ordered, starts = (tuple(each[at] for at in places) for each in (numbers, [each.start() for each in found]))
+        boxes.append(_Coordinates(ordered, starts, decided, score))
     return boxes or points
 
 

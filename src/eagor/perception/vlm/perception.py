@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,9 +118,9 @@ class ModelPerception:
 
     def _infer(self, plan: InferencePlan, queries: list[str], stamp: float | None, began: float) -> list[Evidence]:
         each = self.per_view if self.extractor == "views" else self.extractor
-        images = [crop.image for crop in plan.crops]
+        images, family = [crop.image for crop in plan.crops], self.model.family
         if each == "boxes":
-            family, size = self.model.family, images[0].shape[:2]
+            size = images[0].shape[:2]
 
             def read(text: str, tokens: Sequence[Token]) -> list[Box]:
                 return parse_boxes(text, family.frame, size, family.order, tokens)
@@ -130,8 +130,8 @@ class ModelPerception:
             found = [self._of_boxes(plan, answers, stamp) for answers in boxes]
         else:
             maps, cost = self.model.maps(images, queries, isinstance(plan.crops[0].grid, PatchGrid))
-            found = [Evidence.from_response(plan.combine(answers), plan.cells, self.calibration, stamp)
-                     for answers in maps]  # fmt: skip
+            responses = (combined(answers, plan.crops, plan.cells) for answers in maps)
+            found = [Evidence.from_response(each, plan.cells, self.calibration, stamp) for each in responses]
         how = {"extractor": self.extractor if plan.view is None else each, "per_view": each}
         took = round(1000 * (time.perf_counter() - began), 3)
         source: dict[str, Any] = {**how, "pixels": list(images[0].shape[:2]), **cost, "milliseconds": took}
@@ -143,8 +143,8 @@ class ModelPerception:
         pictures = zip(answers, plan.crops, strict=True)
         found = fuse_detections(box_detections(boxes, crop.grid, crop.roll) for boxes, crop in pictures)
         scored = any(each.score != 1 for each in found)  # a model that tells none has 1 everywhere
-        return spread_evidence([each[:3] for each in found], self.detector, View(plan.view or WHOLE_SPHERE), stamp,
-                               scored)  # fmt: skip
+        view = View(plan.view or WHOLE_SPHERE)
+        return spread_evidence([each[:3] for each in found], self.detector, view, stamp, scored)
 
 
 # --- what a model is shown --------------------------------------------------------------------------------------------
@@ -158,37 +158,30 @@ class Crop(NamedTuple):
     roll: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class InferencePlan:
-    """What a model is shown of one moment.
+class InferencePlan(NamedTuple):
+    """What a model is shown of one moment; one response to all `crops` is made on `cells`.
 
-    `combine` makes one response on the cells `cells` from those of the crops ``(h, w)``. `view`: the ordinary picture
-    that is looked at, None: a panorama.
+    `view`: the ordinary picture that is looked at, None: a panorama.
     """
 
     crops: tuple[Crop, ...]
     cells: Grid
-    combine: Callable[[Sequence[np.ndarray]], np.ndarray]
     view: PerspectiveGrid | None = None
 
 
 def plan_panorama(panorama: np.ndarray, size: tuple[int, int], cells: tuple[int, int], seam: bool) -> InferencePlan:
     """The whole panorama at `size` (height, width), seen in `cells` (rows, cols); with `seam` also rolled by half."""
     picture, grid = resized(panorama, size, wrap=True), PatchGrid(*cells)
-    shift = grid.cols // 2 if seam else 0
-    if not shift:
-        return InferencePlan((Crop(picture, grid),), grid, lambda maps: maps[0])
-    roll = shift / grid.cols
-    rolled = Crop(np.roll(picture, shift * (size[1] // grid.cols), axis=1), grid, roll)
-    return InferencePlan((Crop(picture, grid), rolled), grid,
-                         lambda maps: merge_seam(maps[0], np.roll(maps[1], -shift, axis=-1), roll))  # fmt: skip
+    crops, shift = (Crop(picture, grid),), grid.cols // 2 if seam else 0
+    if shift:
+        crops += (Crop(np.roll(picture, shift * (size[1] // grid.cols), axis=1), grid, shift / grid.cols),)
+    return InferencePlan(crops, grid)
 
 
 def plan_views(panorama: np.ndarray, side: int, rows: int) -> InferencePlan:
     """Tangent views of `side` pixels that cover the sphere; responses come on a panorama of so many `rows`."""
-    views, grid = tangent_views(side), PatchGrid(rows, 2 * rows)
-    crops = tuple(map(Crop, cut(panorama, *views), views))
-    return InferencePlan(crops, grid, lambda maps: project_to_sphere(maps, views, grid))
+    views = tangent_views(side)
+    return InferencePlan(tuple(map(Crop, cut(panorama, *views), views)), PatchGrid(rows, 2 * rows))
 
 
 def plan_view(image: np.ndarray, grid: PerspectiveGrid, size: tuple[int, int], cells: tuple[int, int]) -> InferencePlan:
@@ -198,7 +191,7 @@ def plan_view(image: np.ndarray, grid: PerspectiveGrid, size: tuple[int, int], c
     """
     stretched = PerspectiveGrid.of_lens(grid.lens).resized(*size)
     crop = Crop(resized(checked_picture(image, "the view"), size), stretched)
-    return InferencePlan((crop,), stretched.resized(*cells), lambda maps: np.broadcast_to(maps[0], cells), grid)
+    return InferencePlan((crop,), stretched.resized(*cells), grid)
 
 
 # --- boxes ------------------------------------------------------------------------------------------------------------
@@ -256,43 +249,39 @@ def fuse_detections(pictures: Iterable[Sequence[Detection]]) -> list[Detection]:
 # --- responses --------------------------------------------------------------------------------------------------------
 
 
-def merge_seam(first: np.ndarray, second: np.ndarray, roll: float = 0.5) -> np.ndarray:
-    """One response, float32, from two ``(..., h, w)`` to one panorama, both in the panorama's own frame.
-
-    `second` was seen in the panorama rolled to the right by the fraction `roll` of its width (near 1/2); its columns
-    are rolled back already. The weights are sin^2 of half the azimuth from the border; they sum to 1 (after division
-    if `roll` is not 1/2).
-    """
-    fractions = (np.arange(first.shape[-1]) + 0.5) / first.shape[-1]
+def combined(maps: Sequence[np.ndarray], crops: Sequence[Crop], cells: Grid) -> np.ndarray:
+    """One response on `cells` from those to the `crops`, each ``(h, w)``."""
+    if isinstance(cells, PerspectiveGrid) or len(crops) == 1:
+        return np.broadcast_to(maps[0], cells.shape)
+    if isinstance(crops[0].grid, PerspectiveGrid):
+        return project_to_sphere(maps, [crop.grid for crop in crops if isinstance(crop.grid, PerspectiveGrid)], cells)
+    # A panorama, and the same rolled: the weights are sin^2 of half the azimuth from the border, and sum to 1.
+    columns, roll = maps[0].shape[-1], crops[1].roll
+    fractions, back = (np.arange(columns) + 0.5) / columns, np.roll(maps[1], -round(roll * columns), axis=-1)
     weight, other = np.sin(math.pi * fractions) ** 2, np.sin(math.pi * (fractions + roll)) ** 2
     share = weight / (weight + other)
-    return (first * share + second * (1 - share)).astype(np.float32)
+    return (maps[0] * share + back * (1 - share)).astype(np.float32)
 
 
-def project_to_sphere(responses: Sequence[np.ndarray], views: Sequence[PerspectiveGrid], grid: PatchGrid) -> np.ndarray:
-    """One response ``(h, w)`` float32 on `grid` from those of views that cover the sphere.
+def project_to_sphere(responses: Sequence[np.ndarray], views: Sequence[PerspectiveGrid], grid: Grid) -> np.ndarray:
+    """One response ``(h, w)`` float32 on the cells of a panorama from those of views that cover the sphere.
 
     `responses`: per view the values in [0, 1] of its cells ``(rows, cols)``, which divide the view evenly; a single
     cell covers the whole view. Where views overlap it is the mean, weighted by sin^2 over a margin at each side.
     """
+    from scipy.ndimage import map_coordinates
+
     # Several points per cell: borders of views run through cells, and cells of views may be finer than ours.
-    fine = PatchGrid(grid.rows * _SAMPLES, grid.cols * _SAMPLES)
+    (rows, cols), blocks = grid.shape, (grid.height, _SAMPLES, grid.width, _SAMPLES)
+    fine = PatchGrid(rows * _SAMPLES, cols * _SAMPLES)
     total, weights = np.zeros(fine.shape), np.zeros(fine.shape)
     for response, view in zip(responses, views, strict=True):
         depth = depth_inside(fine.directions @ view.body_R_view, view.hfov / 2, view.hfov / 2)
         inside = depth > 0
         weight = np.sin(np.clip(depth[inside] / (OVERLAP / 2), 0, 1) * (math.pi / 2)) ** 2
         x, y, _ = view.project(fine.directions[inside])
-        total[inside] += weight * bilinear(response[None], x / view.width, y / view.height)[0]
+        places = [y / view.height * response.shape[0] - 0.5, x / view.width * response.shape[1] - 0.5]
+        total[inside] += weight * map_coordinates(response, places, np.float64, order=1, mode="nearest")
         weights[inside] += weight
-    total, share = ((each * fine.weights).reshape(grid.rows, _SAMPLES, grid.cols, _SAMPLES).sum(axis=(1, 3))
-                    for each in (total, weights))  # fmt: skip
+    total, share = ((each * fine.weights).reshape(blocks).sum(axis=(1, 3)) for each in (total, weights))
     return np.clip(total / share, 0, 1).astype(np.float32)
-
-
-def bilinear(layers: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """`layers` ``(Q, rows, cols)`` of a view at fractions (x, y) of it; constant beyond the outer centres."""
-    from scipy.ndimage import map_coordinates
-
-    places = np.stack([y * layers.shape[1] - 0.5, x * layers.shape[2] - 0.5])
-    return np.stack([map_coordinates(layer, places, np.float64, order=1, mode="nearest") for layer in layers])

@@ -61,7 +61,7 @@ def test_a_thing_that_the_seam_cuts_is_one():
 
 def test_a_box_all_around_names_no_direction_and_hides_no_thing():
     whole = Box(0.0, 0.0, 1.0, 1.0, 0.7)
-    plan = InferencePlan((Crop(np.zeros((18, 36, 3), np.uint8), WHOLE),), WHOLE, lambda maps: maps[0])
+    plan = InferencePlan((Crop(np.zeros((18, 36, 3), np.uint8), WHOLE),), WHOLE)
     evidence = ModelPerception(None)._of_boxes(plan, [[whole]], 1.0)
     assert np.ptp(evidence.log_ratio) < 1e-6
     around = box_detections([whole], WHOLE)
@@ -71,7 +71,7 @@ def test_a_box_all_around_names_no_direction_and_hides_no_thing():
 
 def test_evidence_of_boxes_tells_what_it_is_of():
     view = PerspectiveGrid(60, 80, 1.2, world_R_body(0.4))
-    plan = InferencePlan((Crop(np.zeros((60, 80, 3), np.uint8), view),), view, lambda maps: maps[0], view=view)
+    plan = InferencePlan((Crop(np.zeros((60, 80, 3), np.uint8), view),), view, view)
     boxes = [[Box(0.4, 0.4, 0.6, 0.6)]]
     evidence = ModelPerception(None, detector=DetectorModel(0.9))._of_boxes(plan, boxes, 3.0)
     assert evidence.stamp == 3.0
