@@ -14,10 +14,10 @@ from eagor.errors import FormatError, ImageError, PoseError
 from eagor.lab.worlds.painted import painted_room
 from eagor.sources import Pose, check_camera
 from eagor.sources import ros_messages as m
-from eagor.sources.bag_sources import BagCamera, BagPoses
 from eagor.sources.bags import BagWriter, pick
 from eagor.sources.camera_sources import open_source
 from eagor.sources.ros_frames import PoseReader, optical
+from eagor.sources.ros_sources import BagCamera, BagPoses
 from eagor.sphere import world_R_body
 
 ROOM = painted_room(32, 64)

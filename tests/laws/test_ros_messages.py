@@ -253,7 +253,7 @@ def test_the_order_of_compressed_colours_is_that_of_image_transport(told, swappe
     [
         ({"encoding": "32FC1"}, r"'32FC1', depth, and no picture .REP-118.; wanted one of rgb8, .* uyvy.* nv21, nv24"),
         ({"encoding": "mono16", "width": 19}, "of 19 x 6 pixels of 2 bytes has 36 bytes a row"),
-        ({"encoding": "uyvy", "width": 11}, "is 11 pixels wide; wanted an even number"),
+        ({"encoding": "uyvy", "width": 11}, "of 11 x 6 pixels as uyvy has an odd width"),
         ({"encoding": "nv21", "height": 6, "step": 36}, "as nv21 has 0 bytes of colour; wanted 108, and even sides"),
         ({"encoding": "bayer_rggb16", "step": 23}, "of 12 x 6 pixels of 2 bytes has 23 bytes a row"),
         ({"step": 35}, "has 35 bytes a row"),

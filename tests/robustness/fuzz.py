@@ -48,11 +48,11 @@ from eagor.perception.vlm.answers import parse_boxes, parse_presence  # noqa: E4
 from eagor.perception.vlm.perception import box_detections  # noqa: E402
 from eagor.sources import Pose  # noqa: E402
 from eagor.sources import ros_messages as m  # noqa: E402
-from eagor.sources.bag_sources import BagCamera, BagPoses  # noqa: E402
 from eagor.sources.bags import MAGIC, MOTION, PICTURES, Bag  # noqa: E402
 from eagor.sources.camera_sources import FrameCheck  # noqa: E402
 from eagor.sources.intrinsics import intrinsics_from_exif, read_camera  # noqa: E402
 from eagor.sources.rigs import read_rig  # noqa: E402
+from eagor.sources.ros_sources import BagCamera, BagPoses  # noqa: E402
 from eagor.sources.video import Video  # noqa: E402
 
 SECONDS, MEMORY = 5.0, 3 << 30  # of CPU for one input; bytes above what the samples take

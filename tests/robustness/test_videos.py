@@ -123,7 +123,7 @@ def test_no_pictures(tmp_path):
 
 
 def test_pictures_too_large(tmp_path, monkeypatch):
-    monkeypatch.setattr("eagor.sources.tracks.LARGEST", 8000)
+    monkeypatch.setattr("eagor.sources.video.LARGEST", 8000)
     with pytest.raises(ImageError, match="pictures of 128 x 64 pixels; wanted at most 8000"):
         Video(clips.clip(tmp_path / "a.mp4"))
 

@@ -37,7 +37,7 @@ from eagor.odometry.clocks import TimestampDejitter
 from eagor.sources import Frame
 from eagor.sources.intrinsics import Camera
 from eagor.sources.stitching import PanoramaBuilder
-from eagor.sources.tracks import Damage, pictures, to_rgb
+from eagor.sources.video import Damage, pictures, to_rgb
 
 if TYPE_CHECKING:
     from av.container import InputContainer

@@ -26,9 +26,9 @@ from eagor.odometry.axes import settled
 from eagor.odometry.files import BEYOND, FramePose, Poses, interpolated, pair, read_poses, usable
 from eagor.odometry.visual import VisualOdometer
 from eagor.sources import CameraSource, Frame, Pose, PoseSource
-from eagor.sources.bag_sources import BagPoses, bag_odometry
 from eagor.sources.camera_sources import Footage, Images, warned
 from eagor.sources.panorama import Picture
+from eagor.sources.ros_sources import BagPoses, bag_odometry
 
 if TYPE_CHECKING:
     from eagor.odometry.imu import MotionTrack
