@@ -1,15 +1,13 @@
 """What a camera's pictures tell of it: the lenses of a dual fisheye camera, how well these agree, how late it stamps.
 
-**Lenses.** What both see at once, the overlap, ties them to each other, and fixes their curves there. It tells nothing
-about the inside of the pictures: that part then rests on the assumption that the lenses are nearly equidistant.
-Pictures of a camera that turned in place fix all of it, since the same things pass through all parts of the lenses, and
-a whole turn is 360 degrees. Robust least squares with weak priors; nothing tells how the rig as a whole sits on the
-body.
+**Lenses.** The overlap ties them to each other, and fixes their curves there. The inside of the pictures then rests on
+the assumption that the lenses are nearly equidistant. Pictures of a camera that turned in place fix all of it: the same
+things pass through all parts of the lenses, and a whole turn is 360 degrees. Robust least squares with weak priors;
+nothing tells how the rig as a whole sits on the body.
 
 **Latency.** A camera that stamps its pictures `latency` seconds late shows at the stamp t what odometry told for t -
-latency. For each step between two pictures both tell how far the body turned about its vertical axis; the latency is
-the shift at which the two series have the highest correlation. Its interval is from a moving-block bootstrap (H.
-Kunsch, Annals of Statistics 17, 1989): neighbouring steps are not independent.
+latency: the shift at which the turns about the vertical axis from picture to picture have the highest correlation with
+odometry's. Its interval is from a moving-block bootstrap (H. Kunsch, Annals of Statistics 17, 1989).
 """
 
 from __future__ import annotations
@@ -60,10 +58,9 @@ Sightings = Features  # with moment, lens, x, y (pixels) of each point, ``(n, 4)
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """A fitted `rig` and how well it fits.
+    """A fitted `rig`, the `pairs` between its lenses, and between moments (0 unless the camera turned).
 
-    `pairs` between the lenses, and between moments (0 unless the camera turned); `gap`: the median angle between the
-    two rays of a pair, radians; `before`: the same with the rig to begin with.
+    `gap`: the median angle between the two rays of a pair, radians; `before`: the same with the rig to begin with.
     """
 
     rig: Rig
@@ -122,13 +119,11 @@ def first_rig(moments: Sequence[Sequence[np.ndarray]], fov: float = math.radians
     """
     sizes = {sizes_of(checked_picture(each, "a picture") for each in pictures) for pictures in moments}
     if len(sizes) != 1:
-        raise ImageError(
-            f"the pictures have {len(sizes)} different sizes; wanted those of one camera in one mode, all alike"
-        )
+        wanted = "wanted those of one camera in one mode, all alike"
+        raise ImageError(f"the pictures have {len(sizes)} different sizes; {wanted}")
     (size,) = sizes
-    ((width, height), *others) = size
-    half = 0 if others else width // 2
-    if len(others) > 1 or (half and not 1.8 <= width / height <= 2.2):
+    (width, height), half = size[0], size[0][0] // 2 if len(size) == 1 else 0
+    if len(size) > 2 or (half and not 1.8 <= width / height <= 2.2):
         raise ImageError(
             f"a moment has pictures of {size}; wanted two circles side by side (twice as wide as high), or two "
             "pictures, one for each lens. For another layout, begin with a rig: --rig FILE.yaml"
@@ -176,9 +171,8 @@ def _chained(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> np.ndarray:
         turn = estimate_relative_rotation(*rays, moves=False) if len(pairs) else None
         if turn is None:
             raise ImageError(
-                f"picture {number} cannot be related to the one before: were they taken at the same place, in the "
-                "order in which the camera turned, by at most 60 degrees from one to the next? Leave it out, or give "
-                "more"
+                f"picture {number} cannot be related to the one before: were they taken at one place, in the order in "
+                "which the camera turned, by at most 60 degrees each? Leave it out, or give more"
             )
         turns.append(turns[-1] @ turn.old_R_new)
     return np.stack(turns)
@@ -342,7 +336,7 @@ class Latency:
     interval: tuple[float, float]
     correlation: float
     steps: int
-    mirrored: bool = False
+    mirrored: bool
 
 
 def steps_of(frames: Iterable[Frame]) -> np.ndarray:
@@ -383,20 +377,18 @@ def latency_between(steps: np.ndarray, poses: Sequence[Pose], *, most: float = 1
     rates = np.stack([_turned(slerp, start - shift, end - shift) for shift in shifts]) / (end - start)  # (shifts, n)
     seen = turned / (end - start)
     values = _correlation(rates, seen)
-    mirrored = bool(values.max() < -values.min() - 0.2)
-    if mirrored:
+    if mirrored := bool(values.max() < -values.min() - 0.2):
         values, seen = -values, -seen
     at = int(values.argmax())
     if values[at] < LEAST_MATCH:
         raise PoseError(
-            f"what the pictures show and what odometry tells do not agree at any shift up to {most:g} s (highest "
-            f"correlation {values[at]:.2f}; wanted {LEAST_MATCH:g} or more). Are they of the same time and body, and "
-            "is the shift larger (--most SECONDS)?"
+            f"pictures and odometry do not agree at any shift up to {most:g} s (highest correlation {values[at]:.2f}; "
+            f"wanted {LEAST_MATCH:g} or more). Are they of the same time and body, and is the shift larger (--most "
+            "SECONDS)?"
         )
     if at in (0, len(shifts) - 1):
-        raise PoseError(
-            f"the best shift is {shifts[at]:+.2f} s, the end of what was searched; search farther: --most {2 * most:g}"
-        )
+        end_of = f"the best shift is {shifts[at]:+.2f} s, the end of what was searched"
+        raise PoseError(f"{end_of}; search farther: --most {2 * most:g}")
     random, peaks = np.random.default_rng(seed), []
     block = min(max(1, round(BLOCK / float(np.median(end - start)))), max(1, n // 4))
     for _ in range(DRAWS):

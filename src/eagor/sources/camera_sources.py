@@ -131,7 +131,7 @@ def open_footage(
     paths = [Path(place) for place in places]
     if is_video(paths, rig is not None):
         how: dict[str, Any] = {"rig": rig, "camera": camera, "force": force, "rows": rows}
-        video = Video(paths[0], *paths[1:], rate=rate, start=start, end=end, **how)
+        video = Video(*paths, rate=rate, start=start, end=end, **how)
         return Footage(partial(_of_video, video, check), latency, video=video)
     found = images_of(paths, rate, check)
     return Footage(found.items, latency, images=found)
@@ -185,10 +185,8 @@ class FrameCheck:
         key = sizes_of(pictures), hint
         builder = self._builders.get(key) if projection is None else None
         if builder is None:
-            builder = PanoramaBuilder(
-                key[0], name, rig=self.rig, camera=self.camera, hint=hint, projection=projection, rows=self.rows,
-                force=self.force,
-            )  # fmt: skip
+            known: dict[str, Any] = {"rig": self.rig, "camera": self.camera, "rows": self.rows, "force": self.force}
+            builder = PanoramaBuilder(key[0], name, hint=hint, projection=projection, **known)
             if projection is None:  # which may differ from picture to picture
                 self._builders[key] = builder
         if builder.refused or not self._looked:
@@ -208,14 +206,15 @@ class FrameCheck:
         if self._looked:
             return frame
         self._looked = True  # not before: who reads a frame again that was refused is told again
-        (high, wide), words, odd = frame.picture.shape[:2], "", ()
+        (high, wide), odd = frame.picture.shape[:2], ()
         if frame.grid is not None or (builder is not None and builder.fisheye):
             words = in_words((self.camera and self.camera.name) or hint.source, frame.grid)
+            facts = (words, *facts, *(hint.facts if frame.grid is not None else ()))
         elif not is_twice_as_wide(high, wide):
             odd = (f"it is {wide} x {high}, not 2:1; accepted, with all columns for 360 degrees, all rows for 180",)
         elif frame.unseen is None:  # a part has no seam
             odd = problems(frame.picture)
-        for fact in (*filter(None, [words]), *facts, *(hint.facts if frame.grid is not None else ())):
+        for fact in facts:
             self.say(fact if fact.startswith("warning: ") else f"{name}: {fact}")
         for problem in odd:
             self.say(f"warning: {name}: {problem}")
@@ -250,10 +249,9 @@ def _of_bag(bag: BagCamera, check: FrameCheck, rate: float | None, start: float,
         found = Picture(read(), bag.unseen, bag.view)
         return check.look(found, name) if bag.view is None else found  # an ordinary lens is said already
 
-    coming = ((stamp - bag.begins, (stamp, read)) for stamp, read in bag.pictures())
     last = math.inf if end is None else end
-    inside = takewhile(lambda each: each[0] <= last, (each for each in coming if each[0] >= start))
-    for _, (stamp, read) in selected(inside, 0.0, None, rate, 1e-6):
+    coming = ((stamp - bag.begins, (stamp, read)) for stamp, read in bag.pictures() if stamp - bag.begins >= start)
+    for _, (stamp, read) in selected(takewhile(lambda each: each[0] <= last, coming), 0.0, None, rate, 1e-6):
         yield stamp, (name := f"{bag.topics[0]} at {stamp:.3f} s"), partial(seen, read, name)
 
 
@@ -323,8 +321,7 @@ def is_video(places: Sequence[Path], rig: bool = False) -> bool:
     """Whether the one place is a video, or a picture that moves; with a `rig` there may be a video for each lens."""
     if len(places) == 1 and is_animation(places[0]):
         return True
-    many = len(places) > 1 and not rig
-    return not many and all(map(_is_film, places))
+    return (len(places) == 1 or rig) and all(map(_is_film, places))
 
 
 def images_of(places: Sequence[Path], rate: float | None, check: FrameCheck) -> Images:
@@ -352,9 +349,8 @@ def _single(places: Sequence[Path]) -> tuple[Path, ...]:
         if os.path.isdir(place):
             raise ImageError(f"{place} is a folder; give one folder, or only image files")
         if not os.path.exists(place):
-            raise ImageError(
-                f"there is no file {place}; give a video, a recorded ROS 2 bag, a folder of pictures, or image files"
-            )
+            wanted = "give a video, a recorded ROS 2 bag, a folder of pictures, or image files"
+            raise ImageError(f"there is no file {place}; {wanted}")
     return in_order(places)
 
 

@@ -121,10 +121,10 @@ def ordinary_grid(camera: Camera, hint: IntrinsicsHint, size: tuple[int, int], n
     width, height = size
     if camera.rig is not None:
         lens = camera.rig.lenses[0]
-        wide, high = lens.size
-        if hint.turns % 2 == 0 or _alike(size, (high, wide)):  # else it was calibrated as it is shown
+        if hint.turns % 2 == 0 or _alike(size, lens.size[::-1]):  # else it was calibrated as it is shown
             lens = lens.turned(hint.turns)
         if not _alike(size, lens.size):
+            wide, high = camera.rig.lenses[0].size
             raise ImageError(
                 f"{name} is {width} x {height}, and {camera.name} is for pictures of {wide} x {high}; wanted the same "
                 "shape in any size. A camera cuts its pictures differently for another shape: calibrate it with such "
@@ -164,17 +164,16 @@ def intrinsics_from_exif(path: str | Path) -> IntrinsicsHint:
             turns = QUARTERS.get(exif.get(ORIENTATION, 1), 0)
     except Exception:  # Pillow may raise anything for damaged metadata
         return IntrinsicsHint()
-    film, length, per_unit, wide, high = (
-        _number(tags.get(tag)) for tag in (FOCAL_35MM, FOCAL_LENGTH, PLANE_X, EXIF_WIDTH, EXIF_HEIGHT)
-    )
+    numbers = (_number(tags.get(tag)) for tag in (FOCAL_35MM, FOCAL_LENGTH, PLANE_X, EXIF_WIDTH, EXIF_HEIGHT))
+    film, length, per_unit, wide, high = numbers
     taken = wide or size[0], high or size[1]
-    if not (_alike(size, taken) or _alike(size, (taken[1], taken[0]))):
+    if not (_alike(size, taken) or _alike(size, taken[::-1])):
         return IntrinsicsHint(turns=turns, facts=("its Exif is that of a picture of another shape: it was cropped",))
     if film:
         return _hint(film * math.hypot(*size) / FULL_FRAME, "its Exif (FocalLengthIn35mmFilm)", size[turns % 2], turns)
-    unit = UNITS.get(tags.get(PLANE_UNIT, 2), 0.0)
-    focal = (length or 0.0) * (per_unit or 0.0) / (unit or math.inf) * max(size) / max(taken)
-    return _hint(focal, "its Exif (FocalLength, FocalPlaneXResolution)", size[turns % 2], turns)
+    focal = (length or 0.0) * (per_unit or 0.0) / UNITS.get(tags.get(PLANE_UNIT, 2), math.inf)
+    source = "its Exif (FocalLength, FocalPlaneXResolution)"
+    return _hint(focal * max(size) / max(taken), source, size[turns % 2], turns)
 
 
 def intrinsics_from_tags(tags: Mapping[str, str], size: tuple[int, int], turns: int) -> IntrinsicsHint:
@@ -224,8 +223,9 @@ def rig_of_info(received: Any, rectified: bool, name: str) -> Rig:
     size = wide // across, high // down
     if min(size) < 1:
         raise FormatError(f"{name} is for pictures of {wide} x {high} pixels; wanted the size that the camera has")
-    letter, values = ("P", [float(v) for v in received.p]) if rectified else ("K", [float(v) for v in received.k])
-    fx, fy, cx, cy = (values[at] for at in ((0, 5, 2, 6) if rectified else (0, 4, 2, 5)))
+    letter, values, columns = ("P", received.p, 4) if rectified else ("K", received.k, 3)
+    values = [float(value) for value in values]
+    fx, cx, fy, cy = (values[at] for at in (0, 2, columns + 1, columns + 2))
     if not (np.isfinite(values).all() and min(fx, fy) > 0):
         raise FormatError(
             f"{name} has the focal lengths {fx:g} and {fy:g} in {letter}; wanted pixels above 0. The camera is not "
@@ -233,7 +233,7 @@ def rig_of_info(received: Any, rectified: bool, name: str) -> Rig:
         )
     centre = (cx + 0.5 - left) / across, (cy + 0.5 - top) / down
     model = "none" if rectified else received.distortion_model.strip().lower()
-    distortion = [] if rectified else [float(v) for v in received.d]
+    distortion = [] if rectified else [float(value) for value in received.d]
     try:
         return Rig((size,), (lens_of_model(model, size, (fx / across, fy / down), centre, distortion),))
     except EagorError as error:  # numbers that no lens has
