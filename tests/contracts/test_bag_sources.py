@@ -70,18 +70,10 @@ def test_poses_of_a_bag_agree_wherever_they_come_from(bag, topic, camera):
 
 def test_odometry_is_preferred_and_what_is_missing_is_said(bag):
     assert BagPoses(bag).topic == "/odom"
-    with pytest.raises(FormatError, match="has no topic /x; it has /image"):
-        BagPoses(bag, "/x")
-    with pytest.raises(FormatError, match="/image is of type sensor_msgs/msg/Image; wanted nav_msgs/msg/Odometry or"):
-        BagPoses(bag, "/image")
-    with pytest.raises(FormatError, match="/odom is of type"):
-        BagCamera(bag, "/odom")
     poses = BagPoses(bag, "/imu/data", camera="x3_link")  # no transform leads to imu_link
     list(poses)
-    assert (
-        poses.problem
-        == "/tf_static and /tf do not tell where x3_link is in imu_link: the camera is taken to look ahead along it"
-    )
+    said = "/tf_static and /tf do not tell where x3_link is in imu_link: the camera is taken to look ahead along it"
+    assert poses.problem == said
 
 
 def test_two_robots_on_one_topic_of_a_bag(tmp_path):

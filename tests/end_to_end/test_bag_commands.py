@@ -265,15 +265,6 @@ def test_a_bag_of_several_cameras_is_one_panorama_with_a_mask(two, tmp_path, cap
         assert each["azimuth_deg"] == pytest.approx(math.degrees(RATE * (each["stamp"] - START)), abs=12)
 
 
-def test_live_takes_several_topics_of_a_bag(two, capsys):
-    words = ["live", f"{two}?topic=/front/image_raw,/side/image_raw", "red", "--fast", "--json", "--rate", "2"]
-    assert main([*words, "--perception", "colour"]) == 0
-    out, err = capsys.readouterr()
-    assert "4 pictures, 4 looks" in err
-    last = json.loads(out.splitlines()[-1])
-    assert last["azimuth_deg"] == pytest.approx(math.degrees(RATE * 1.8), abs=12)
-
-
 def test_what_does_not_tell_where_several_cameras_are(two, tmp_path, capsys):
     code, _, err = track(capsys, of_two_cameras(tmp_path / "bag", ["front_optical_frame"]), "red", *TWO)
     assert code == 2
@@ -355,17 +346,6 @@ def test_topics_that_are_not_there(tmp_path, capsys, words, said):
     assert said in err
 
 
-def test_what_is_no_bag(tmp_path, capsys):
-    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
-    code, _, err = track(capsys, tmp_path / "old.bag", "red")
-    assert code == 2
-    assert "is a bag of ROS 1; convert it: rosbags-convert" in err
-    (tmp_path / "a.png").write_bytes(b"")
-    code, _, err = track(capsys, tmp_path / "a.png", "red", "--odom-topic", "/odom")
-    assert code == 2
-    assert "--image-topic, --odom-topic and --camera-info are for a ROS 2 bag" in err
-
-
 def test_clocks_that_have_nothing_in_common(tmp_path, capsys):
     turn, place = camera_at(0)
     with BagWriter(tmp_path / "bag") as bag:
@@ -390,12 +370,3 @@ def test_a_bag_is_played_as_a_live_camera(tmp_path, capsys, topic, poses):
     last = answers[-1]
     truth, _ = bearing(ROOM.balls[0], camera_at(0.25 * (COUNT - 1))[1], camera_at(0.25 * (COUNT - 1))[0])
     assert math.degrees(angular_distance(truth, np.array(last["direction"]))) < 4
-
-
-def test_lenses_of_a_bag_are_refused_without_their_rig(tmp_path, capsys):
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.write("/fisheye", m.IMAGE, m.image_message(np.zeros((60, 80, 3), np.uint8), START, "x3"), START)
-    code, _, err = track(capsys, tmp_path / "bag", "red")
-    assert code == 2
-    assert "/fisheye is 80 x 60, not 2:1" in err
-    assert "--rig FILE.yaml" in err

@@ -85,12 +85,6 @@ def test_calibrate_says_what_the_overlap_leaves_open(capsys, place):
     assert "--turned" in err
 
 
-def test_a_video_of_lenses_can_be_viewed(capsys, place):
-    code, out, _ = run(capsys, "camera", "view", place / "room.mp4", "--rig", place / "true.yaml")
-    assert code == 0
-    assert "% of the sphere is seen by two lenses" in out
-
-
 def test_locate_finds_the_ball_in_circles(capsys, place):
     code, _, err = run(capsys, "locate", place / "room.png", "red", "--json")
     assert code == 2

@@ -5,7 +5,6 @@ would spend their time on imports otherwise.
 """
 
 import contextlib
-import csv
 import json
 import math
 import os
@@ -265,12 +264,6 @@ def test_a_video_with_the_answer_drawn_in(tilting, tmp_path, eagor):
     assert "2 looks per second (--rate 2), orientations from the pictures themselves" in err
 
 
-def test_the_rate_that_is_said_is_the_one_that_happens(tilting, answers):
-    found = answers("track", tilting, "red", "--end", 1, "--rate", 30)
-    assert len(found["frames"]) == RATE
-    assert f"eagor: {RATE} looks per second (--rate 30), orientations" in found["stderr"]
-
-
 def test_lines_go_to_stdout_also_beside_a_progress_bar(tilting, tmp_path):
     """Somebody watches stderr on a terminal, and sends the results to a file."""
     pty = pytest.importorskip("pty")
@@ -288,20 +281,6 @@ def test_lines_go_to_stdout_also_beside_a_progress_bar(tilting, tmp_path):
     assert b"looking" in shown
     assert len(out.read_text().splitlines()) == 3
     assert b"elevation" not in shown
-
-
-@pytest.mark.parametrize("suffix", ["csv", "jsonl"])
-def test_tables(tilting, tmp_path, answers, suffix):
-    path = tmp_path / f"answers.{suffix}"
-    found = answers("track", tilting, "red", "--out", path, "--modes", 1, "--end", 1.5)["frames"]
-    assert all(len(entry["modes"]) <= 1 for entry in found)
-    if suffix == "csv":
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    else:
-        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    assert [float(row["azimuth_deg"]) for row in rows] == [entry["azimuth_deg"] for entry in found]
-    assert [row["frame"] for row in rows] == [entry["frame"] for entry in found]
 
 
 def test_locate_takes_a_frame_of_a_video(tilting, answers):
@@ -326,26 +305,6 @@ def test_of_a_truncated_clip_comes_what_is_there(tmp_path, eagor):
         assert len(list(container.decode(video=0))) == len(out.splitlines()) - 1
 
 
-def test_clips_that_cannot_be_read(tmp_path, refused):
-    path = tmp_path / "clip.mp4"
-    for content in (b"", b"no video at all" * 99):
-        path.write_bytes(content)
-        assert "clip.mp4" in refused("track", path, "red")
-        assert "clip.mp4" in refused("locate", path, "red")
-    assert "nothing.mp4" in refused("track", tmp_path / "nothing.mp4", "red")
-
-
-def test_a_clip_without_pictures(tmp_path, refused):
-    path = tmp_path / "sound.mp4"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("aac", rate=8000)
-        frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
-        frame.rate = 8000
-        container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-    assert "sound.mp4" in refused("track", path, "red")
-
-
 # --- pictures that are no good panoramas ------------------------------------------------------------------------------
 
 
@@ -366,19 +325,6 @@ def test_a_dual_fisheye_is_refused_unless_forced(tmp_path, refused, eagor):
         code, _, err = eagor(*words, "red", "--force")
         assert code == 0
         assert err.count("two circles") == 1
-
-
-def test_a_seam_that_does_not_fit_is_measured_and_said(tmp_path, eagor):
-    cut = np.ascontiguousarray(ROOM[:, : ROWS * 3 // 2].repeat(4, axis=1)[:, ::3])
-    assert cut.shape == ROOM.shape
-    Image.fromarray(cut).save(tmp_path / "seam.png")
-    path = filmed(tmp_path / "seam.mp4", [cut] * 4)
-    for words in (("locate", tmp_path / "seam.png"), ("track", path)):
-        code, _, err = eagor(*words, "red")
-        assert code == 0
-        (line,) = [line for line in err.splitlines() if "border" in line]
-        assert "warning" in line
-        assert "times that between other neighbouring columns" in line
 
 
 @pytest.mark.slow

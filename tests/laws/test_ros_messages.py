@@ -62,12 +62,6 @@ def test_times_that_no_message_holds(stamp):
         m.header(stamp, "")
 
 
-def test_pictures_come_back():
-    made = m.image_message(PICTURE, 5.0, "x3")
-    assert (made.height, made.width, made.encoding) == (6, 12, "rgb8")
-    np.testing.assert_array_equal(m.image_from_msg(made), PICTURE)
-
-
 def test_colours_are_those_that_the_encoding_names():
     """By hand, not by our own writer: red is 255, 0, 0 in rgb8 and 0, 0, 255 in bgr8."""
     made = m.image_message(COLOURS, 5.0, "x3")

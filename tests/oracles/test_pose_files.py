@@ -273,13 +273,6 @@ def test_a_camera_that_tumbles_with_our_axes_is_read_as_it_stands(tmp_path):
     assert not said
 
 
-def test_radians_called_degrees_are_noticed_by_the_pictures(tmp_path, shots):
-    lines = [f"{at},{np.radians(20 - 11 * k):.6f},0,0" for k, at in enumerate(STAMPS)]
-    (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *lines]))
-    said = refused("track", shots, "red", "--poses", tmp_path / "p.csv", "--perception", "colour")
-    assert "its angles are radians" in said
-
-
 # --- poses against the pictures ---
 
 SWEEP = [world_R_body(0.9 * np.sin(0.5 * k), 0.06 * np.sin(k), 0.05 * np.cos(k)) for k in range(14)]

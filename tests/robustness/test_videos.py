@@ -90,13 +90,6 @@ def test_what_is_no_video(tmp_path, name):
         Video(tmp_path / name)
 
 
-def test_a_file_that_may_not_be_read(tmp_path, monkeypatch):
-    path = clips.clip(tmp_path / "a.mp4")
-    monkeypatch.setattr("os.access", lambda *_: False)  # for root, all files are readable
-    with pytest.raises(ImageError, match="cannot be read; make it readable"):
-        Video(path)
-
-
 def test_a_playlist_opens_no_other_file(tmp_path):
     clips.clip(tmp_path / "a.ts")
     listed = tmp_path / "list.mp4"
