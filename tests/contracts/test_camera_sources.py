@@ -17,6 +17,7 @@ import clips
 import numpy as np
 import pytest
 from PIL import Image
+from rigs import seen_by
 
 from eagor.cameras import Lens, Rig, dual_fisheye
 from eagor.errors import DeviceError, FormatError, ImageError, TimeError
@@ -27,7 +28,6 @@ from eagor.sources.camera_sources import open_source
 from eagor.sources.intrinsics import camera_of
 from eagor.sources.live_camera import BYTES, FrameGrabber, LiveCamera, Stream, device, raw_pipe
 from eagor.sources.rigs import write_rig
-from eagor.sources.stitching import seen_by
 from eagor.sphere import world_R_body
 
 av = pytest.importorskip("av")

@@ -10,6 +10,7 @@ import pytest
 import rigs
 from moving_rooms import PatternRoom
 from PIL import Image
+from rigs import seen_by
 
 from eagor.cameras import dual_fisheye
 from eagor.cli import main
@@ -17,7 +18,6 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.sources.panorama import turn, view
 from eagor.sources.rigs import read_rig, write_rig
-from eagor.sources.stitching import seen_by
 from eagor.sphere import world_R_body
 
 pytest.importorskip("cv2")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import rigs
 from moving_rooms import PatternRoom
+from rigs import seen_by
 from scipy.spatial.transform import Rotation
 
 from eagor.cameras import dual_fisheye
 from eagor.errors import ImageError, PoseError
 from eagor.sources import Pose
 from eagor.sources.calibration import calibrate, first_rig, latency_between, overlap_of
-from eagor.sources.stitching import seen_by
 from eagor.sphere import world_R_body
 
 pytest.importorskip("cv2")

@@ -14,8 +14,9 @@ from eagor.conventions import wxyz_from_rotation
 from eagor.errors import EagorError, PoseError
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, paint
+from eagor.odometry import Pose
 from eagor.odometry.axes import AXES, settled, with_axes
-from eagor.odometry.files import FramePose, Poses, read_poses, times_of
+from eagor.odometry.files import Poses, read_poses, times_of
 from eagor.sources.camera_sources import open_footage
 from eagor.sources.odometry import GivenPoses, PosedFrames, open_poses
 from eagor.sources.panorama import Picture, cut
@@ -290,7 +291,7 @@ def sweep():
 
 
 def settled_with(poses, pictures, said, axes="auto", form=""):
-    read = Poses(FramePose(0.5 * k, pose, None, None) for k, pose in enumerate(poses))
+    read = Poses(Pose(0.5 * k, pose) for k, pose in enumerate(poses))
     read.axes = form
     frames = [(pose, lambda k=k: pictures[k]) for k, pose in enumerate(read)]
     return settled(read, axes, "p.csv", lambda: frames, said.append), read

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -17,7 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from eagor.conventions import HABITAT_R_BODY, OPTICAL_R_BODY
 from eagor.errors import EagorError, PoseError
-from eagor.odometry.files import FramePose, Poses
+from eagor.odometry import Pose
+from eagor.odometry.files import Poses, is_near
 
 __all__ = ["AXES", "settled", "with_axes"]
 
@@ -58,7 +60,7 @@ def with_axes(poses: Poses, axes: str) -> Poses:
         first_camera = (body_R_pose @ up)[2] > LEVEL or np.linalg.norm(up) < 0.5
         level = body_R_pose if first_camera else Rotation.align_vectors([[0.0, 0, 1]], [up])[0].as_matrix()
     return poses.made(
-        FramePose(pose.stamp, level @ turn, None if pose.position is None else level @ pose.position, pose.frame)
+        replace(pose, world_R_body=level @ turn, position=None if pose.position is None else level @ pose.position)
         for pose, turn in zip(poses, turns, strict=True)
     )
 
@@ -67,7 +69,7 @@ def settled(
     poses: Poses,
     axes: str,
     name: str,
-    frames: Callable[[], Iterable[tuple[FramePose, Read | None]]] | None,
+    frames: Callable[[], Iterable[tuple[Pose, Read | None]]] | None,
     say: Callable[[str], object],
 ) -> Poses:
     """The poses in our axes. `axes`: "auto", or a name of `AXES`; `frames`: poses with what reads their pictures.
@@ -101,7 +103,7 @@ def _found(poses: Poses, pairs: Sequence[_Pair], name: str, say: Callable[[str],
     turns = np.array([pose.world_R_body for pose in some])
     bent = Rotation.from_matrix(turns[0].T @ turns).as_rotvec()
     squares, turned = (bent**2).sum(axis=0), np.linalg.norm(bent, axis=1).max() > LEAST
-    places = np.array([pose.position for pose in poses if pose.position is not None and pose.near]).reshape(-1, 3)
+    places = np.array([pose.position for pose in poses if pose.position is not None and is_near(pose)]).reshape(-1, 3)
     gone = np.ptp(places, axis=0) if len(places) else np.zeros(3)  # along each axis of its world
     # With our axes a camera would hardly turn about its vertical, or lie on its side or back, or fly up.
     odd = (turned and squares[2] < 0.5 * squares.sum()) or turns[:, 2, 2].mean() < 0.5
@@ -136,7 +138,7 @@ class _Pair(NamedTuple):
     seen: np.ndarray
 
 
-def _pairs(frames: Iterable[tuple[FramePose, Read | None]], poses: Sequence[FramePose]) -> Iterator[_Pair]:
+def _pairs(frames: Iterable[tuple[Pose, Read | None]], poses: Sequence[Pose]) -> Iterator[_Pair]:
     """Pairs of pictures between which the camera turns, by its poses or by the pictures themselves."""
     from eagor.odometry.features import Views, match
     from eagor.odometry.two_views import estimate_relative_rotation

@@ -27,9 +27,8 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import takewhile
-from operator import itemgetter
 from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,10 +37,11 @@ from eagor._checks import LATEST, checked_stamp, parsed
 from eagor._files import natural, read_file
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
+from eagor.odometry import Pose
 from eagor.sphere import interpolate_rotation
 from eagor.tracking.poses import FARTHEST
 
-__all__ = ["BEYOND", "FramePose", "Poses", "interpolated", "pair", "read_poses", "times_of", "usable"]
+__all__ = ["BEYOND", "Poses", "interpolated", "is_near", "pair", "read_poses", "times_of", "usable"]
 
 QUATERNION, ANGLES, POSITION = ("qw", "qx", "qy", "qz"), ("yaw_deg", "pitch_deg", "roll_deg"), ("x", "y", "z")
 HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
@@ -75,21 +75,7 @@ NORM = 0.01  # by which the length of a quaternion may differ from 1: printed wi
 BEYOND = 0.05  # seconds: what lies so far outside of the poses still takes the nearest one
 
 
-class FramePose(NamedTuple):
-    """One line: stamp in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None, frame's name."""
-
-    stamp: float
-    world_R_body: np.ndarray
-    position: np.ndarray | None
-    frame: str | None
-
-    @property
-    def near(self) -> bool:
-        """Whether the position can be one: a lost estimate of a robot's place often ends in numbers without end."""
-        return self.position is None or bool((np.abs(self.position) <= FARTHEST).all())
-
-
-class Poses(tuple[FramePose, ...]):
+class Poses(tuple[Pose, ...]):
     """The poses of a file. `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours.
 
     `form`: that of another program, in words, which may lack pictures.
@@ -97,7 +83,7 @@ class Poses(tuple[FramePose, ...]):
 
     axes = form = ""
 
-    def made(self, poses: Iterable[FramePose]) -> Poses:
+    def made(self, poses: Iterable[Pose]) -> Poses:
         """Others of the same file."""
         found = Poses(poses)
         found.__dict__.update(self.__dict__)
@@ -204,7 +190,8 @@ def _of_table(lines: Sequence[str]) -> Poses:
         turns = Rotation.from_euler("ZYX", np.fmod(angles, 360), degrees=True).as_matrix()
     places = np.stack([table[name] for name in POSITION], axis=1) if "x" in at else [None] * len(rows)
     frames = [row[at["frame"]] or None if "frame" in at else None for _, row in rows]
-    poses = Poses(map(FramePose, stamps.tolist(), turns, places, frames))
+    rows = zip(stamps.tolist(), turns, places, frames, strict=True)
+    poses = Poses(Pose(at, turn, place, frame=frame) for at, turn, place, frame in rows)
     poses.axes = ("body?" if ours else "") if "qw" in at else "body"
     return poses
 
@@ -334,10 +321,8 @@ def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: s
     stamps = times_of([PurePath(_base(names[k])).stem for k in order])
     if stamps is None or len({*stamps}) < len(stamps):
         stamps = [float(k) for k in range(len(names))]
-    poses = sorted(
-        (FramePose(at, turns[k], places[k], names[k]) for at, k in zip(stamps, order, strict=True)), key=itemgetter(0)
-    )
-    found = Poses(poses)
+    made = (Pose(at, turns[k], places[k], frame=names[k]) for at, k in zip(stamps, order, strict=True))
+    found = Poses(sorted(made, key=lambda pose: pose.stamp))
     found.axes, found.form = axes, form
     return found
 
@@ -345,23 +330,26 @@ def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: s
 # --- at a time, and with pictures ---
 
 
-def usable(poses: Sequence[FramePose], name: str | Path) -> Sequence[FramePose]:
-    """Those that are `near`; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
-    near = tuple(pose for pose in poses if pose.near)
+def is_near(pose: Pose) -> bool:
+    """Whether the position can be one: a lost estimate of a robot's place often ends in numbers without end."""
+    return pose.position is None or bool((np.abs(pose.position) <= FARTHEST).all())
+
+
+def usable(poses: Sequence[Pose], name: str | Path) -> Sequence[Pose]:
+    """Those that are near; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
+    near = tuple(filter(is_near, poses))
     if len(near) == len(poses):
         return poses
-    first = next(pose for pose in poses if not pose.near)
-    text = (
-        f"{name}: the position at {first.stamp:.10g} s is {np.asarray(first.position).tolist()}; wanted metres, each "
-        f"within {FARTHEST:g} of the origin"
-    )
+    first = next(pose for pose in poses if not is_near(pose))
+    place = f"the position at {first.stamp:.10g} s is {np.asarray(first.position).tolist()}"
+    text = f"{name}: {place}; wanted metres, each within {FARTHEST:g} of the origin"
     if not near:
         raise PoseError(f"{text}. So are all others: are they metres?")
     warnings.warn(f"{text}. Left out: {len(poses) - len(near)} of {len(poses)} poses", UserWarning, stacklevel=2)
     return near
 
 
-def interpolated(poses: Sequence[Any]) -> Callable[[float], tuple[np.ndarray, np.ndarray | None]]:
+def interpolated(poses: Sequence[Pose]) -> Callable[[float], tuple[np.ndarray, np.ndarray | None]]:
     """Orientation ``(3, 3)`` and position ``(3,)`` at any time, between `poses`; before and after them, the nearest."""
     stamps = np.array([pose.stamp for pose in poses])
 
@@ -379,8 +367,8 @@ def interpolated(poses: Sequence[Any]) -> Callable[[float], tuple[np.ndarray, np
 
 
 def pair(
-    poses: Sequence[FramePose], images: Sequence[Path], name: str | Path = "the pose file"
-) -> tuple[tuple[FramePose, Path | None], ...]:
+    poses: Sequence[Pose], images: Sequence[Path], name: str | Path = "the pose file"
+) -> tuple[tuple[Pose, Path | None], ...]:
     """Each pose with its image, sorted by time: by file name if the file has names, else in order.
 
     Poses of other images are kept as odometry. Raises `PoseError` for an image with no pose or with two, and for

@@ -121,7 +121,7 @@ def ordinary_grid(camera: Camera, hint: IntrinsicsHint, size: tuple[int, int], n
     width, height = size
     if camera.rig is not None:
         lens = camera.rig.lenses[0]
-        if hint.turns % 2 == 0 or _alike(size, lens.size[::-1]):  # else it was calibrated as it is shown
+        if hint.turns % 2 == 0 or _alike(size, (lens.size[1], lens.size[0])):  # else it was calibrated as it is shown
             lens = lens.turned(hint.turns)
         if not _alike(size, lens.size):
             wide, high = camera.rig.lenses[0].size
@@ -167,7 +167,7 @@ def intrinsics_from_exif(path: str | Path) -> IntrinsicsHint:
     numbers = (_number(tags.get(tag)) for tag in (FOCAL_35MM, FOCAL_LENGTH, PLANE_X, EXIF_WIDTH, EXIF_HEIGHT))
     film, length, per_unit, wide, high = numbers
     taken = wide or size[0], high or size[1]
-    if not (_alike(size, taken) or _alike(size, taken[::-1])):
+    if not (_alike(size, taken) or _alike(size, (taken[1], taken[0]))):
         return IntrinsicsHint(turns=turns, facts=("its Exif is that of a picture of another shape: it was cropped",))
     if film:
         return _hint(film * math.hypot(*size) / FULL_FRAME, "its Exif (FocalLengthIn35mmFilm)", size[turns % 2], turns)

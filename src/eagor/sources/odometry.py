@@ -23,7 +23,7 @@ from eagor import plugins
 from eagor._extras import need
 from eagor.errors import DeviceError, EagorError, PoseError
 from eagor.odometry.axes import settled
-from eagor.odometry.files import BEYOND, FramePose, Poses, interpolated, pair, read_poses, usable
+from eagor.odometry.files import BEYOND, Poses, interpolated, is_near, pair, read_poses, usable
 from eagor.odometry.visual import VisualOdometer
 from eagor.sources import CameraSource, Frame, Pose, PoseSource
 from eagor.sources.camera_sources import Footage, Images, warned
@@ -157,14 +157,13 @@ def _of_file(path: str, axes: str, source: Footage | None, say: Callable[[str], 
         source.items = source.images.items
     at = interpolated(near)
 
-    def posed() -> Iterator[tuple[FramePose, Callable[[], Picture]]]:
+    def posed() -> Iterator[tuple[Pose, Callable[[], Picture]]]:
         for frame in () if source is None else Footage(source.items):
             if frame.picture is not None:
                 picture = Picture(frame.picture, grid=frame.grid)
-                yield FramePose(frame.stamp, *at(frame.stamp), frame.name), lambda picture=picture: picture
+                yield Pose(frame.stamp, *at(frame.stamp)), lambda picture=picture: picture
 
-    found = settled(near, axes, path, None if source is None else posed, say)
-    return GivenPoses([Pose(each.stamp, each.world_R_body, each.position) for each in found], path)
+    return GivenPoses(settled(near, axes, path, None if source is None else posed, say), path)
 
 
 def _paired(frames: Images, poses: Poses, near: Poses, name: str) -> Images:
@@ -184,7 +183,7 @@ def _paired(frames: Images, poses: Poses, near: Poses, name: str) -> Images:
                 return replace(frames, paths=paths, stamps=stamps)
             return frames
     pairs = [(pose, image) for pose, image in pair(poses, frames.paths, name) if image is not None]
-    refused = {image: pose for pose, image in pairs if not pose.near}
+    refused = {image: pose for pose, image in pairs if not is_near(pose)}
 
     def read(path: Path) -> Picture:
         if path in refused:

@@ -144,7 +144,8 @@ class TransformTree:
         found = IDENTITY
         for frame in frames:
             step: Any = self._links[frame][1]
-            found = _composed(step.at(stamp) if isinstance(step, PoseHistory) else step, found)
+            step = step.at(stamp) if isinstance(step, PoseHistory) else step
+            found = _composed(step, found)
         return found
 
     def _ancestors(self, frame: str) -> list[str]:

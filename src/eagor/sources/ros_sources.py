@@ -224,9 +224,9 @@ class BagCamera:
                 raise FormatError(f"{where} has no message on {each}")
             firsts.append((_stamp(first[3], first[0]), first[3]))
         self.topic, self.count = ",".join(self.topics), self.bag.counts[self.topics[0]]
-        self.begins, asked = min(stamp for stamp, _ in firsts), (lens_in_bag, lookup_static_transforms)
-        told, on_body = (partial(each, self.bag) for each in asked)
-        self._images = images = ImageTopics([each for _, each in firsts], self.topics, told, on_body, **lenses)
+        self.begins, messages = min(stamp for stamp, _ in firsts), [received for _, received in firsts]
+        told, on_body = partial(lens_in_bag, self.bag), partial(lookup_static_transforms, self.bag)
+        self._images = images = ImageTopics(messages, self.topics, told, on_body, **lenses)
         self.frame, self.lens = images.frame, images.camera if images.camera and images.camera.known else None
         self.unseen, self.view = images.builder.unseen, images.builder.view
 

@@ -19,7 +19,7 @@ from eagor.sources.intrinsics import ASK, Camera, IntrinsicsHint, ShapeError, or
 from eagor.sources.metadata import EYES, Projection
 from eagor.sources.panorama import by_area, checked_picture, resized, resized_mask
 
-__all__ = ["PanoramaBuilder", "Stitcher", "seen_by", "sizes_of"]
+__all__ = ["PanoramaBuilder", "Stitcher", "sizes_of"]
 
 STRETCHED = "all columns for 360 degrees, all rows for 180"
 MOST_ROWS = 1 << 14  # of a panorama: the directions of its pixels take 13 GB
@@ -61,23 +61,6 @@ class Stitcher:
         """What one lens sees, as a panorama ``(rows, 2 rows, 3)`` black elsewhere, and where it sees."""
         own = Sampler(Rig(self.sizes, (self.rig.lenses[index],)), self.grid.directions, cubic=True)
         return own(*self.scaled(pictures)), own.seen
-
-
-def seen_by(rig: Rig, panorama: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What the rig's camera shows of a panorama ``(H, W, 3)`` uint8: its pictures ``(H, W, 3)``, black beyond the rims.
-
-    Bicubic, without a low-pass filter: give a panorama that is about as fine as the pictures. Raises `ImageError`.
-    """
-    grid = ErpGrid(*checked_picture(panorama).shape[:2])
-    pictures = tuple(np.zeros((height, width, 3), np.uint8) for width, height in rig.sizes)
-    for lens in rig.lenses:
-        width, height = rig.sizes[lens.picture]
-        x, y = np.arange(width) + 0.5, np.arange(height)[:, None] + 0.5
-        directions = lens.unproject(x, y)
-        back_x, back_y, depth = lens.project(directions)
-        shown = (np.hypot(back_x - x, back_y - y) < 1) & (depth >= 0)
-        pictures[lens.picture][shown] = Sampler(grid, directions[shown], cubic=True)(panorama)
-    return pictures
 
 
 class PanoramaBuilder:

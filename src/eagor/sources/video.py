@@ -249,8 +249,8 @@ class Track:
         if len(matrix := side_data.get("DISPLAYMATRIX", b"")) == 36:
             self._turns = round(picture.rotation / 90) % 4
             mirrored = np.linalg.det(np.frombuffer(matrix, "i4").reshape(3, 3)[:2, :2].astype(float)) < 0
-        shown = max(1, round(picture.width * aspect)), picture.height
-        self.size = shown[::-1] if self._turns % 2 else shown
+        high, wide = picture.height, max(1, round(picture.width * aspect))
+        self.size = (high, wide) if self._turns % 2 else (wide, high)
         self.hint = intrinsics_from_tags(tags, self.size, self._turns)
         degrees, bright = 90 * self._turns, HDR.get(picture.color_trc)
         own = {
