@@ -219,18 +219,6 @@ def red_ball(pose):
     return math.degrees(math.atan2(truth[1], truth[0]))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("step", [-0.06, 0.16])  # the ball stays in the front picture; it goes into the back one
-def test_track_follows_through_the_panoramas_of_a_rig_of_ordinary_lenses(capsys, tmp_path, two_cameras, step):
-    poses = two_cameras(step)
-    videos = f"{tmp_path / 'front.mp4'},{tmp_path / 'back.mp4'}"
-    code, out, err = run(capsys, "track", videos, "red", "--rig", tmp_path / "rig.yaml", "--rate", 2, "--json")
-    assert code == 0, err
-    frames = json.loads(out)["frames"]
-    assert [round(each["stamp"], 2) for each in frames] == [0.0, 0.5, 1.0, 1.5]
-    assert abs(math.remainder(frames[-1]["azimuth_deg"] - red_ball(poses[15]), 360)) < 3
-
-
 @pytest.mark.filterwarnings("ignore:lenses.0..position is ignored")
 def test_track_takes_a_folder_for_each_camera_of_a_rig(capsys, tmp_path, two_cameras):
     """What belongs together has the same place in both."""

@@ -1,22 +1,10 @@
-"""Poses from a file, in the forms in which programs write them.
+"""Poses from a file, in the forms in which programs write them; docs/how-to/robot-log.md has the columns.
 
-Ours is CSV. The first line names the columns, in any order; other columns are ignored:
-
-- ``stamp``: seconds, on the clock of the frames, increasing. Counts of milli-, micro- or nanoseconds since 1970 are
-  read as such, others where the name says so (``stamp_ms``).
-- the orientation ``world_R_body`` (REP-103: x forward, y left, z up), either as the unit quaternion ``qw,qx,qy,qz`` or
-  as ``yaw_deg,pitch_deg,roll_deg`` (or ``_rad``): yaw to the left, then pitch (positive: nose DOWN), then roll.
-- ``x,y,z`` (optional): position in metres in the world frame.
-- ``frame`` (optional): the image captured in this pose; empty for odometry between the frames.
-
-Blank lines, and lines that begin with ``#``, are skipped. Others:
-
-- tables with other names, also in a comment, with commas, semicolons, tabs or blanks between (EuRoC's ``#timestamp
-  [ns],p_RS_R_x [m],...``); TUM and ORB-SLAM: eight numbers with blanks between, stamp, x, y, z, qx, qy, qz, qw;
-- COLMAP's ``images.txt``: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from the world to the camera;
-- nerfstudio's and Instant NGP's ``transforms.json``: file_path and transform_matrix, from the camera to the world.
-
-Which axes they have: `eagor.odometry.axes`.
+Ours is CSV whose first line names the columns, in any order; others are ignored, and so are blank lines, and lines that
+begin with ``#``. Tables of others have other names, also in a comment, or none (TUM, EuRoC), and other marks between.
+COLMAP's images.txt tells from the world to the camera, transforms.json of nerfstudio and Instant NGP the other way
+round. Counts of milli-, micro- or nanoseconds since 1970 are read as such, others where the name says so
+(``stamp_ms``). Which axes they have: `eagor.odometry.axes`.
 """
 
 from __future__ import annotations
@@ -25,6 +13,7 @@ import csv
 import math
 import re
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import takewhile
 from pathlib import Path, PurePath
@@ -91,7 +80,7 @@ class Poses(tuple[Pose, ...]):
 
 
 def read_poses(path: str | Path) -> Poses:
-    """The poses in the file, sorted by time (format: this module's text).
+    """The poses in the file, sorted by time.
 
     Raises `FormatError` for a violation of the format, `RotationError` for a quaternion that is not of unit length,
     `TimeError` if the stamps do not increase; each error names the file and the line. Stamps that are hardly seconds
@@ -172,9 +161,9 @@ def _of_table(lines: Sequence[str]) -> Poses:
         try:
             text = f"stamp {checked_stamp(float(stamps[index])):.6f} comes after {stamps[index - 1]:.6f}; wanted"
             text += " increasing stamps. Sort the lines by stamp, and split the file where the clock was reset"
-            raise TimeError(text)
         except TimeError as error:
-            raise TimeError(f", line {rows[index][0]}: {error}") from error
+            text = str(error)
+        raise TimeError(f", line {rows[index][0]}: {text}")
     if "qw" in at:
         wxyz = np.stack([table[name] for name in QUATERNION], axis=1)
         with np.errstate(over="ignore"):
@@ -190,9 +179,9 @@ def _of_table(lines: Sequence[str]) -> Poses:
         turns = Rotation.from_euler("ZYX", np.fmod(angles, 360), degrees=True).as_matrix()
     places = np.stack([table[name] for name in POSITION], axis=1) if "x" in at else [None] * len(rows)
     frames = [row[at["frame"]] or None if "frame" in at else None for _, row in rows]
-    rows = zip(stamps.tolist(), turns, places, frames, strict=True)
-    poses = Poses(Pose(at, turn, place, frame=frame) for at, turn, place, frame in rows)
-    poses.axes = ("body?" if ours else "") if "qw" in at else "body"
+    each = zip(stamps.tolist(), turns, places, frames, strict=True)
+    poses = Poses(Pose(stamp, turn, place, frame=frame) for stamp, turn, place, frame in each)
+    poses.axes = "body" if "qw" not in at else "body?" if ours else ""
     return poses
 
 
@@ -216,10 +205,10 @@ def _rows(lines: Sequence[str], begin: int, mark: str | None) -> Iterator[tuple[
 def _number(name: str, text: str, line: int) -> float:
     if not _is_number(text) or "_" in text:  # Python would take 1_0 for 10
         raise FormatError(f", line {line}: {name} is {_cut(repr(text))}; wanted a number")
-    if not math.isfinite(float(text)):
-        what = "wanted a finite number. Leave out lines without a known pose"
-        raise FormatError(f", line {line}: {name} is {_cut(text)}; {what}")
-    return float(text)
+    if not math.isfinite(number := float(text)):
+        wanted = "wanted a finite number. Leave out lines without a known pose"
+        raise FormatError(f", line {line}: {name} is {_cut(text)}; {wanted}")
+    return number
 
 
 def _is_number(text: str) -> bool:
@@ -250,12 +239,11 @@ def _unnamed(count: int, mark: str | None) -> list[str]:
     for each, counts, names in UNNAMED:
         if each == mark and count in counts:
             return [*names, *(f"column {k}" for k in range(len(names), count))]
-    if count == 12:
-        raise FormatError(": twelve numbers a line are KITTI's poses, which have no times; wanted a column stamp")
-    raise FormatError(
+    kitti = "twelve numbers a line are KITTI's poses, which have no times; wanted a column stamp"
+    raise FormatError(": " + kitti if count == 12 else
         f": {count} numbers a line, and no names of columns; wanted a first line of names (with a # or without), "
         "or TUM's eight numbers with blanks between: stamp x y z qx qy qz qw"
-    )
+    )  # fmt: skip
 
 
 def _check_names(names: Sequence[str], line: int) -> None:
@@ -382,23 +370,20 @@ def pair(
             )
         return tuple(zip(poses, images, strict=True))
     by_name, by_stem = {image.name: image for image in images}, {image.stem: image for image in images}
-    if len(by_name) < len(images):
-        twice = sorted(n for n in by_name if sum(image.name == n for image in images) > 1)
-        raise PoseError(f"two frames are called {twice[0]}; rename one, because poses refer to frames by name")
-    told = [_base(pose.frame) if pose.frame else "" for pose in poses]  # nerfstudio may leave out the ending
-    pairs = tuple((pose, by_name.get(each) or by_stem.get(each)) for pose, each in zip(poses, told, strict=True))
-    used = [image.name for _, image in pairs if image is not None]
-    missing = [n for n in by_name if n not in {*used}]
+    for called, count in Counter(image.name for image in images).items():
+        if count > 1:
+            raise PoseError(f"{count} frames are called {called}; rename them, because poses name frames")
+    bases = [_base(pose.frame) if pose.frame else "" for pose in poses]  # nerfstudio may leave out the ending
+    pairs = tuple((pose, by_name.get(each) or by_stem.get(each)) for pose, each in zip(poses, bases, strict=True))
+    used = Counter(image.name for _, image in pairs if image is not None)
+    missing, twice = [n for n in by_name if n not in used], sorted(n for n, count in used.items() if count > 1)
+    lacks = f"{name} has no pose for {_some(missing)}"
     if missing and used and getattr(poses, "form", ""):
-        text = f"{name} has no pose for {_some(missing)}, {len(missing)} of {len(images)} pictures: left out"
-        warnings.warn(text, UserWarning, stacklevel=2)
+        warnings.warn(f"{lacks}, {len(missing)} of {len(images)} pictures: left out", UserWarning, stacklevel=2)
     elif missing:
-        raise PoseError(
-            f"{name} has no pose for {_some(missing)}: its column 'frame' must name each image. "
-            "Add a line for it, or leave that image out"
-        )
-    if len(used) > len({*used}):
-        twice = sorted({n for n in used if used.count(n) > 1})
+        column = "its column 'frame' must name each image. Add a line for it, or leave that image out"
+        raise PoseError(f"{lacks}: {column}")
+    if twice:
         raise PoseError(f"{name} has several poses for {_some(twice)}; leave 'frame' empty on all lines but one")
     return pairs
 

@@ -215,7 +215,7 @@ class FrameCheck:
         elif frame.unseen is None:  # a part has no seam
             odd = problems(frame.picture)
         for fact in facts:
-            self.say(fact if fact.startswith("warning: ") else f"{name}: {fact}")
+            self.say(f"{name}: {fact}")
         for problem in odd:
             self.say(f"warning: {name}: {problem}")
         return frame

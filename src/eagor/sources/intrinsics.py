@@ -12,7 +12,7 @@ import os
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +42,6 @@ UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # mm: inch, cm, mm, micrometre
 QUARTERS = {3: 2, 6: 3, 8: 1}  # quarter turns, counterclockwise, of Exif's orientations; the others are mirrored
 
 FOCAL_KEY = re.compile(r"focal_?length[._]?(in)?_?35mm", re.IGNORECASE)
-STEADY_KEY = re.compile(r"stabili[sz]|steadi", re.IGNORECASE)
-OFF = ("", "0", "off", "no", "none", "false", "disabled")
 
 
 class ShapeError(ImageError):
@@ -179,19 +177,12 @@ def intrinsics_from_exif(path: str | Path) -> IntrinsicsHint:
 def intrinsics_from_tags(tags: Mapping[str, str], size: tuple[int, int], turns: int) -> IntrinsicsHint:
     """What the `tags` of a video say, of pictures of `size` (width, height) as they are shown.
 
-    Phones write the focal length in 35 mm film (``com.apple.quicktime.camera.focal_length.35mm_equivalent`` and the
-    like). Where the tags say that the pictures were steadied or cropped, a fact warns: no lens describes them exactly.
+    Phones write the focal length in 35 mm film (``com.apple.quicktime.camera.focal_length.35mm_equivalent``).
     """
-    facts = tuple(
-        f"warning: its metadata says {key.rsplit('.', 1)[-1]} = {value}: such pictures move within the lens' field, "
-        "so directions are off by some degrees. Film without stabilisation"
-        for key, value in tags.items()
-        if STEADY_KEY.search(key) and value.strip().lower() not in OFF
-    )
     films = ((key, film) for key, value in tags.items() if FOCAL_KEY.search(key) and (film := _number(value)))
     key, film = next(films, ("..", 0.0))
     source = f"its metadata ({key.rsplit('.', 2)[-2]}, 35 mm)"
-    return replace(_hint(film * math.hypot(*size) / FULL_FRAME, source, size[0], turns), facts=facts)
+    return _hint(film * math.hypot(*size) / FULL_FRAME, source, size[0], turns)
 
 
 def _hint(focal: float, source: str, width: int, turns: int) -> IntrinsicsHint:

@@ -2,11 +2,9 @@
 
 A thread of its own decodes all that comes of a stream and keeps the newest picture. What nobody took in time is
 counted. A stream that breaks off is opened again after a pause that grows; meanwhile `problem` says what is wrong.
-
-Raw pictures, ``pipe:rgb24:1920x960``, follow each other without anything between: for rgb24, height x width x 3 bytes,
-row by row from the top. With ``:stamped`` at the end (``pipe:rgb24:1920x960:stamped``), eight bytes stand before each:
-the time of capture as a little-endian IEEE double, seconds on the clock of ``time.time()``. Use it if you know when a
-picture was taken; without it, the arrival less the latency counts.
+Raw pictures (``pipe:rgb24:1920x960``) follow each other row by row from the top, without anything between but, with
+``:stamped`` at the end, the time of capture before each: a little-endian double, seconds on the clock of
+``time.time()``.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from io import FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, cast
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
@@ -250,13 +248,11 @@ STREAMS = {  # what a text has to begin with, or be, and what then opens it
 # --- the newest picture ---
 
 
-@dataclass(frozen=True, eq=False)
-class TimedFrame:
-    """A decoded picture, its `stamp` (seconds, capture), and which one it is, from 1."""
+class TimedFrame(NamedTuple):
+    """A decoded picture and its `stamp` (seconds, capture)."""
 
     stamp: float
     picture: VideoFrame
-    number: int
 
 
 class FrameGrabber:
@@ -272,8 +268,7 @@ class FrameGrabber:
         self.newest: TimedFrame | None = None
         self.error: EagorError | None = None
         self._clock, self._rate, self._changed = TimestampDejitter(latency), rate, threading.Condition()
-        self._taken = 0  # the number of the picture that was taken last
-        self._closed = self._ended = False
+        self._fresh = self._closed = self._ended = False  # fresh: the newest was not taken yet
         self._broken: str | None = None
         self._since = time.monotonic()  # the last picture, or the beginning
         threading.Thread(target=self._run, name="eagor-camera", daemon=True).start()
@@ -306,11 +301,11 @@ class FrameGrabber:
     def take(self, wait: bool = True) -> TimedFrame | None:
         """The newest picture; one that was not taken yet, if it is to `wait`. None where no more can come."""
         with self._changed:
-            while wait and not self._closed and not self._is_new() and not self._ended:
+            while wait and not (self._closed or self._fresh or self._ended):
                 self._changed.wait()
-            if self.newest is None or (wait and (self._closed or not self._is_new())):
+            if wait and (self._closed or not self._fresh):
                 return None
-            self._taken = self.newest.number
+            self._fresh = False
             return self.newest
 
     def close(self) -> None:
@@ -318,9 +313,6 @@ class FrameGrabber:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-
-    def _is_new(self) -> bool:
-        return self.newest is not None and self.newest.number != self._taken
 
     def _run(self) -> None:
         pause = FIRST_PAUSE
@@ -366,8 +358,8 @@ class FrameGrabber:
                     if self._rate is not None and stamp < kept + 0.9 / self._rate:
                         continue
                     kept = stamp
-                    self.dropped += self._is_new()
-                    self.newest = TimedFrame(stamp, picture, 1 if self.newest is None else self.newest.number + 1)
+                    self.dropped += self._fresh
+                    self.newest, self._fresh = TimedFrame(stamp, picture), True
                     self._changed.notify_all()
 
     def _damaged(self) -> None:

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,23 +24,20 @@ from eagor._extras import need
 from eagor.errors import DeviceError, EagorError, PoseError
 from eagor.odometry.axes import settled
 from eagor.odometry.files import BEYOND, Poses, interpolated, is_near, pair, read_poses, usable
+from eagor.odometry.imu import MotionTrack
 from eagor.odometry.visual import VisualOdometer
 from eagor.sources import CameraSource, Frame, Pose, PoseSource
 from eagor.sources.camera_sources import Footage, Images, warned
 from eagor.sources.panorama import Picture
 from eagor.sources.ros_sources import BagPoses, bag_odometry
 
-if TYPE_CHECKING:
-    from eagor.odometry.imu import MotionTrack
-
 __all__ = [
-    "GivenPoses", "MotionPoses", "PosedFrame", "PosedFrames", "open_poses", "poses_for", "poses_in_words", "prefetched",
+    "GivenPoses", "PosedFrame", "PosedFrames", "open_poses", "poses_for", "poses_in_words", "prefetched",
 ]  # fmt: skip
 
 GROUP = "eagor.poses"
 BUILT_IN = {"go2": "eagor.robots:go2_poses", "ros": "eagor.robots.ros:ros_poses"}
 BY_SIGHT = ("auto", "level")
-MOTION_RATE = 100.0  # poses per second that are taken from a motion track
 HOLE = 0.5  # seconds without a pose that are worth a word
 LONGEST = 2.0  # and over which poses are interpolated: a robot may turn half round in them, either way
 
@@ -56,24 +53,6 @@ class GivenPoses:
 
     def __iter__(self) -> Iterator[Pose]:
         return iter(self._poses)
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-class MotionPoses:
-    """Orientations of a video's motion track, `MOTION_RATE` per second."""
-
-    def __init__(self, track: MotionTrack) -> None:
-        self.track = track
-
-    def __iter__(self) -> Iterator[Pose]:
-        for number in range(int((self.track.end - self.track.start) * MOTION_RATE) + 1):
-            yield self.at(self.track.start + number / MOTION_RATE)
-
-    def at(self, stamp: float) -> Pose:
-        """The pose at any time."""
-        return Pose(stamp, self.track.world_R_body(stamp))
 
     def close(self) -> None:
         """Nothing is held."""
@@ -106,7 +85,7 @@ def open_poses(
     if found is not None:
         return found
     if text == "auto" and video is not None and video.motion is not None:
-        return MotionPoses(video.motion)
+        return video.motion
     if text == "auto" and own is not None:  # a simulated body knows its own
         return own
     if text in BY_SIGHT:
@@ -138,7 +117,7 @@ def poses_in_words(poses: Any) -> str:
         return "a camera that stands still"
     if isinstance(poses, GivenPoses | BagPoses):
         return f"poses from {poses.name if isinstance(poses, GivenPoses) else poses.topic}"
-    if isinstance(poses, MotionPoses):
+    if isinstance(poses, MotionTrack):
         return "orientations from the video's IMU"
     if getattr(poses, "level", False):
         return "headings from the pictures themselves, which are taken as level"
@@ -241,8 +220,8 @@ class PosedFrames:
         poses, last = self.poses, -1
         if isinstance(poses, VisualOdometer):
             found = self._by_sight(poses)
-        elif isinstance(poses, MotionPoses):
-            found = (PosedFrame(frame, poses.at(frame.stamp)) for frame in self.source)
+        elif isinstance(poses, MotionTrack):
+            found = (PosedFrame(each, Pose(each.stamp, poses.world_R_body(each.stamp))) for each in self.source)
         else:
             found = map(PosedFrame, self.source) if poses is None else self._by_odometry(poses)
         for each in found:

@@ -17,7 +17,7 @@ from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sources.defects import MAKE, STITCH, TWICE, circles_in_words, two_eyes
 from eagor.sources.intrinsics import ASK, Camera, IntrinsicsHint, ShapeError, ordinary_grid
 from eagor.sources.metadata import EYES, Projection
-from eagor.sources.panorama import by_area, checked_picture, resized, resized_mask
+from eagor.sources.panorama import by_area, checked_picture, resized
 
 __all__ = ["PanoramaBuilder", "Stitcher", "sizes_of"]
 
@@ -138,7 +138,8 @@ class PanoramaBuilder:
         """What is not seen of a frame, if a `mask` ``(H, W)`` says so of its picture, or None."""
         if mask is None or self._stitcher is not None:
             return self.unseen
-        own = self._layout.place(resized_mask(mask, self._layout.size))
+        grey = np.repeat(np.uint8(255) * mask[..., None], 3, axis=2)
+        own = self._layout.place(resized(grey, self._layout.size)[..., 0] > 127)
         return own if self.unseen is None else own | self.unseen
 
     def check(self, *pictures: np.ndarray, name: str = "") -> None:
