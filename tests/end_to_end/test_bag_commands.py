@@ -55,7 +55,7 @@ def set_back(t):
 
 def recorded(
     path, *, odometry=m.ODOMETRY, mounted=True, compressed=False, at_zero=False, frame="x3", lost=(), poses_at=as_it_is,
-    pictures_at=as_it_is,
+    pictures_at=as_it_is, at_risk=1.0,
 ):  # fmt: skip
     """Pictures at 4 Hz and odometry at 20 Hz for three seconds; the pictures are recorded 0.2 s after their capture.
 
@@ -85,7 +85,7 @@ def recorded(
         elif odometry == m.TRANSFORMS:
             moved = m.transform_message(START + t, "odom", "base_link", turn, place)
             messages.append((t, "/tf", m.TRANSFORMS, m.transforms_message(moved)))
-    with BagWriter(path) as bag:
+    with BagWriter(path, at_risk=at_risk) as bag:
         if mounted:
             fixed = m.transform_message(START, "base_link", "x3", *MOUNT)
             bag.write("/tf_static", m.TRANSFORMS, m.transforms_message(fixed), START - 1)
@@ -135,7 +135,7 @@ def test_a_single_file_named_topics_and_a_cut(tmp_path, capsys):
 
 
 def test_a_recording_that_was_killed(tmp_path, capsys):
-    file = recorded(tmp_path / "bag") / "bag.mcap"
+    file = recorded(tmp_path / "bag", at_risk=0) / "bag.mcap"
     file.write_bytes(file.read_bytes()[: 3 * file.stat().st_size // 4])
     (tmp_path / "bag" / "metadata.yaml").unlink()
     code, found, said = track(capsys, tmp_path / "bag", "red", "--rate", "4")
@@ -289,19 +289,18 @@ def test_poses_that_cannot_be_are_left_out(tmp_path, capsys):
     assert err.count("a pose of /odom is left out: a position is [1e+30, 1e+30, 1e+30]; wanted finite metres") == 1
 
 
-def test_poses_whose_stamps_go_back_are_left_out_and_counted(tmp_path, capsys):
-    code, _, err = track(capsys, recorded(tmp_path / "bag", poses_at=set_back), "red", "--rate", "4")
-    assert code == 3
-    assert err.count("the stamps of /odom go back by 0.95 s at 1700000001.575 s: its poses are left out until") == 1
-    assert "warning: 19 poses of /odom whose stamps go back are left out" in err
-
-
-def test_pictures_whose_stamps_go_back_are_left_out_and_counted(tmp_path, capsys):
-    code, found, err = track(capsys, recorded(tmp_path / "bag", pictures_at=set_back), "red", "--rate", "4")
-    assert code == 3
-    assert len(found["frames"]) == COUNT - 4
-    assert err.count("the stamps of /x3/image go back by 0.75 s at 1700000001.375 s: its pictures are left out") == 1
-    assert "warning: 3 pictures of /x3/image whose stamps go back are left out" in err
+@pytest.mark.parametrize(
+    ("what", "topic", "said", "count", "frames"),
+    [
+        ("poses", "/odom", "go back by 0.95 s at 1700000001.575 s: its poses are left out until", 19, COUNT - 3),
+        ("pictures", "/x3/image", "go back by 0.75 s at 1700000001.375 s: its pictures are left out", 3, COUNT - 4),
+    ],
+)
+def test_what_has_stamps_that_go_back_is_left_out_and_counted(tmp_path, capsys, what, topic, said, count, frames):
+    code, found, err = track(capsys, recorded(tmp_path / "bag", **{f"{what}_at": set_back}), "red", "--rate", "4")
+    assert (code, len(found["frames"])) == (3, frames)
+    assert err.count(f"the stamps of {topic} {said}") == 1
+    assert f"warning: {count} {what} of {topic} whose stamps go back are left out" in err
 
 
 @pytest.mark.parametrize(("jump", "left_out"), [(1000.0, 5), (1.0, 0)])

@@ -259,8 +259,8 @@ class FrameGrabber:
     """The newest picture of a stream. `latency`: seconds; `rate`: the most pictures per second to keep, or None.
 
     `problem`: what is wrong now, in words, or None. `dropped`: pictures that nobody took in time, that were damaged, or
-    that could not be put in order. `error`: what ended the stream for good; None if it ended as such streams do, or has
-    not. Raises `DeviceError` if the stream cannot be opened or no picture comes.
+    that could not be put in order. `error`: what ended the stream for good, or None. Raises `DeviceError` if the stream
+    cannot be opened or no picture comes.
     """
 
     def __init__(self, stream: Stream, *, latency: float = 0.0, rate: float | None = None) -> None:
@@ -370,13 +370,11 @@ class FrameGrabber:
 class LiveCamera:
     """A `CameraSource` of one stream, of panoramas or of an ordinary `camera`; or of one per picture of a `rig`.
 
-    Each new picture of the first stream is stitched with the newest ones of the others. Only the newest picture is
-    kept: it is made a frame when it is asked for. `dropped` counts those of the first stream that nobody took in time
-    and those that were damaged; `rate`: the most pictures per second to take, which are not counted. Streams that break
-    off are opened again. `problem`: what is wrong right now, in words, or None. Iterating twice shares the frames.
-
-    Raises `DeviceError` if a stream cannot be opened, or nothing comes; `ImageError` for pictures that are no
-    panoramas, or do not fit the rig.
+    Each new picture of the first stream is stitched with the newest ones of the others. Only the newest is kept, and
+    made a frame when it is asked for. `dropped` counts those of the first stream that nobody took in time, and damaged
+    ones; `rate`: the most per second to take. `problem`: what is wrong right now, in words, or None. Iterating twice
+    shares the frames. Raises `DeviceError` if a stream cannot be opened, or nothing comes; `ImageError` for pictures
+    that are no panoramas, or do not fit the rig.
     """
 
     live = True

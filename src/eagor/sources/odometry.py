@@ -74,9 +74,8 @@ def open_poses(
     `eagor.odometry.axes.settled`; ``ros:/odom``, a topic of ROS 2 or of a bag; ``go2``, a robot's odometry, over the
     DDS `domain` and network `interface`; or what another package brings. A file of poses is compared with the pictures,
     and where these are image files, tells when they were taken: `source` gives them at these times from then on. `say`
-    is told what is found out about a file (default: what is wrong is a `UserWarning`).
-
-    Raises `DeviceError` for live poses of a recording, and the other way round, and what the source raises.
+    is told what is found out about a file (default: what is wrong is a `UserWarning`). Raises `DeviceError` for live
+    poses of a recording, and the other way round, and what the source raises.
     """
     name, _, topic = text.partition(":")
     footage, own = source if isinstance(source, Footage) else None, getattr(source, "poses", None)

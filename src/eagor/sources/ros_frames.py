@@ -206,12 +206,12 @@ class PoseReader:
     """Makes poses of the messages on one `topic` of type `kind`.
 
     `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message; that its
-    name contradicts them is a `UserWarning`, once. "": its pictures name none, so that its axes are taken for those of
-    the `body`, which is a problem. None: the pose of the `body` is wanted. `strict`: give no pose before these
-    transforms are known; otherwise the camera's axes are taken for those of the message. `world`: the frame of the
-    poses for transforms (default: odom, else map, else the root of the tree). `rewinds`: whether the stamps may go back
-    by more than a second, as those of a clock that was set; otherwise such poses are left out, which is said once, from
-    `OVERTAKEN` on, and `back` counts them. `problem`: what is missing, in words, or None.
+    name contradicts them is a `UserWarning`, once. "": its pictures name none: its axes are taken for those of the
+    `body`, which is a problem. None: the pose of the `body` is wanted. `strict`: give no pose before these transforms
+    are known; otherwise the camera's axes are taken for those of the message. `world`: the frame of the poses for
+    transforms (default: odom, else map, else the root). `rewinds`: stamps may go back by more than a second, as those
+    of a clock that was set; otherwise such poses are left out, said once, and counted in `back`. `problem`: what is
+    missing, in words, or None.
     """
 
     def __init__(

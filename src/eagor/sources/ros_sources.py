@@ -56,15 +56,14 @@ def beside(image_topic: str) -> str:
 class ImageTopics:
     """How the messages of `topics`, one for each camera, become frames; the `firsts` of them, and the lenses, say it.
 
-    A topic alone gives panoramas, or an ordinary camera's pictures; several are a rig, which is stitched. What is known
-    before: the `rig` of all, an ordinary `camera`, which each of the topics is, or `info`: the topic of its CameraInfo,
-    with commas between those of several; else the CameraInfo beside the pictures tells. `rows`: the most of a frame.
-    `told(topic, info)`: what a CameraInfo says; `placed(frames)`: as `placed`: asked where nothing else tells it.
+    A topic alone gives panoramas, or an ordinary camera's pictures; several are a rig, which is stitched. Known before:
+    the `rig` of all, an ordinary `camera`, which each of the topics is, or `info`: the topics of their CameraInfo, with
+    commas between. Else `told(topic, info)`, what a CameraInfo says, and `placed(frames)`, as `placed`, are asked.
+    `rows`: the most of a frame.
 
     `camera`: as it is then known, of a topic alone. `frame`: that whose axes the frames' grids are in, as the (first)
-    camera's pictures name it; None: the body's, where a rig is given for several topics. `builder`: what makes the
-    frames. Raises `ImageError` for pictures that are no panoramas, or do not fit the rig, `FormatError` for messages
-    that tell too little.
+    camera's pictures name it; None: the body's. `builder`: what makes the frames. Raises `ImageError` for pictures that
+    are no panoramas, or do not fit the rig, `FormatError` for messages that tell too little.
     """
 
     def __init__(
@@ -204,11 +203,10 @@ def lookup_static_transforms(bag: Bag, frames: Sequence[str]) -> list[np.ndarray
 class BagCamera:
     """The pictures of a bag, to play from its start as often as wanted.
 
-    `topic`: None is the only one with pictures, and several have commas between. Stamps are those of the headers; where
-    a header has none, the time of recording. `dropped`: messages that were sent twice or out of order; `back`: how many
-    of them had stamps that go back, which is said once. `count`: how many pictures there are; `begins`: the stamp of
-    the first; `frame`: as of `ImageTopics`; `lens`: the ordinary camera, if it is one; `view`: the grid of its
-    pictures, None where they become panoramas. Raises `FormatError` for the bag or topic, and as `ImageTopics`.
+    `topic`: None is the only one with pictures, and several have commas between. Stamps are those of the headers, else
+    of the recording. `dropped`: messages that were sent twice or out of order; `back`: how many of them had stamps that
+    go back, which is said once. `count`: how many pictures there are; `begins`: the stamp of the first; `lens`: the
+    ordinary camera, if it is one; `view`: its grid; `frame`, the arguments `lenses`, and errors: as of `ImageTopics`.
     """
 
     def __init__(self, bag: Bag | str | Path, topic: str | None = None, **lenses: Any) -> None:

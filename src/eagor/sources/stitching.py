@@ -70,11 +70,10 @@ class PanoramaBuilder:
     `projection` of the sphere, and `hint` of an ordinary lens, for pictures that are not 2:1. `force`: what nothing is
     known of is a panorama all the same. `rows`: the most rows; larger pictures are shrunk.
 
-    `grid`: of what it makes, a `PerspectiveGrid` for an ordinary camera's pictures; `unseen` ``(H, W)``: what they do
-    not show, or None; `wanted`: rows and columns to which each picture may be brought while it is decoded; `fisheye`:
-    whether the camera's calibration is one; `facts`: sentences about what the file says; `level_R_body`: None, or the
-    rotation ``(3, 3)`` that makes frames level, as the file says; `refused`: why nothing tells what they are, else "".
-    Raises `ImageError` where sizes do not fit.
+    `grid`: of what it makes; `unseen` ``(H, W)``: what they do not show, or None; `wanted`: rows and columns to which
+    each picture may be brought while it is decoded; `fisheye`: whether the camera's calibration is one; `facts`: what
+    the file says, in sentences; `level_R_body`: None, or the rotation ``(3, 3)`` that makes frames level; `refused`:
+    why nothing tells what they are, else "". Raises `ImageError` where sizes do not fit.
     """
 
     def __init__(

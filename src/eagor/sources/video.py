@@ -77,10 +77,9 @@ class Video:
 
     With a `rig`, `path` and `others` are the files of its pictures: one may hold a track for each, and of two Insta360
     recordings of the same moment one is enough. `camera`, `force`, `rows`: as for `PanoramaBuilder`, which is the
-    `builder`. `rate`, `start`, `end`: as of `Track`.
+    `builder`. `rate`, `start`, `end`, and `duration` and so on: as of `Track`. `shape`: rows and columns of the frames;
+    `unseen`: None, or the mask of what no frame shows; `level_R_body`: as of the `builder`.
 
-    `shape`: rows and columns of the frames; `unseen`: None, or the mask of `shape` of what no frame shows;
-    `level_R_body`: None, or the rotation ``(3, 3)`` that makes them level, as the file says. The rest: as of `Track`.
     Raises as `Track`, and where files do not belong to the rig. Iterating raises `ShapeError` for pictures of which
     nothing tells what they are, and as `Track.pictures`.
     """
@@ -185,18 +184,14 @@ class Damage:
 class Track:
     """The decoded pictures of a track of a video, to iterate over as often as wanted, with `pictures`.
 
-    `rate`: pictures per second to take: of each tick `start`, `start` + 1 / `rate`, ... the first picture at or after
-    it, each picture once; None takes all. `start`, `end`: seconds of the file; the picture at `end` is not taken.
-    `number`: which of several tracks of pictures, from 0. `lenses`: the pictures are those of a camera's lenses: what
-    the file says of its projection does not count.
+    `rate`: of each tick `start`, `start` + 1 / `rate`, ... the first picture at or after it, each picture once; None
+    takes all. `start`, `end`: seconds of the file; the picture at `end` is not taken. `number`: which of several tracks
+    of pictures, from 0. `lenses`: they are those of lenses: what the file says of its projection does not count.
 
-    `size`: width and height of the pictures as they are shown; `duration`: seconds, or None; `frame_rate`: mean, or
-    None; `count`: about how many pictures will come, or None; `tracks`: how many tracks of pictures there are; `facts`:
-    sentences about what the file says; `motion`: None, or the rotations that its motion track tells; `projection`: what
-    the file says of the sphere, or None; `hidden`: None; `hint`: what it says of an ordinary lens.
-
-    Raises `ImageError` for a file that cannot be read as a video, `TimeError` for impossible times,
-    `MissingExtraError`.
+    `size`: width and height as they are shown; `duration` (seconds), `frame_rate` (mean), `count` (about how many will
+    come): None where nothing tells; `tracks`: how many there are; `facts`: sentences; `motion`, `projection`, `hint`:
+    what the file says of rotations, of the sphere, of an ordinary lens; `hidden`: None. Raises `ImageError` for a file
+    that cannot be read as a video, `TimeError` for impossible times, `MissingExtraError`.
     """
 
     hidden = None
