@@ -112,24 +112,35 @@ def error_deg(entry, truth):
 # --- where the poses come from ----------------------------------------------------------------------------------------
 
 
-def test_without_poses_the_pictures_tell_how_the_camera_turned(tilting, answers):
-    found = answers("track", tilting, "red", "--rate", RATE)
-    assert found["poses"] == "orientations from the pictures themselves"
+@pytest.mark.parametrize(
+    ("kind", "poses", "words"),
+    [
+        ("clip", POSES, "orientations from the pictures themselves"),
+        ("folder", POSES, "orientations from the pictures themselves"),
+        ("level", HEADING, "headings from the pictures themselves, which are taken as level"),
+        ("imu", HEADING, "orientations from the video's IMU"),
+    ],
+)
+def test_without_poses_the_recording_tells_how_the_camera_turned(tmp_path, answers, kind, poses, words):
+    path, level = tmp_path / "frames", ("--poses", "level") if kind == "level" else ()
+    if kind == "folder":
+        path.mkdir()
+        for number, picture in enumerate(turned(poses)):
+            Image.fromarray(picture).save(path / f"{number}.png")
+    else:
+        path = filmed(tmp_path / "clip.mp4", turned(poses))
+    if kind == "imu":
+        up, left = (0.0, 0.0, 1.0), (0.0, 0.0, math.radians(9 * RATE))  # gravity, and the turn, a second
+        path.write_bytes(path.read_bytes() + trailer([(0.01 * k, up, left) for k in range(310)]))
+    found = answers("track", path, "red", "--rate", RATE, *level)
+    assert found["poses"] == words
     entries = found["frames"]
     assert [entry["stamp"] for entry in entries] == [k / RATE for k in range(COUNT)]
     assert not any("lost" in entry for entry in entries)
-    for entry, pose in list(zip(entries, POSES, strict=True))[3:]:
+    for entry, pose in list(zip(entries, poses, strict=True))[3:]:
         assert error_deg(entry, pose.T @ RED) < 4
     assert entries[-1]["status"] == "tracking"
     assert entries[-1]["credible_angle_deg"] < entries[0]["credible_angle_deg"]
-
-
-def test_a_level_camera_only_turns_its_heading(tmp_path, answers):
-    path = filmed(tmp_path / "level.mp4", turned(HEADING))
-    found = answers("track", path, "red", "--rate", RATE, "--poses", "level")
-    for entry, pose in list(zip(found["frames"], HEADING, strict=True))[3:]:
-        assert error_deg(entry, pose.T @ RED) < 4
-    assert "level" in found["poses"]
 
 
 def test_poses_of_a_file_are_interpolated_at_the_times_of_the_frames(tmp_path, answers, refused):
@@ -154,16 +165,6 @@ def test_poses_of_a_file_are_interpolated_at_the_times_of_the_frames(tmp_path, a
     assert "--start" in said
     entries = answers(*words, "--start", 0.5)["frames"]
     assert [entry["stamp"] for entry in entries] == [k / RATE for k in range(2, COUNT)]
-
-
-def test_the_imu_of_a_video_is_preferred(tmp_path, answers):
-    path = filmed(tmp_path / "imu.mp4", turned(HEADING))
-    level, left = (0.0, 0.0, 1.0), (0.0, 0.0, math.radians(9 * RATE))  # gravity, and the turn, a second
-    path.write_bytes(path.read_bytes() + trailer([(0.01 * k, level, left) for k in range(310)]))
-    found = answers("track", path, "red", "--rate", RATE)
-    assert found["poses"] == "orientations from the video's IMU"
-    for entry, pose in list(zip(found["frames"], HEADING, strict=True))[3:]:
-        assert error_deg(entry, pose.T @ RED) < 4
 
 
 def test_poses_that_end_early_lose_nothing_that_was_computed(tmp_path, eagor):
@@ -193,17 +194,6 @@ def test_a_cut_begins_the_belief_anew_and_is_said(tmp_path, answers, eagor):
     page = tmp_path / "page.html"
     assert eagor("track", path, "red", "--rate", RATE, "--start", 1, "--end", 2, "--page", page)[0] == 0
     assert "the belief starts anew there" in page.read_text(encoding="utf-8")
-
-
-def test_a_folder_without_poses(tmp_path, answers, refused):
-    (tmp_path / "frames").mkdir()
-    for number, picture in enumerate(turned(POSES[:6])):
-        Image.fromarray(picture).save(tmp_path / "frames" / f"{number}.png")
-    found = answers("track", tmp_path / "frames", "red", "--rate", 2)
-    assert "6 images, taken at 2 per second (--rate), orientations from the pictures themselves" in found["stderr"]
-    assert [entry["stamp"] for entry in found["frames"]] == [k / 2 for k in range(6)]
-    assert error_deg(found["frames"][-1], POSES[5].T @ RED) < 4
-    assert "is for a video" in refused("track", tmp_path / "frames", "red", "--start", 1)
 
 
 # --- which frames -----------------------------------------------------------------------------------------------------
