@@ -43,7 +43,7 @@ def how_to_install(extra: str) -> str:
     return f"pip install 'FILE[{extra}]', FILE being the wheel or the clone of eagor that you installed"
 
 
-def need(what: str, extra: str, *packages: str) -> None:
+def require_extra(what: str, extra: str, *packages: str) -> None:
     """Raise `MissingExtraError` unless all `packages`, which `what` needs and `extra` brings, are installed."""
     if lacking := [name for name in packages if find_spec(name) is None]:
         raise MissingExtraError(f"{what} needs {' and '.join(lacking)}: {how_to_install(extra)}")

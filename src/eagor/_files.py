@@ -1,7 +1,7 @@
 """Safe files: the cache, atomic writes, no devices, no keys or passwords.
 
 Code that reads a secret passes it to `keep_out`. Code that writes text to a file, a report or a terminal passes the
-text through `redacted`; `written` does.
+text through `redacted`; `write_atomic` does.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def cache_folder() -> Path:
         return Path(tempfile.gettempdir()) / "eagor"
 
 
-def written(path: Path, content: str | bytes) -> Path:
+def write_atomic(path: Path, content: str | bytes) -> Path:
     """Write `content` (text as UTF-8, without secrets) to `path`, and return it; folders above it are made.
 
     The old file stays until all of the new content is on the disk. If writing fails, the old file stays and nothing

@@ -36,7 +36,7 @@ GONE = {  # room: names, without the underscore of private ones; "" is every roo
 }
 
 OPEN = """
-_extras.need _files.written belief.reading lab.look lab.play perception.look perception.need evidence.Alarms
+belief.reading lab.look lab.play perception.look perception.need evidence.Alarms
 evidence.anew evidence.inverse evidence.read_with belief.read_with perception.HiddenParts perception.Seen
 perception.Thing perception.ThingSeen perception.Found perception.is_of perception.meant perception.opened
 perception.things perception.words perception.drawn tracking.Look tracking.Moment tracking.hypotheses

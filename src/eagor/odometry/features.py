@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eagor._checks import checked_picture
-from eagor._extras import need
+from eagor._extras import require_extra
 from eagor._values import lazy
 from eagor.grids import ErpGrid, PerspectiveGrid, tangent_views
 
@@ -213,7 +213,7 @@ class Views:
 
 
 def _grey(picture: np.ndarray, grid: PerspectiveGrid | None) -> np.ndarray:
-    need("finding features in pictures", "photos", "cv2")
+    require_extra("finding features in pictures", "photos", "cv2")
     import cv2
 
     image = checked_picture(picture, "the panorama" if grid is None else "the picture", grid)

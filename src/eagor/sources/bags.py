@@ -20,7 +20,7 @@ from errno import ENOENT
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eagor._extras import need
+from eagor._extras import require_extra
 from eagor.errors import EagorError, FormatError, StorageError
 from eagor.sources.panorama import in_order
 from eagor.sources.ros_messages import CAMERA_INFO, MOTION, NANO, PICTURES, nanoseconds, store
@@ -58,7 +58,7 @@ class Bag:
     """
 
     def __init__(self, path: str | Path) -> None:
-        need("reading bags", "robot", "rosbags", "mcap")
+        require_extra("reading bags", "robot", "rosbags", "mcap")
         self.path = Path(path)
         self.topics: dict[str, str] = {}
         self.counts: dict[str, int] = {}
@@ -300,7 +300,7 @@ class BagWriter:
     """
 
     def __init__(self, path: str | Path, *, at_risk: float = AT_RISK) -> None:
-        need("recording", "robot", "rosbags")
+        require_extra("recording", "robot", "rosbags")
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.rosbag2.errors import WriterError
 

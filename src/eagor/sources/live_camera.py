@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 import numpy as np
 
 from eagor._checks import above
-from eagor._extras import need
+from eagor._extras import require_extra
 from eagor._files import redacted
 from eagor.cameras import Rig
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
@@ -95,7 +95,7 @@ class Stream:
         if self.raw is not None:
             yield from self.raw(damaged)
             return
-        need(f"reading {self.name}", "photos", "av")
+        require_extra(f"reading {self.name}", "photos", "av")
         import av
         from av.error import FFmpegError
 
@@ -193,7 +193,7 @@ def _raw(
     damaged: Callable[[], None], *, file: BinaryIO, kind: str, width: int, height: int, stamped: bool
 ) -> Iterator[tuple[float | None, VideoFrame]]:
     """The pictures of a raw pipe, as those of `Stream`."""
-    need("reading raw pictures", "photos", "av")
+    require_extra("reading raw pictures", "photos", "av")
     import av
 
     per, head, shape = BYTES[kind], STAMP.size if stamped else 0, f"{kind}, {width} x {height}"

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from eagor import plugins
-from eagor._extras import need
+from eagor._extras import require_extra
 from eagor.errors import DeviceError, EagorError, PoseError
 from eagor.odometry.axes import settled
 from eagor.odometry.files import BEYOND, Poses, interpolated, is_near, pair, read_poses, usable
@@ -88,7 +88,7 @@ def open_poses(
     if text == "auto" and own is not None:  # a simulated body knows its own
         return own
     if text in BY_SIGHT:
-        need("the rotation from pictures", "photos", "cv2")
+        require_extra("the rotation from pictures", "photos", "cv2")
         return VisualOdometer(level=text == "level")
     if text == "still":
         return None

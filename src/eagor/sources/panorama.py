@@ -24,7 +24,7 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from eagor._checks import checked_picture
-from eagor._extras import need, opencv
+from eagor._extras import opencv, require_extra
 from eagor._files import natural
 from eagor._srgb import to_coded
 from eagor.cameras import Sampler
@@ -128,7 +128,7 @@ def check_file(path: str | os.PathLike[str], wanted: str) -> str:
 
 def _radiance(name: str) -> np.ndarray:
     """Linear red, green, blue ``(H, W, 3)`` float32 of a Radiance picture (RGBE, Ward 1991)."""
-    need("a picture with radiance (.hdr)", "photos", "cv2")
+    require_extra("a picture with radiance (.hdr)", "photos", "cv2")
     import cv2
 
     with open(name, "rb") as file:

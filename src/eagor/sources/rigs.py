@@ -23,8 +23,8 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor._extras import need
-from eagor._files import read_file, written
+from eagor._extras import require_extra
+from eagor._files import read_file, write_atomic
 from eagor.cameras import Lens, Rig
 from eagor.conventions import OPTICAL_R_BODY, is_optical, rotation_from_wxyz
 from eagor.errors import EagorError, FormatError
@@ -135,7 +135,7 @@ def _parsed(text: str) -> Any:
             return _of_element(ElementTree.fromstring(text))
         except ElementTree.ParseError as error:
             raise FormatError(f"it is not XML ({error}); wanted {WANTED}") from error
-    need("reading a calibration (YAML)", "photos", "yaml")
+    require_extra("reading a calibration (YAML)", "photos", "yaml")
     import yaml
 
     class Loader(yaml.SafeLoader):
@@ -254,7 +254,7 @@ def write_rig(rig: Rig, path: str | os.PathLike[str], notes: Sequence[str] = ())
         fields |= {key: value for key, value in (("radius", lens.radius), ("mirror", lens.mirror)) if value}
         first, *others = (f"{key}: {json.dumps(value, ensure_ascii=False)}" for key, value in fields.items())
         lines += [f"  - {first}", *(f"    {each}" for each in others)]  # JSON's values are YAML's
-    written(Path(path), "\n".join(lines) + "\n")
+    write_atomic(Path(path), "\n".join(lines) + "\n")
 
 
 # --- those of other programs ---

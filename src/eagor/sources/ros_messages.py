@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from eagor._extras import need
+from eagor._extras import require_extra
 from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
 from eagor.errors import ImageError, PoseError, TimeError
 from eagor.sources import Pose
@@ -159,7 +159,7 @@ def _demosaiced(mosaic: np.ndarray, pattern: str) -> np.ndarray:
 
 
 def _converted(values: np.ndarray, how: str) -> np.ndarray:
-    need("pictures of this encoding", "ros" if find_spec("rclpy") else "robot", "cv2")  # both bring it
+    require_extra("pictures of this encoding", "ros" if find_spec("rclpy") else "robot", "cv2")  # both bring it
     import cv2
 
     return cv2.cvtColor(np.ascontiguousarray(values), getattr(cv2, f"COLOR_{how}"))

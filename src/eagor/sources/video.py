@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from eagor._checks import above, whole, within
-from eagor._extras import need
+from eagor._extras import require_extra
 from eagor.cameras import SHAPE, Rig
 from eagor.errors import EagorError, FormatError, ImageError, TimeError
 from eagor.odometry.imu import MotionTrack, read_insta360
@@ -206,7 +206,7 @@ class Track:
         lenses: bool = False,
         number: int = 0,
     ) -> None:
-        need("reading a video", "photos", "av")
+        require_extra("reading a video", "photos", "av")
         self.path = check_file(path, "a video (MP4, MOV, MKV, WebM, INSV)")
         self.rate, self.start, self.end, self._number = rate, start, end, number
         camera, self.motion, facts = _camera_track(self.path)
@@ -462,7 +462,7 @@ def open_video(path: str, track: int = 0) -> tuple[InputContainer, VideoStream]:
 def plays(path: str | os.PathLike[str]) -> bool:
     """Whether FFmpeg finds moving pictures in the regular file at `path`, whatever its name."""
     try:
-        need("reading a video", "photos", "av")
+        require_extra("reading a video", "photos", "av")
         open_video(os.fspath(path))[0].close()
     except EagorError:
         return False

@@ -13,12 +13,12 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from eagor._extras import need
+from eagor._extras import require_extra
 from eagor.lab.worlds.apartment.textures import KINDS, material
 from eagor.lab.worlds.scene import Material
 from eagor.sphere import rotation
 
-need("an apartment", "sim", "trimesh")
+require_extra("an apartment", "sim", "trimesh")
 import trimesh  # noqa: E402
 
 Numbers = Sequence[float] | np.ndarray
