@@ -24,18 +24,16 @@ from dataclasses import dataclass, field
 from functools import partial
 from io import FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
 from eagor._checks import above
 from eagor._extras import require_extra
 from eagor._files import redacted
-from eagor.cameras import Rig
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.odometry.clocks import TimestampDejitter
 from eagor.sources import Frame
-from eagor.sources.intrinsics import Camera
 from eagor.sources.stitching import PanoramaBuilder
 from eagor.sources.video import Damage, pictures, to_rgb
 
@@ -368,7 +366,7 @@ class FrameGrabber:
 
 
 class LiveCamera:
-    """A `CameraSource` of one stream, of panoramas or of an ordinary `camera`; or of one per picture of a `rig`.
+    """A `CameraSource` of one stream; or of one per picture of a rig. `lens`: as for `PanoramaBuilder`.
 
     Each new picture of the first stream is stitched with the newest ones of the others. Only the newest is kept, and
     made a frame when it is asked for. `dropped` counts those of the first stream that nobody took in time, and damaged
@@ -384,11 +382,9 @@ class LiveCamera:
         self,
         streams: Sequence[Stream],
         *,
-        rig: Rig | None = None,
-        rows: int | None = None,
         rate: float | None = None,
         latency: float = 0.0,
-        camera: Camera | None = None,
+        **lens: Any,
     ) -> None:
         if not math.isfinite(latency):
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to arrival, 0 or more")
@@ -405,7 +401,7 @@ class LiveCamera:
                 self._grabbers.append(FrameGrabber(stream, latency=latency, rate=rate))
             firsts = [grabber.newest for grabber in self._grabbers if grabber.newest is not None]
             self._sizes = [(first.picture.width, first.picture.height) for first in firsts]
-            self._builder = PanoramaBuilder(self._sizes, self._name, rig=rig, camera=camera, rows=rows)
+            self._builder = PanoramaBuilder(self._sizes, self._name, **lens)
             self._builder.check(*self._decoded(firsts))
         except BaseException:
             self.close()

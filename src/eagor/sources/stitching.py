@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from eagor._checks import is_twice_as_wide
+from eagor._checks import is_twice_as_wide, whole
 from eagor.cameras import Rig, Sampler
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
@@ -88,6 +88,8 @@ class PanoramaBuilder:
         rows: int | None = None,
         force: bool = False,
     ) -> None:
+        if rows is not None and not whole(rows, 1):
+            raise ImageError(f"rows = {rows!r}; wanted a whole number of at least 1, or None for those of the pictures")
         camera = camera or Camera()
         self.fisheye = rig is None and camera.rig is not None and not camera.rig.lenses[0].is_ordinary
         rig = camera.rig if self.fisheye else rig
@@ -112,18 +114,18 @@ class PanoramaBuilder:
         projection = projection or Projection("nothing", "rectangular")
         *_, down, across = EYES[projection.stereo]
         high, wide = max(1, round(height * down)), max(1, round(width * across))
-        whole = projection.kind == "equirectangular" or is_twice_as_wide(high, wide)
+        sphere = projection.kind == "equirectangular" or is_twice_as_wide(high, wide)
         view, part = None, any(projection.cropped)
-        if not part and (camera.known or not (whole or force or camera.eyes)):
+        if not part and (camera.known or not (sphere or force or camera.eyes)):
             view = ordinary_grid(camera, hint, (wide, high), name)
-        if view is None and not (whole or force):
+        if view is None and not (sphere or force):
             why = f" ({'; '.join(hint.facts)})" if hint.facts else ""
             self.refused = (
                 f"is {wide} x {high}, not 2:1 as a whole panorama is, and does not tell its lens{why}. {ASK}. Are "
                 f"these the pictures of lenses? {MAKE}. A panorama all the same: --force ({STRETCHED})"
             )
         self._settled |= view is not None or part or projection.stereo != "mono"
-        self._layout = layout = projection.layout((wide, high), rows, view is None and whole)
+        self._layout = layout = projection.layout((wide, high), rows, view is None and sphere)
         self.grid = ErpGrid(*layout.shape) if view is None else view.resized(*layout.shape)
         self.unseen = layout.unseen
         self.wanted = (self._layout.size,)

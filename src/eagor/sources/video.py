@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-from eagor._checks import above, whole, within
+from eagor._checks import above, within
 from eagor._extras import require_extra
 from eagor.cameras import SHAPE, Rig
 from eagor.errors import EagorError, FormatError, ImageError, TimeError
 from eagor.odometry.imu import MotionTrack, read_insta360
 from eagor.sources import Frame
 from eagor.sources.defects import MAKE
-from eagor.sources.intrinsics import Camera, IntrinsicsHint, intrinsics_from_tags
+from eagor.sources.intrinsics import IntrinsicsHint, intrinsics_from_tags
 from eagor.sources.metadata import EXPORT, of_video
 from eagor.sources.panorama import check_file, decoded_bytes, opened, projection_of, seen_of
 from eagor.sources.stitching import PanoramaBuilder
@@ -76,7 +76,7 @@ class Video:
     """The frames of a video, to iterate over as often as wanted; each time yields `Frame` in order of time.
 
     With a `rig`, `path` and `others` are the files of its pictures: one may hold a track for each, and of two Insta360
-    recordings of the same moment one is enough. `camera`, `force`, `rows`: as for `PanoramaBuilder`, which is the
+    recordings of the same moment one is enough. `lens`: `camera`, `force` and `rows` of `PanoramaBuilder`, which is the
     `builder`. `rate`, `start`, `end`, and `duration` and so on: as of `Track`. `shape`: rows and columns of the frames;
     `unseen`: None, or the mask of what no frame shows; `level_R_body`: as of the `builder`.
 
@@ -88,13 +88,11 @@ class Video:
         self,
         path: str | os.PathLike[str],
         *others: str | os.PathLike[str],
-        rig: Rig | None = None,
-        camera: Camera | None = None,
-        force: bool = False,
         rate: float | None = None,
         start: float = 0.0,
         end: float | None = None,
-        rows: int | None = None,
+        rig: Rig | None = None,
+        **lens: Any,
     ) -> None:
         if rate is not None and not above(rate, 0):
             raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0, or None for all pictures")
@@ -102,8 +100,6 @@ class Video:
             raise TimeError(f"start = {start!r}; wanted seconds from the start of the file, 0 or more")
         if end is not None and not above(end, start):
             raise TimeError(f"end = {end!r}; wanted seconds of the file after start = {start:g}, or None for its end")
-        if rows is not None and not whole(rows, 1):
-            raise ImageError(f"rows = {rows!r}; wanted a whole number of at least 1, or None for the rows of the video")
         if rig is None and others:
             raise ImageError(f"{len(others) + 1} files are given, and no rig says how they belong together: --rig FILE")
         taken: dict[str, Any] = {"rate": rate, "start": start, "end": end}
@@ -112,16 +108,13 @@ class Video:
             self._tracks = [*_lens_tracks((path, *others), len(rig.sizes), taken)]
         else:
             self._tracks = [(Animation if is_animation(path) else Track)(path, **taken)]
-        first = self._tracks[0]
+        first, self._checked = self._tracks[0], False
         self.path, self.motion, self.hint, self.duration = first.path, first.motion, first.hint, first.duration
-        self.frame_rate, self.count = first.frame_rate, first.count
-        self.builder = builder = PanoramaBuilder(
-            [each.size for each in self._tracks], self.path, rig=rig, camera=camera, hint=first.hint,
-            projection=first.projection, rows=rows, force=force,
-        )  # fmt: skip
+        self.frame_rate, self.count, sizes = first.frame_rate, first.count, [each.size for each in self._tracks]
+        told: dict[str, Any] = {"hint": first.hint, "projection": first.projection}
+        self.builder = builder = PanoramaBuilder(sizes, self.path, rig=rig, **told, **lens)
         self.shape, self.level_R_body = builder.grid.shape, builder.level_R_body
         self.unseen, self.facts = builder.hidden(first.hidden), (*first.facts, *builder.facts)
-        self._checked = False
 
     def __iter__(self) -> Iterator[Frame]:
         for stamp, pictures in _together(self._tracks, self.builder.wanted):
