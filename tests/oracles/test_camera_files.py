@@ -39,18 +39,23 @@ KALIBR = f"""cam0:
 SENSOR = KALIBR.replace("cam0:\n", "sensor_type: camera\n").replace("\n  ", "\n").replace("coeffs", "coefficients")
 
 
+def written_by_opencv(path, values):
+    """A calibration as OpenCV itself writes it, by the ending of the name."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    told = {"calibration_time": "Thu: 3 Dec <2026>", "image_width": 640, "image_height": 480}
+    told |= {"camera_matrix": np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]])}
+    told |= {"distortion_coefficients": np.array(values)[:, None], "points": np.zeros((2, 3, 2), "f4")}
+    for name, value in told.items():
+        storage.write(name, value)
+    storage.release()
+    return path
+
+
 def read(tmp_path, text, name="camera.yaml", **values):
-    """The lens in a file with this text; an ending alone: as OpenCV itself writes it."""
+    """The lens in a file with this text; an ending alone: as OpenCV writes it."""
     path = tmp_path / name
     if text.startswith("."):
-        path = path.with_suffix(text)
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-        said = {"calibration_time": "Thu: 3 Dec <2026>", "image_width": 640, "image_height": 480}
-        said |= {"camera_matrix": np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]])}
-        said |= {"distortion_coefficients": np.array(values["values"])[:, None], "points": np.zeros((2, 3, 2), "f4")}
-        for name, value in said.items():
-            storage.write(name, value)
-        storage.release()
+        path = written_by_opencv(path.with_suffix(text), values["values"])
     else:
         path.write_text(text.format(matrix=MATRIX, **values) if values else text)
     rig = read_camera(path)
