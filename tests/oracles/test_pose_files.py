@@ -287,8 +287,7 @@ def sweep():
 def settled_with(poses, pictures, said, axes="auto", form=""):
     read = Poses(Pose(0.5 * k, pose) for k, pose in enumerate(poses))
     read.axes = form
-    frames = [(pose, lambda k=k: pictures[k]) for k, pose in enumerate(read)]
-    return settled(read, axes, "p.csv", lambda: frames, said.append), read
+    return settled(read, axes, "p.csv", lambda: zip(read, pictures, strict=True), said.append), read
 
 
 def yawed(poses, times):

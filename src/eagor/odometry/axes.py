@@ -42,7 +42,7 @@ OFF, CLOSE, MANY = math.radians(8), math.radians(3), 4
 LEVEL = 0.7  # cosine: a camera whose up is mostly this near to the world's
 STILL = 0.05  # metres: a camera that moves no farther stands
 
-Read = Callable[[], Any]  # gives a picture: an object with `picture`, and the `grid` of an ordinary one
+Shown = Any  # an object with a `picture`, and the `grid` of an ordinary one
 
 
 def with_axes(poses: Poses, axes: str) -> Poses:
@@ -69,10 +69,10 @@ def settled(
     poses: Poses,
     axes: str,
     name: str,
-    frames: Callable[[], Iterable[tuple[Pose, Read | None]]] | None,
+    frames: Callable[[], Iterable[tuple[Pose, Shown]]] | None,
     say: Callable[[str], object],
 ) -> Poses:
-    """The poses in our axes. `axes`: "auto", or a name of `AXES`; `frames`: poses with what reads their pictures.
+    """The poses in our axes. `axes`: "auto", or a name of `AXES`; `frames`: poses with their pictures.
 
     Raises `PoseError` where nothing tells the axes of a file in which they may be others, and where the pictures tell
     what is wrong with the poses. With `axes` that is only said, and of "body" nothing is.
@@ -138,20 +138,19 @@ class _Pair(NamedTuple):
     seen: np.ndarray
 
 
-def _pairs(frames: Iterable[tuple[Pose, Read | None]], poses: Sequence[Pose]) -> Iterator[_Pair]:
+def _pairs(frames: Iterable[tuple[Pose, Shown]], poses: Sequence[Pose]) -> Iterator[_Pair]:
     """Pairs of pictures between which the camera turns, by its poses or by the pictures themselves."""
     from eagor.odometry.features import Views, match
     from eagor.odometry.two_views import estimate_relative_rotation
 
     last, found, tried, apart = None, 0, 0, min(APART, (poses[-1].stamp - poses[0].stamp) / PAIRS)
-    for pose, read in islice(((pose, read) for pose, read in frames if read is not None), LOOKED):
+    for pose, frame in islice(frames, LOOKED):
         if found >= PAIRS or tried >= TRIED:
             return
         far = 0.0 if last is None else _angle(last[0].world_R_body.T @ pose.world_R_body)
         if last is not None and far < LEAST and pose.stamp - last[0].stamp < apart:
             continue
         with suppress(EagorError):  # who looks at it meets it again, and says so
-            frame = read()
             views = Views.of(frame.picture, frame.grid, SIZE)
             if last is not None and far < MOST:
                 tried += 1

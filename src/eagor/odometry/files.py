@@ -239,11 +239,10 @@ def _unnamed(count: int, mark: str | None) -> list[str]:
     for each, counts, names in UNNAMED:
         if each == mark and count in counts:
             return [*names, *(f"column {k}" for k in range(len(names), count))]
-    kitti = "twelve numbers a line are KITTI's poses, which have no times; wanted a column stamp"
-    raise FormatError(": " + kitti if count == 12 else
-        f": {count} numbers a line, and no names of columns; wanted a first line of names (with a # or without), "
-        "or TUM's eight numbers with blanks between: stamp x y z qx qy qz qw"
-    )  # fmt: skip
+    if count == 12:
+        raise FormatError(": twelve numbers a line are KITTI's poses, which have no times; wanted a column stamp")
+    wanted = "wanted a first line of names (with a # or without), or TUM's eight numbers with blanks between"
+    raise FormatError(f": {count} numbers a line, and no names of columns; {wanted}: stamp x y z qx qy qz qw")
 
 
 def _check_names(names: Sequence[str], line: int) -> None:

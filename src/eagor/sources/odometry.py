@@ -135,11 +135,10 @@ def _of_file(path: str, axes: str, source: Footage | None, say: Callable[[str], 
         source.items = source.images.items
     at = interpolated(near)
 
-    def posed() -> Iterator[tuple[Pose, Callable[[], Picture]]]:
+    def posed() -> Iterator[tuple[Pose, Frame]]:
         for frame in () if source is None else Footage(source.items):
             if frame.picture is not None:
-                picture = Picture(frame.picture, grid=frame.grid)
-                yield Pose(frame.stamp, *at(frame.stamp)), lambda picture=picture: picture
+                yield Pose(frame.stamp, *at(frame.stamp)), frame
 
     return GivenPoses(settled(near, axes, path, None if source is None else posed, say), path)
 

@@ -522,6 +522,5 @@ def to_rgb(picture: VideoFrame, height: int, width: int) -> np.ndarray:
     """A decoded picture as ``(height, width, 3)`` uint8; shrunk by the mean of the area of each pixel."""
     colours = BT709 if picture.colorspace == UNSPECIFIED and picture.height >= HD else None
     filtered = "AREA" if height < picture.height or width < picture.width else "BILINEAR"
-    return picture.reformat(
-        width, height, "rgb24", src_colorspace=colours, interpolation=filtered, threads=1
-    ).to_ndarray()
+    rgb = picture.reformat(width, height, "rgb24", src_colorspace=colours, interpolation=filtered, threads=1)
+    return rgb.to_ndarray()
