@@ -16,9 +16,9 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, paint
 from eagor.odometry import Pose
 from eagor.odometry.axes import AXES, settled, with_axes
-from eagor.odometry.files import Poses, read_poses, times_of
+from eagor.odometry.files import GivenPoses, read_poses, times_of
 from eagor.sources.camera_sources import open_footage
-from eagor.sources.odometry import GivenPoses, PosedFrames, open_poses
+from eagor.sources.odometry import PosedFrames, open_poses
 from eagor.sources.panorama import Picture, cut
 from eagor.sources.panorama import turn as turned
 from eagor.sphere import world_R_body
@@ -285,7 +285,7 @@ def sweep():
 
 
 def settled_with(poses, pictures, said, axes="auto", form=""):
-    read = Poses(Pose(0.5 * k, pose) for k, pose in enumerate(poses))
+    read = GivenPoses(Pose(0.5 * k, pose) for k, pose in enumerate(poses))
     read.axes = form
     return settled(read, axes, "p.csv", lambda: zip(read, pictures, strict=True), said.append), read
 

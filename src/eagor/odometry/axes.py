@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from eagor.conventions import HABITAT_R_BODY, OPTICAL_R_BODY
 from eagor.errors import EagorError, PoseError
 from eagor.odometry import Pose
-from eagor.odometry.files import Poses, is_near
+from eagor.odometry.files import GivenPoses, is_near
 
 __all__ = ["AXES", "settled", "with_axes"]
 
@@ -45,7 +45,7 @@ STILL = 0.05  # metres: a camera that moves no farther stands
 Shown = Any  # an object with a `picture`, and the `grid` of an ordinary one
 
 
-def with_axes(poses: Poses, axes: str) -> Poses:
+def with_axes(poses: GivenPoses, axes: str) -> GivenPoses:
     """The poses of a camera that has these `axes`, in ours: x ahead, y left, and a world whose z is up.
 
     Where the world's z is not, it is that of the first camera (SLAM), or turned by what is up for most of them.
@@ -66,12 +66,12 @@ def with_axes(poses: Poses, axes: str) -> Poses:
 
 
 def settled(
-    poses: Poses,
+    poses: GivenPoses,
     axes: str,
     name: str,
     frames: Callable[[], Iterable[tuple[Pose, Shown]]] | None,
     say: Callable[[str], object],
-) -> Poses:
+) -> GivenPoses:
     """The poses in our axes. `axes`: "auto", or a name of `AXES`; `frames`: poses with their pictures.
 
     Raises `PoseError` where nothing tells the axes of a file in which they may be others, and where the pictures tell
@@ -97,7 +97,7 @@ def settled(
     return with_axes(poses, axes)
 
 
-def _found(poses: Poses, pairs: Sequence[_Pair], name: str, say: Callable[[str], object]) -> str:
+def _found(poses: GivenPoses, pairs: Sequence[_Pair], name: str, say: Callable[[str], object]) -> str:
     """The axes of a file that does not tell them. Raises `PoseError` where it has to."""
     some = poses[:: 1 + len(poses) // 1000]
     turns = np.array([pose.world_R_body for pose in some])

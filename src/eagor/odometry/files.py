@@ -30,7 +30,7 @@ from eagor.odometry import Pose
 from eagor.sphere import interpolate_rotation
 from eagor.tracking.poses import FARTHEST
 
-__all__ = ["BEYOND", "Poses", "interpolated", "is_near", "pair", "read_poses", "times_of", "usable"]
+__all__ = ["BEYOND", "GivenPoses", "interpolated", "is_near", "pair", "read_poses", "times_of", "usable"]
 
 QUATERNION, ANGLES, POSITION = ("qw", "qx", "qy", "qz"), ("yaw_deg", "pitch_deg", "roll_deg"), ("x", "y", "z")
 HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
@@ -64,22 +64,31 @@ NORM = 0.01  # by which the length of a quaternion may differ from 1: printed wi
 BEYOND = 0.05  # seconds: what lies so far outside of the poses still takes the nearest one
 
 
-class Poses(tuple[Pose, ...]):
-    """The poses of a file. `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours.
+class GivenPoses(tuple[Pose, ...]):
+    """A `PoseSource` of poses that are there already, in order of time; `name`: where they are from.
 
-    `form`: that of another program, in words, which may lack pictures.
+    Of a file: `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours; `form`: that of
+    another program, in words, which may lack pictures.
     """
 
-    axes = form = ""
+    axes, form, name = "", "", "the poses"
 
-    def made(self, poses: Iterable[Pose]) -> Poses:
+    def __new__(cls, poses: Iterable[Pose], name: str = name) -> GivenPoses:
+        found = super().__new__(cls, poses)
+        found.name = name
+        return found
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def made(self, poses: Iterable[Pose]) -> GivenPoses:
         """Others of the same file."""
-        found = Poses(poses)
+        found = GivenPoses(poses)
         found.__dict__.update(self.__dict__)
         return found
 
 
-def read_poses(path: str | Path) -> Poses:
+def read_poses(path: str | Path) -> GivenPoses:
     """The poses in the file, sorted by time.
 
     Raises `FormatError` for a violation of the format, `RotationError` for a quaternion that is not of unit length,
@@ -96,6 +105,7 @@ def read_poses(path: str | Path) -> Poses:
         poses = _nerfstudio(text) if text.lstrip().startswith("{") else _colmap(lines) or _of_table(lines)
     except EagorError as error:
         raise type(error)(f"{path}{error}") from error
+    poses.name = str(path)
     apart = float(np.median(np.diff([pose.stamp for pose in poses]))) if len(poses) > 1 and not poses.form else 0.0
     if apart >= APART:
         what, short = next(names for most, names in COUNTS if apart < most)
@@ -128,7 +138,7 @@ def times_of(names: Sequence[str]) -> list[float] | None:
 # --- tables ---
 
 
-def _of_table(lines: Sequence[str]) -> Poses:
+def _of_table(lines: Sequence[str]) -> GivenPoses:
     """The poses of a table; errors begin with what comes after the file's name."""
     comments = [line.strip() for line in takewhile(lambda line: not line.strip() or line.lstrip()[0] == "#", lines)]
     if len(comments) == len(lines):
@@ -180,7 +190,7 @@ def _of_table(lines: Sequence[str]) -> Poses:
     places = np.stack([table[name] for name in POSITION], axis=1) if "x" in at else [None] * len(rows)
     frames = [row[at["frame"]] or None if "frame" in at else None for _, row in rows]
     each = zip(stamps.tolist(), turns, places, frames, strict=True)
-    poses = Poses(Pose(stamp, turn, place, frame=frame) for stamp, turn, place, frame in each)
+    poses = GivenPoses(Pose(stamp, turn, place, frame=frame) for stamp, turn, place, frame in each)
     poses.axes = "body" if "qw" not in at else "body?" if ours else ""
     return poses
 
@@ -265,7 +275,7 @@ def _check_names(names: Sequence[str], line: int) -> None:
 # --- poses of pictures, without times ---
 
 
-def _colmap(lines: Sequence[str]) -> Poses | None:
+def _colmap(lines: Sequence[str]) -> GivenPoses | None:
     """The pictures of COLMAP's images.txt; None if it is another file."""
     rows = [line.split(maxsplit=9) for line in lines if not line.lstrip().startswith("#")]
     rows = [row for row in rows if len(row) == 10 and not all(map(_is_number, row[9].split()))]
@@ -282,7 +292,7 @@ def _colmap(lines: Sequence[str]) -> Poses | None:
     return _placed([row[9].strip() for row in rows], turns, places, "optical", "COLMAP's images.txt")
 
 
-def _nerfstudio(text: str) -> Poses:
+def _nerfstudio(text: str) -> GivenPoses:
     """The pictures of a transforms.json. Raises `FormatError`."""
     try:
         found: Any = parsed(text)
@@ -302,14 +312,14 @@ def _nerfstudio(text: str) -> Poses:
     return _placed(names, left @ right, matrices[:, :3, 3], "opengl", "a transforms.json")
 
 
-def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: str, form: str) -> Poses:
+def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: str, form: str) -> GivenPoses:
     """Pictures by name in order of the names, one a second where these are no times."""
     order = sorted(range(len(names)), key=lambda k: natural(_base(names[k])))
     stamps = times_of([PurePath(_base(names[k])).stem for k in order])
     if stamps is None or len({*stamps}) < len(stamps):
         stamps = [float(k) for k in range(len(names))]
     made = (Pose(at, turns[k], places[k], frame=names[k]) for at, k in zip(stamps, order, strict=True))
-    found = Poses(sorted(made, key=lambda pose: pose.stamp))
+    found = GivenPoses(sorted(made, key=lambda pose: pose.stamp))
     found.axes, found.form = axes, form
     return found
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ from eagor import plugins
 from eagor._extras import require_extra
 from eagor.errors import DeviceError, EagorError, PoseError
 from eagor.odometry.axes import settled
-from eagor.odometry.files import BEYOND, Poses, interpolated, is_near, pair, read_poses, usable
+from eagor.odometry.files import BEYOND, GivenPoses, interpolated, is_near, pair, read_poses, usable
 from eagor.odometry.imu import MotionTrack
 from eagor.odometry.visual import VisualOdometer
 from eagor.sources import CameraSource, Frame, Pose, PoseSource
@@ -42,20 +42,6 @@ HOLE = 0.5  # seconds without a pose that are worth a word
 LONGEST = 2.0  # and over which poses are interpolated: a robot may turn half round in them, either way
 
 T = TypeVar("T")
-
-
-class GivenPoses:
-    """Poses that are there already, in order of time; `name`: where they are from, `ends`: the stamp of the last."""
-
-    def __init__(self, poses: Sequence[Pose], name: str = "the poses") -> None:
-        self._poses, self.name = tuple(poses), name
-        self.ends = self._poses[-1].stamp if self._poses else float("nan")
-
-    def __iter__(self) -> Iterator[Pose]:
-        return iter(self._poses)
-
-    def close(self) -> None:
-        """Nothing is held."""
 
 
 def open_poses(
@@ -140,10 +126,10 @@ def _of_file(path: str, axes: str, source: Footage | None, say: Callable[[str], 
             if frame.picture is not None:
                 yield Pose(frame.stamp, *at(frame.stamp)), frame
 
-    return GivenPoses(settled(near, axes, path, None if source is None else posed, say), path)
+    return settled(near, axes, path, None if source is None else posed, say)
 
 
-def _paired(frames: Images, poses: Poses, near: Poses, name: str) -> Images:
+def _paired(frames: Images, poses: GivenPoses, near: GivenPoses, name: str) -> Images:
     """The pictures at the times of their poses: by their names' times, by the names of frames, or else in order.
 
     Raises as `pair`. A picture whose pose cannot be one raises `PoseError` when it is read.
@@ -270,8 +256,9 @@ class PosedFrames:
             elif hole > LONGEST and min(stamp - last.stamp, ahead.stamp - stamp) > BEYOND:  # type: ignore[union-attr]
                 lacks = "within"
             if lacks and isinstance(poses, GivenPoses) and not frame.problem:
+                ends = poses[-1].stamp if poses else math.nan
                 raise PoseError(
-                    f"{frame.name} has no pose: {name} tells those from {begins:.10g} to {poses.ends:.10g} s. The "
+                    f"{frame.name} has no pose: {name} tells those from {begins:.10g} to {ends:.10g} s. The "
                     "clock of a video begins at 0, that of a bag is in its headers. Shift the stamps of the file, or "
                     "cut with --start, --end"
                 )
