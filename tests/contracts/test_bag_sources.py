@@ -255,6 +255,6 @@ def test_the_lens_of_an_ordinary_camera_is_told_beside_its_pictures(tmp_path):
         bag.write("/front/image_raw", m.IMAGE, m.image_message(np.zeros((30, 40, 3), np.uint8), START, ""), START)
     for told in (None, "/front/camera_info"):
         camera = BagCamera(tmp_path / "bag", info=told)
-        view = camera.view
+        view = camera.builder.view
         assert (camera.frame, view.shape) == ("lens", (30, 40))
         assert view.hfov == pytest.approx(2 * math.atan(20 / 30))

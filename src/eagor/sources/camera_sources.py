@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -55,7 +55,8 @@ RATE = 1.0  # pictures per second where nothing tells
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 
 NOTHING = IntrinsicsHint()
-Item = tuple[float, str, Callable[[], Picture]]  # stamp (seconds), name, and what gives the picture or `EagorError`
+Shown = TypeVar("Shown", Picture, Frame)
+Item = tuple[float, str, Callable[[], Picture | Frame]]  # stamp (seconds), name, what gives the picture, or raises
 
 
 def open_source(
@@ -126,7 +127,7 @@ def open_footage(
     if is_bag(path):
         bag = BagCamera(path, topic, rows=rows, rig=rig, camera=check.camera, info=info)
         if bag.lens is not None:
-            check.say(f"{bag.topic}: {in_words(bag.lens.name, bag.view)}")
+            check.say(f"{bag.topic}: {in_words(bag.lens.name, bag.builder.view)}")
         return Footage(partial(_of_bag, bag, check, rate, start, end), latency, bag.begins - latency, bag=bag)
     paths = [Path(place) for place in places]
     if is_video(paths, rig is not None):
@@ -196,12 +197,12 @@ class FrameCheck:
 
     def look(
         self,
-        frame: Picture,
+        frame: Shown,
         name: str,
         builder: PanoramaBuilder | None = None,
         hint: IntrinsicsHint = NOTHING,
         facts: Sequence[str] = (),
-    ) -> Picture:
+    ) -> Shown:
         """The `frame`; of the first one it is said what the file tells (`facts`, and the lens), and what looks odd."""
         if self._looked:
             return frame
@@ -238,16 +239,15 @@ class Images:
 
 def _of_video(video: Video, check: FrameCheck) -> Iterator[Item]:
     for frame in video:
-        found = Picture(frame.picture, frame.unseen, frame.grid)
-        yield frame.stamp, frame.name, partial(check.look, found, frame.name, video.builder, video.hint)
+        yield frame.stamp, frame.name, partial(check.look, frame, frame.name, video.builder, video.hint)
 
 
 def _of_bag(bag: BagCamera, check: FrameCheck, rate: float | None, start: float, end: float | None) -> Iterator[Item]:
     """By the headers' stamps; `start` and `end` count from the first."""
 
     def seen(read: Callable[[], np.ndarray], name: str) -> Picture:
-        found = Picture(read(), bag.unseen, bag.view)
-        return check.look(found, name) if bag.view is None else found  # an ordinary lens is said already
+        found = Picture(read(), bag.builder.unseen, bag.builder.view)
+        return check.look(found, name) if found.grid is None else found  # an ordinary lens is said already
 
     last = math.inf if end is None else end
     coming = ((stamp - bag.begins, (stamp, read)) for stamp, read in bag.pictures() if stamp - bag.begins >= start)
@@ -279,8 +279,8 @@ class Footage:
     @property
     def ordinary(self) -> bool:
         """Whether its pictures are those of an ordinary camera, as far as that is known without one."""
-        known = self.bag if self.video is None else self.video.builder
-        return known is not None and known.view is not None
+        known = self.video or self.bag
+        return known is not None and known.builder.view is not None
 
     @property
     def grid(self) -> ErpGrid | PerspectiveGrid:

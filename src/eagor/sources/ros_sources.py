@@ -206,7 +206,7 @@ class BagCamera:
     `topic`: None is the only one with pictures, and several have commas between. Stamps are those of the headers, else
     of the recording. `dropped`: messages that were sent twice or out of order; `back`: how many of them had stamps that
     go back, which is said once. `count`: how many pictures there are; `begins`: the stamp of the first; `lens`: the
-    ordinary camera, if it is one; `view`: its grid; `frame`, the arguments `lenses`, and errors: as of `ImageTopics`.
+    ordinary camera, if it is one; `frame`, `builder`, the arguments `lenses`, and errors: as of `ImageTopics`.
     """
 
     def __init__(self, bag: Bag | str | Path, topic: str | None = None, **lenses: Any) -> None:
@@ -226,7 +226,7 @@ class BagCamera:
         told, on_body = partial(lens_in_bag, self.bag), partial(lookup_static_transforms, self.bag)
         self._images = images = ImageTopics(messages, self.topics, told, on_body, **lenses)
         self.frame, self.lens = images.frame, images.camera if images.camera and images.camera.known else None
-        self.unseen, self.view = images.builder.unseen, images.builder.view
+        self.builder = images.builder
 
     def pictures(self) -> Iterator[tuple[float, Callable[[], np.ndarray]]]:
         """Stamp of each picture, in order of time, and what gives the frame or raises `ImageError`."""
