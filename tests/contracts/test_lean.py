@@ -19,7 +19,7 @@ from PIL import Image
 
 import eagor
 from eagor import _extras
-from eagor._extras import extras, how_to_install, require_extra
+from eagor._extras import extras, how_to_install, need
 from eagor.errors import EagorError, MissingExtraError
 from eagor.lab.worlds.painted import painted_room
 
@@ -206,10 +206,10 @@ def test_modules_are_there_after_importing_the_package(run):
 
 
 def test_the_line_names_what_is_absent_and_how_to_install_it():
-    require_extra("this", "sim")
-    require_extra("this", "sim", "numpy")
+    need("this", "sim")
+    need("this", "sim", "numpy")
     with pytest.raises(MissingExtraError, match=r"^this needs nowhere_to_be_found: ") as caught:
-        require_extra("this", "sim", "numpy", "nowhere_to_be_found")
+        need("this", "sim", "numpy", "nowhere_to_be_found")
     assert str(caught.value).endswith(how_to_install("sim"))
     assert isinstance(caught.value, EagorError)
     assert isinstance(caught.value, ImportError)

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from processes import little_room
 
-from eagor._files import write_atomic
+from eagor._files import written
 from eagor.cli.answers import Lines
 from eagor.errors import StorageError
 from eagor.lab.eval import log
@@ -105,14 +105,14 @@ def test_pictures_and_tables_are_whole_or_not_there(tmp_path):
 
 
 def test_what_was_there_stays_where_the_new_one_has_no_room(tmp_path, monkeypatch):
-    path = write_atomic(tmp_path / "new" / "kept.txt", "old")
+    path = written(tmp_path / "new" / "kept.txt", "old")
 
     def full(_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(StorageError, match=r"kept\.txt.*No space left.*3 bytes"):
-        write_atomic(path, "new")
+        written(path, "new")
     assert path.read_text() == "old"
     assert [place.name for place in path.parent.iterdir()] == ["kept.txt"]
 

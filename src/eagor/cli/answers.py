@@ -16,7 +16,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eagor._files import append_all, redacted, write_atomic
+from eagor._files import append_all, redacted, written
 from eagor.cli import terminal
 from eagor.cli.options import Answering, Footage, given
 from eagor.cli.terminal import UsageError
@@ -223,7 +223,7 @@ def save_image(picture: Image.Image, path: Path) -> None:
 
     buffer = io.BytesIO()
     picture.save(buffer, Image.registered_extensions()[path.suffix.lower()])
-    write_atomic(path, buffer.getvalue())
+    written(path, buffer.getvalue())
 
 
 # --- from a file of looks ---------------------------------------------------------------------------------------------

@@ -367,13 +367,13 @@ def _summarised(run: Run, out: Path | None, as_json: bool, more: dict[str, Any] 
 
 def bench_report(options: BenchReport) -> int:
     """``eagor bench report``. Raises `StorageError` if it cannot be written."""
-    from eagor._extras import require_extra
+    from eagor._extras import need
     from eagor.lab.eval.report import write_report
     from eagor.lab.eval.results import read
 
     if not options.folders:
         raise terminal.UsageError("no run was given; wanted the folder of a run")
-    require_extra("a report", "report", "jinja2")  # before an episode is played for it
+    need("a report", "report", "jinja2")  # before an episode is played for it
     checks.check_outputs(options, out="folder")
     episode, out = None, options.out or options.folders[0]
     runs = [read(folder) for folder in options.folders]

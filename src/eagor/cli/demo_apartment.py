@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor._files import write_atomic
+from eagor._files import written
 from eagor.cli import terminal
 from eagor.cli.answers import save_image
 from eagor.conventions import rotation_from_wxyz
@@ -221,7 +221,7 @@ def write_report(search: Search, folder: Path) -> Path:
         Section("Is that luck?", [Text(STUDY_IN_WORDS), Table("200 searches", heads, study), repeat], "luck"),
         Section("The error on this walk", [errors, more], "error"),
     ]
-    return write_atomic(folder / "report.html", page(f"Where is the {search.thing}?", [lead, beliefs], sections))
+    return written(folder / "report.html", page(f"Where is the {search.thing}?", [lead, beliefs], sections))
 
 
 def _kept(picture: Image, path: Path, words: str) -> Pictures:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor._files import write_atomic
+from eagor._files import written
 from eagor.cli.answers import save_image
 from eagor.cli.terminal import RunError, UsageError
 from eagor.drawing.page import as_address
@@ -191,7 +191,7 @@ def write_report(looks: Looks, spec: str, photo: str, folder: Path) -> Path:
     sections = [Section("What the camera saw, and what we believed", [Pictures(moments, "strip")], "looks")]
     first, *more = summary(looks)
     lead = [Text(f"{photo}, seen by {short_name(spec)}. {first}"), *map(Text, more)]
-    return write_atomic(folder / "report.html", page(f"Where is the {looks.query}?", lead, sections))
+    return written(folder / "report.html", page(f"Where is the {looks.query}?", lead, sections))
 
 
 def highlights(looks: Looks) -> list[tuple[int, str]]:

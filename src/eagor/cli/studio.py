@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor.cli import checks, terminal
 from eagor.cli.options import Flag, Lens, bare, given
 from eagor.errors import EagorError
@@ -69,7 +69,7 @@ def studio(options: Studio) -> int:
         raise terminal.UsageError(f"--{mistaken[0]} is for eagor studio export RUN")
     if options.source is None and (mistaken := given(options, FOR_SOURCE)):
         raise terminal.UsageError(f"--{mistaken[0]} is for --source SOURCE, which is not given")
-    require_extra("eagor studio", "studio", "starlette", "uvicorn", "websockets")
+    need("eagor studio", "studio", "starlette", "uvicorn", "websockets")
     from eagor.studio.messages import Opening
     from eagor.studio.server import is_loopback, serve
     from eagor.studio.sessions import Settings
@@ -123,7 +123,7 @@ def export(options: Studio) -> int:
     if out is None or out.suffix.lower() not in (".html", ".htm"):
         raise terminal.UsageError(f"--out {out or '...'}; wanted where to write the page, such as --out page.html")
     checks.check_outputs(options)
-    require_extra("an exported episode", "sim", "gymnasium", "trimesh")
+    need("an exported episode", "sim", "gymnasium", "trimesh")
     from eagor.studio.runs import again, write
 
     with terminal.progress("playing the episode again", None) as advance:

@@ -18,7 +18,7 @@ from string import Template
 
 import numpy as np
 
-from eagor._files import write_atomic
+from eagor._files import written
 from eagor._values import wide
 from eagor._version import __version__
 from eagor.drawing.step import StepPainter
@@ -111,7 +111,7 @@ class BeliefPage(AbstractContextManager["BeliefPage"]):
         """Write the page; nothing without steps. Raises `StorageError`."""
         if not self._closed and self.line.last is not None:
             self._closed = True
-            write_atomic(self.path, self._page())
+            written(self.path, self._page())
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is not None:

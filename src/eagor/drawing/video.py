@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from eagor._extras import require_extra
-from eagor._files import write_atomic
+from eagor._extras import need
+from eagor._files import written
 from eagor.drawing.step import StepPainter
 from eagor.drawing.style import DESIGN
 from eagor.drawing.timeline import Thinned
@@ -110,7 +110,7 @@ class Movie:
     """
 
     def __init__(self, path: str | Path, size: tuple[int, int], rate: float | None) -> None:
-        require_extra("a video", "photos", "av")
+        need("a video", "photos", "av")
         import av
 
         self.path = Path(path)
@@ -228,4 +228,4 @@ class Animation:
         at = [step * round(1000 * stamp / step) for stamp in (*stamps, self._end + self._last)]
         how = {"duration": [max(step, end - begin) for begin, end in pairwise(at)], "append_images": pictures[1:]}
         pictures[0].save(buffer, ANIMATIONS[suffix], save_all=True, loop=0, quality=78, method=4, **how)
-        write_atomic(self.path, buffer.getvalue())
+        written(self.path, buffer.getvalue())

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor.drawing import StepPainter
 from eagor.drawing.marks import Marks, worth_an_arrow
 from eagor.drawing.style import answer_in_words
@@ -46,7 +46,7 @@ class RerunLog:
     """
 
     def __init__(self, path: str | Path, title: str = "eagor", realtime: bool = False) -> None:
-        require_extra("a log for the Rerun viewer", "rerun", "rerun")
+        need("a log for the Rerun viewer", "rerun", "rerun")
         if Path(path).suffix != ".rrd":
             raise EagorError(f"{path} does not end in .rrd; name a file such as run.rrd")
         self._rerun: Any = import_module("rerun")

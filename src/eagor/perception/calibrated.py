@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from eagor._checks import parsed, shown
-from eagor._files import read_file, write_atomic
+from eagor._files import read_file, written
 from eagor.errors import EagorError, FormatError, ResponseError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -76,7 +76,7 @@ class Calibrated:
 
     def write(self, file: Path) -> None:
         """Store it as JSON. Raises `StorageError` if it cannot be written."""
-        write_atomic(file, json.dumps(self.as_json(), indent=1) + "\n")
+        written(file, json.dumps(self.as_json(), indent=1) + "\n")
 
 
 def from_json(stored: Any, source: str) -> Calibrated:

@@ -18,7 +18,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from eagor._checks import whole
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class Participant:
     """
 
     def __init__(self, domain: int = 0, interface: str | None = None) -> None:
-        require_extra("DDS (Unitree)", "robot", "cyclonedds", "rosbags")
+        need("DDS (Unitree)", "robot", "cyclonedds", "rosbags")
         from cyclonedds.core import DDSException
         from cyclonedds.domain import Domain, DomainParticipant
 

@@ -20,7 +20,7 @@ from urllib.parse import quote
 import numpy as np
 
 from eagor._checks import parsed
-from eagor._files import write_atomic
+from eagor._files import written
 from eagor.errors import EagorError
 from eagor.lab.eval import log
 from eagor.lab.eval.results import OURS, Run, read
@@ -199,7 +199,7 @@ def serve(line: Connection) -> None:
 
 def write(found: EpisodeReplay, path: Path) -> None:
     """Write an episode to `path`. Raises `EagorError` if the page has not been built, `StorageError`."""
-    write_atomic(path, page_of(found))
+    written(path, page_of(found))
 
 
 def page_of(found: EpisodeReplay) -> str:

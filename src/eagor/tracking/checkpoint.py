@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from eagor._arrays import to_numpy
-from eagor._files import read_file, write_atomic
+from eagor._files import read_file, written
 from eagor._values import state_of
 from eagor.errors import FormatError
 
@@ -100,7 +100,7 @@ def _made(module: str, name: str, values: dict[str, Any]) -> Any:
 
 def save(path: Path, state: Any) -> Path:
     """Write `state` to `path`, whole or not at all. Raises `FormatError` for what cannot be saved, `StorageError`."""
-    return write_atomic(path, packed(state))
+    return written(path, packed(state))
 
 
 def load(path: Path) -> Any:

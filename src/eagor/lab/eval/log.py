@@ -23,7 +23,7 @@ import numpy as np
 
 import eagor
 from eagor._checks import parsed
-from eagor._files import append_all, redacted, write_atomic
+from eagor._files import append_all, redacted, written
 from eagor.errors import EagorError, FormatError, StorageError
 
 RUN, RECORDS = "run.json", "records.jsonl"
@@ -105,7 +105,7 @@ class Log:
             found = {**found, **{key: wanted[key] for key in ("samples", "episodes", "development")}}
         elif path.exists():
             return
-        write_atomic(path, json.dumps(found, indent=1, ensure_ascii=False) + "\n")
+        written(path, json.dumps(found, indent=1, ensure_ascii=False) + "\n")
 
     def append(self, record: Mapping[str, Any]) -> None:
         """Write one record and wait until it is on the disk.

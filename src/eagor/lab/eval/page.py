@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor._version import __version__
 
 NOTHING = "–"  # a figure without a case
@@ -101,7 +101,7 @@ def markdown(title: str, facts: Sequence[Mapping[str, str]], tables: Sequence[Ta
 
 def _filled(name: str, **values: Any) -> str:
     """The template with the values in it."""
-    require_extra("a report", "report", "jinja2")
+    need("a report", "report", "jinja2")
     import jinja2
 
     environment = jinja2.Environment(autoescape=name == "report.html", trim_blocks=True, lstrip_blocks=True)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from eagor._files import write_atomic
+from eagor._files import written
 from eagor.errors import EagorError
 from eagor.lab.envs.rules import Camera
 from eagor.lab.eval import episodes, results, tables
@@ -61,12 +61,12 @@ def write_report(folders: Path | Sequence[Path], out: Path | None = None, episod
         lead.append(Text("Watch the worst episode, step by step", link=episode))
     place = Path(out or named[0])
     shown = [part for section in sections for part in section.parts if isinstance(part, Table)]
-    write_atomic(place / "report.html", page(title, lead, [section for section in sections if section.parts]))
-    write_atomic(place / "tables.md", markdown(title, facts, shown))
+    written(place / "report.html", page(title, lead, [section for section in sections if section.parts]))
+    written(place / "tables.md", markdown(title, facts, shown))
     if len(runs) == 1 and not runs[0].simulated:
         answers = answers_of(runs[0].records).items()
         lines = (json.dumps({"case": case, **answer}, ensure_ascii=False) + "\n" for case, answer in answers)
-        write_atomic(place / "predictions.jsonl", "".join(lines))
+        written(place / "predictions.jsonl", "".join(lines))
     return place / "report.html"
 
 

@@ -24,7 +24,7 @@ from pkgutil import resolve_name
 from queue import SimpleQueue
 from typing import Any, Literal, NamedTuple
 
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor._processes import Worker, WorkerEnded
 from eagor.errors import EagorError, StorageError, WorkError
 from eagor.lab.agents.models import release
@@ -86,7 +86,7 @@ def run(
         stack.callback(release)
         kind = {"threads": _Here, "processes": _Here if workers == 1 else _Process, "ray": _OnRay}[engine]
         if engine == "ray":
-            require_extra("--engine ray (the same version on all machines)", "ray", "ray")
+            need("--engine ray (the same version on all machines)", "ray", "ray")
             stack.enter_context(_cluster())
         if kind is not _Here:
             release()  # the workers make their own

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from eagor._extras import require_extra
+from eagor._extras import need
 
 __all__ = ["ENVIRONMENTS", "register"]
 
@@ -20,7 +20,7 @@ ENVIRONMENTS = {
 
 def register() -> None:
     """Register the environments with Gymnasium, which the extra ``sim`` brings; calling it twice is harmless."""
-    require_extra("a simulated task", "sim", "gymnasium")
+    need("a simulated task", "sim", "gymnasium")
     import gymnasium
 
     for name in ENVIRONMENTS.keys() - gymnasium.registry.keys():

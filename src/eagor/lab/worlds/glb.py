@@ -29,8 +29,8 @@ import msgspec
 import numpy as np
 
 from eagor._checks import parsed, shown
-from eagor._extras import require_extra
-from eagor._files import write_atomic
+from eagor._extras import need
+from eagor._files import written
 from eagor._srgb import to_coded, to_linear
 from eagor.conventions import from_gltf, to_gltf
 from eagor.errors import WorldError
@@ -120,7 +120,7 @@ def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18) -> Pat
     """
     target = Path(target)
     blob = _blob(scene)
-    write_atomic(target, blob)
+    written(target, blob)
     navmesh = {
         "cell_size": voxel_for(radius, 0.05), "cell_height": 0.05, "agent_height": 1.5, "agent_radius": radius,
         "agent_max_climb": 0.12, "agent_max_slope": 45.0,
@@ -134,13 +134,13 @@ def export_glb(scene: Scene, target: Path | str, *, radius: float = 0.18) -> Pat
         text = msgspec.json.format(
             msgspec.json.encode(content, enc_hook=lambda value: value.tolist()), indent=1
         ).decode()
-        write_atomic(target.with_suffix(f".{kind}.json"), text + "\n")
+        written(target.with_suffix(f".{kind}.json"), text + "\n")
     return target
 
 
 def _blob(scene: Scene) -> bytes:
     """A scene as the content of a GLB."""
-    require_extra("a GLB file", "sim", "trimesh")
+    need("a GLB file", "sim", "trimesh")
     import trimesh
     from PIL import Image
     from trimesh.exchange.gltf import export_glb as to_bytes
@@ -191,7 +191,7 @@ def import_glb(path: Path | str) -> Scene:
     """
     path = Path(path)
     blob = _read(path)
-    require_extra("a GLB file", "sim", "trimesh")
+    need("a GLB file", "sim", "trimesh")
     try:
         scene, nodes = _load(path, blob)
     except Exception as error:  # trimesh may raise anything

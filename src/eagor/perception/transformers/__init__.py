@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 
-from eagor._extras import extras, how_to_install, is_older, require_extra
+from eagor._extras import extras, how_to_install, is_older, need
 from eagor.errors import EagorError
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
@@ -179,7 +179,7 @@ def read_config(name: str, revision: str | None = None) -> Any:
 
     Raises `EagorError` if packages are missing, or nothing can be loaded there.
     """
-    require_extra(name, "vlm", "torch", "transformers")
+    need(name, "vlm", "torch", "transformers")
     import transformers
 
     if is_older(transformers.__version__, least := extras().get("vlm", {}).get("transformers", "0")):

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from eagor._checks import parsed
-from eagor._files import read_file, write_atomic
+from eagor._files import read_file, written
 from eagor.errors import EagorError
 from eagor.grids import Grid, PatchGrid
 from eagor.perception.json_files import checked, need
@@ -82,7 +82,7 @@ class Heads:
 
     def write(self, file: Path) -> None:
         """Store it as JSON. Raises `StorageError` if it cannot be written."""
-        write_atomic(file, json.dumps(asdict(self), indent=1) + "\n")
+        written(file, json.dumps(asdict(self), indent=1) + "\n")
 
 
 def read_heads(file: str | Path) -> Heads:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor.errors import EagorError
 from eagor.robots.dds import Participant, Raw, raw
 from eagor.robots.go2.state import CompressedImage
@@ -38,7 +38,7 @@ class DdsCamera(LiveCamera):
     stamped, again = True, False  # it is its own stream
 
     def __init__(self, topic: str, domain: int, interface: str | None, rows: int | None = None) -> None:
-        require_extra("reading pictures", "robot", "av")
+        need("reading pictures", "robot", "av")
         self.name, self._came = topic, queue.SimpleQueue[tuple[Any, float] | None]()
         self._link = Participant(domain, interface)
         self._link.subscribe(topic, PICTURE, self._received)

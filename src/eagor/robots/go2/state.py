@@ -21,12 +21,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor.errors import DeviceError, FormatError
 from eagor.odometry.clocks import ClockSync
 from eagor.robots.dds import Participant, raw
 
-require_extra("Unitree's messages", "robot", "cyclonedds")
+need("Unitree's messages", "robot", "cyclonedds")
 
 from cyclonedds.idl import make_idl_struct  # noqa: E402
 from cyclonedds.idl.annotations import autoid, final  # noqa: E402

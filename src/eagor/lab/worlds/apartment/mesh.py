@@ -13,12 +13,12 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from eagor._extras import require_extra
+from eagor._extras import need
 from eagor.lab.worlds.apartment.textures import KINDS, material
 from eagor.lab.worlds.scene import Material
 from eagor.sphere import rotation
 
-require_extra("an apartment", "sim", "trimesh")
+need("an apartment", "sim", "trimesh")
 import trimesh  # noqa: E402
 
 Numbers = Sequence[float] | np.ndarray
