@@ -5,7 +5,8 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from eagor.cameras import Lens, Rig
+from eagor.cameras import Lens, Rig, Sampler
+from eagor.grids import ErpGrid
 from eagor.sphere import world_R_body
 
 
@@ -22,6 +23,23 @@ def distorted_rig(height=256):
         distortion=(0.02, -0.008, 0.001), body_R_lens=world_R_body(math.pi - 0.02, -0.01, 0.025),
     )  # fmt: skip
     return Rig((size,), (front, back))
+
+
+def seen_by(rig, panorama):
+    """What the rig's camera shows of a panorama ``(H, W, 3)`` uint8: its pictures ``(H, W, 3)``, black beyond the rims.
+
+    Bicubic, without a low-pass filter: give a panorama that is about as fine as the pictures.
+    """
+    grid = ErpGrid(*panorama.shape[:2])
+    pictures = tuple(np.zeros((height, width, 3), np.uint8) for width, height in rig.sizes)
+    for lens in rig.lenses:
+        width, height = rig.sizes[lens.picture]
+        x, y = np.arange(width) + 0.5, np.arange(height)[:, None] + 0.5
+        directions = lens.unproject(x, y)
+        back_x, back_y, depth = lens.project(directions)
+        shown = (np.hypot(back_x - x, back_y - y) < 1) & (depth >= 0)
+        pictures[lens.picture][shown] = Sampler(grid, directions[shown], cubic=True)(panorama)
+    return pictures
 
 
 def off(rig, true):

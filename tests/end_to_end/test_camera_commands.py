@@ -10,6 +10,7 @@ import pytest
 import rigs
 from moving_rooms import PatternRoom
 from PIL import Image
+from rigs import seen_by
 
 from eagor.cameras import dual_fisheye
 from eagor.cli import main
@@ -17,7 +18,6 @@ from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.sources.panorama import turn, view
 from eagor.sources.rigs import read_rig, write_rig
-from eagor.sources.stitching import seen_by
 from eagor.sphere import world_R_body
 
 pytest.importorskip("cv2")
@@ -83,12 +83,6 @@ def test_calibrate_says_what_the_overlap_leaves_open(capsys, place):
     assert "from rim to rim" in out
     assert "the overlap does not tell what is inside the circles" in err
     assert "--turned" in err
-
-
-def test_a_video_of_lenses_can_be_viewed(capsys, place):
-    code, out, _ = run(capsys, "camera", "view", place / "room.mp4", "--rig", place / "true.yaml")
-    assert code == 0
-    assert "% of the sphere is seen by two lenses" in out
 
 
 def test_locate_finds_the_ball_in_circles(capsys, place):
@@ -223,18 +217,6 @@ def red_ball(pose):
     """Its azimuth, degrees, from the middle of the room."""
     truth = bearing(Room().balls[0], EYE, pose)[0]
     return math.degrees(math.atan2(truth[1], truth[0]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("step", [-0.06, 0.16])  # the ball stays in the front picture; it goes into the back one
-def test_track_follows_through_the_panoramas_of_a_rig_of_ordinary_lenses(capsys, tmp_path, two_cameras, step):
-    poses = two_cameras(step)
-    videos = f"{tmp_path / 'front.mp4'},{tmp_path / 'back.mp4'}"
-    code, out, err = run(capsys, "track", videos, "red", "--rig", tmp_path / "rig.yaml", "--rate", 2, "--json")
-    assert code == 0, err
-    frames = json.loads(out)["frames"]
-    assert [round(each["stamp"], 2) for each in frames] == [0.0, 0.5, 1.0, 1.5]
-    assert abs(math.remainder(frames[-1]["azimuth_deg"] - red_ball(poses[15]), 360)) < 3
 
 
 @pytest.mark.filterwarnings("ignore:lenses.0..position is ignored")

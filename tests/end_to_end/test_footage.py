@@ -5,7 +5,6 @@ would spend their time on imports otherwise.
 """
 
 import contextlib
-import csv
 import json
 import math
 import os
@@ -113,24 +112,35 @@ def error_deg(entry, truth):
 # --- where the poses come from ----------------------------------------------------------------------------------------
 
 
-def test_without_poses_the_pictures_tell_how_the_camera_turned(tilting, answers):
-    found = answers("track", tilting, "red", "--rate", RATE)
-    assert found["poses"] == "orientations from the pictures themselves"
+@pytest.mark.parametrize(
+    ("kind", "poses", "words"),
+    [
+        ("clip", POSES, "orientations from the pictures themselves"),
+        ("folder", POSES, "orientations from the pictures themselves"),
+        ("level", HEADING, "headings from the pictures themselves, which are taken as level"),
+        ("imu", HEADING, "orientations from the video's IMU"),
+    ],
+)
+def test_without_poses_the_recording_tells_how_the_camera_turned(tmp_path, answers, kind, poses, words):
+    path, level = tmp_path / "frames", ("--poses", "level") if kind == "level" else ()
+    if kind == "folder":
+        path.mkdir()
+        for number, picture in enumerate(turned(poses)):
+            Image.fromarray(picture).save(path / f"{number}.png")
+    else:
+        path = filmed(tmp_path / "clip.mp4", turned(poses))
+    if kind == "imu":
+        up, left = (0.0, 0.0, 1.0), (0.0, 0.0, math.radians(9 * RATE))  # gravity, and the turn, a second
+        path.write_bytes(path.read_bytes() + trailer([(0.01 * k, up, left) for k in range(310)]))
+    found = answers("track", path, "red", "--rate", RATE, *level)
+    assert found["poses"] == words
     entries = found["frames"]
     assert [entry["stamp"] for entry in entries] == [k / RATE for k in range(COUNT)]
     assert not any("lost" in entry for entry in entries)
-    for entry, pose in list(zip(entries, POSES, strict=True))[3:]:
+    for entry, pose in list(zip(entries, poses, strict=True))[3:]:
         assert error_deg(entry, pose.T @ RED) < 4
     assert entries[-1]["status"] == "tracking"
     assert entries[-1]["credible_angle_deg"] < entries[0]["credible_angle_deg"]
-
-
-def test_a_level_camera_only_turns_its_heading(tmp_path, answers):
-    path = filmed(tmp_path / "level.mp4", turned(HEADING))
-    found = answers("track", path, "red", "--rate", RATE, "--poses", "level")
-    for entry, pose in list(zip(found["frames"], HEADING, strict=True))[3:]:
-        assert error_deg(entry, pose.T @ RED) < 4
-    assert "level" in found["poses"]
 
 
 def test_poses_of_a_file_are_interpolated_at_the_times_of_the_frames(tmp_path, answers, refused):
@@ -155,16 +165,6 @@ def test_poses_of_a_file_are_interpolated_at_the_times_of_the_frames(tmp_path, a
     assert "--start" in said
     entries = answers(*words, "--start", 0.5)["frames"]
     assert [entry["stamp"] for entry in entries] == [k / RATE for k in range(2, COUNT)]
-
-
-def test_the_imu_of_a_video_is_preferred(tmp_path, answers):
-    path = filmed(tmp_path / "imu.mp4", turned(HEADING))
-    level, left = (0.0, 0.0, 1.0), (0.0, 0.0, math.radians(9 * RATE))  # gravity, and the turn, a second
-    path.write_bytes(path.read_bytes() + trailer([(0.01 * k, level, left) for k in range(310)]))
-    found = answers("track", path, "red", "--rate", RATE)
-    assert found["poses"] == "orientations from the video's IMU"
-    for entry, pose in list(zip(found["frames"], HEADING, strict=True))[3:]:
-        assert error_deg(entry, pose.T @ RED) < 4
 
 
 def test_poses_that_end_early_lose_nothing_that_was_computed(tmp_path, eagor):
@@ -194,17 +194,6 @@ def test_a_cut_begins_the_belief_anew_and_is_said(tmp_path, answers, eagor):
     page = tmp_path / "page.html"
     assert eagor("track", path, "red", "--rate", RATE, "--start", 1, "--end", 2, "--page", page)[0] == 0
     assert "the belief starts anew there" in page.read_text(encoding="utf-8")
-
-
-def test_a_folder_without_poses(tmp_path, answers, refused):
-    (tmp_path / "frames").mkdir()
-    for number, picture in enumerate(turned(POSES[:6])):
-        Image.fromarray(picture).save(tmp_path / "frames" / f"{number}.png")
-    found = answers("track", tmp_path / "frames", "red", "--rate", 2)
-    assert "6 images, taken at 2 per second (--rate), orientations from the pictures themselves" in found["stderr"]
-    assert [entry["stamp"] for entry in found["frames"]] == [k / 2 for k in range(6)]
-    assert error_deg(found["frames"][-1], POSES[5].T @ RED) < 4
-    assert "is for a video" in refused("track", tmp_path / "frames", "red", "--start", 1)
 
 
 # --- which frames -----------------------------------------------------------------------------------------------------
@@ -265,12 +254,6 @@ def test_a_video_with_the_answer_drawn_in(tilting, tmp_path, eagor):
     assert "2 looks per second (--rate 2), orientations from the pictures themselves" in err
 
 
-def test_the_rate_that_is_said_is_the_one_that_happens(tilting, answers):
-    found = answers("track", tilting, "red", "--end", 1, "--rate", 30)
-    assert len(found["frames"]) == RATE
-    assert f"eagor: {RATE} looks per second (--rate 30), orientations" in found["stderr"]
-
-
 def test_lines_go_to_stdout_also_beside_a_progress_bar(tilting, tmp_path):
     """Somebody watches stderr on a terminal, and sends the results to a file."""
     pty = pytest.importorskip("pty")
@@ -288,20 +271,6 @@ def test_lines_go_to_stdout_also_beside_a_progress_bar(tilting, tmp_path):
     assert b"looking" in shown
     assert len(out.read_text().splitlines()) == 3
     assert b"elevation" not in shown
-
-
-@pytest.mark.parametrize("suffix", ["csv", "jsonl"])
-def test_tables(tilting, tmp_path, answers, suffix):
-    path = tmp_path / f"answers.{suffix}"
-    found = answers("track", tilting, "red", "--out", path, "--modes", 1, "--end", 1.5)["frames"]
-    assert all(len(entry["modes"]) <= 1 for entry in found)
-    if suffix == "csv":
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    else:
-        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    assert [float(row["azimuth_deg"]) for row in rows] == [entry["azimuth_deg"] for entry in found]
-    assert [row["frame"] for row in rows] == [entry["frame"] for entry in found]
 
 
 def test_locate_takes_a_frame_of_a_video(tilting, answers):
@@ -326,26 +295,6 @@ def test_of_a_truncated_clip_comes_what_is_there(tmp_path, eagor):
         assert len(list(container.decode(video=0))) == len(out.splitlines()) - 1
 
 
-def test_clips_that_cannot_be_read(tmp_path, refused):
-    path = tmp_path / "clip.mp4"
-    for content in (b"", b"no video at all" * 99):
-        path.write_bytes(content)
-        assert "clip.mp4" in refused("track", path, "red")
-        assert "clip.mp4" in refused("locate", path, "red")
-    assert "nothing.mp4" in refused("track", tmp_path / "nothing.mp4", "red")
-
-
-def test_a_clip_without_pictures(tmp_path, refused):
-    path = tmp_path / "sound.mp4"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("aac", rate=8000)
-        frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
-        frame.rate = 8000
-        container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-    assert "sound.mp4" in refused("track", path, "red")
-
-
 # --- pictures that are no good panoramas ------------------------------------------------------------------------------
 
 
@@ -366,19 +315,6 @@ def test_a_dual_fisheye_is_refused_unless_forced(tmp_path, refused, eagor):
         code, _, err = eagor(*words, "red", "--force")
         assert code == 0
         assert err.count("two circles") == 1
-
-
-def test_a_seam_that_does_not_fit_is_measured_and_said(tmp_path, eagor):
-    cut = np.ascontiguousarray(ROOM[:, : ROWS * 3 // 2].repeat(4, axis=1)[:, ::3])
-    assert cut.shape == ROOM.shape
-    Image.fromarray(cut).save(tmp_path / "seam.png")
-    path = filmed(tmp_path / "seam.mp4", [cut] * 4)
-    for words in (("locate", tmp_path / "seam.png"), ("track", path)):
-        code, _, err = eagor(*words, "red")
-        assert code == 0
-        (line,) = [line for line in err.splitlines() if "border" in line]
-        assert "warning" in line
-        assert "times that between other neighbouring columns" in line
 
 
 @pytest.mark.slow

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import rigs
 from moving_rooms import PatternRoom
+from rigs import seen_by
 from scipy.spatial.transform import Rotation
 
 from eagor.cameras import dual_fisheye
 from eagor.errors import ImageError, PoseError
 from eagor.sources import Pose
 from eagor.sources.calibration import calibrate, first_rig, latency_between, overlap_of
-from eagor.sources.stitching import seen_by
 from eagor.sphere import world_R_body
 
 pytest.importorskip("cv2")
@@ -108,15 +108,14 @@ def camera_steps(latency, noise=0.002, rate=10.0, sign=1.0, scale=1.0):
     return np.stack([stamps[:-1], stamps[1:], turned], axis=1)
 
 
-@pytest.mark.parametrize(("latency", "sign"), [(0.0, 1), (0.037, 1), (0.5, 1), (-0.1, 1), (0.212, -1)])
-def test_the_latency_comes_out_finer_than_the_pictures_interval(latency, sign):
-    found = latency_between(camera_steps(latency, sign=sign), odometry())
+@pytest.mark.parametrize("latency", [0.0, 0.037, 0.5, -0.1])
+def test_the_latency_comes_out_finer_than_the_pictures_interval(latency):
+    found = latency_between(camera_steps(latency), odometry())
     assert found.seconds == pytest.approx(latency, abs=0.006)
     low, high = found.interval
     assert low - 0.004 <= latency <= high + 0.004
     assert high - low < 0.05
     assert found.correlation > 0.98
-    assert found.mirrored == (sign < 0)
 
 
 def test_more_noise_gives_a_wider_interval():
@@ -129,6 +128,7 @@ def test_more_noise_gives_a_wider_interval():
     [
         (camera_steps(0.2, scale=0.0), odometry(0.0), "turning rate varies by 0.0 degrees per second.*Turn the camera"),
         (camera_steps(0.2, noise=3.0), odometry(), "do not agree at any shift up to 0.5 s"),
+        (camera_steps(0.2, sign=-1.0), odometry(), "turn the other way at any shift up to 0.5 s"),
         (camera_steps(0.8), odometry(), "search farther|do not agree"),
         (camera_steps(0.2), odometry(end=3.0), "steps between pictures lie within the odometry"),
         (camera_steps(0.2), odometry()[:1], "1 poses"),

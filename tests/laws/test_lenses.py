@@ -7,6 +7,7 @@ import pytest
 import rigs
 from hypothesis import given
 from hypothesis import strategies as st
+from rigs import seen_by
 from strategies import directions, rotations
 
 from eagor.cameras import Lens, Rig, dual_fisheye
@@ -14,7 +15,7 @@ from eagor.errors import GridError, ImageError
 from eagor.grids import ErpGrid, FisheyeGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
 from eagor.sources.rigs import read_rig, write_rig
-from eagor.sources.stitching import Stitcher, seen_by
+from eagor.sources.stitching import Stitcher
 from eagor.sphere import angular_distance, world_R_body
 
 cv2 = pytest.importorskip("cv2")

@@ -171,9 +171,6 @@ def test_what_phones_write_into_videos():
     assert told.turns == 1
     for tags in ({key: "0"}, {key: "wide"}, {key: "1e9"}, {"make": "Apple"}):
         assert intrinsics_from_tags(tags, (1920, 1080), 0).focal is None
-    (fact,) = intrinsics_from_tags({"com.maker.video.stabilization": "on"}, (1920, 1080), 0).facts
-    assert fact.startswith("warning: its metadata says stabilization = on")
-    assert not intrinsics_from_tags({"com.maker.video.stabilization": "off"}, (1920, 1080), 0).facts
 
 
 def test_a_video_that_changes_its_size(tmp_path):

@@ -48,11 +48,11 @@ from eagor.perception.vlm.answers import parse_boxes, parse_presence  # noqa: E4
 from eagor.perception.vlm.perception import box_detections  # noqa: E402
 from eagor.sources import Pose  # noqa: E402
 from eagor.sources import ros_messages as m  # noqa: E402
-from eagor.sources.bag_sources import BagCamera, BagPoses  # noqa: E402
 from eagor.sources.bags import MAGIC, MOTION, PICTURES, Bag  # noqa: E402
 from eagor.sources.camera_sources import FrameCheck  # noqa: E402
 from eagor.sources.intrinsics import intrinsics_from_exif, read_camera  # noqa: E402
 from eagor.sources.rigs import read_rig  # noqa: E402
+from eagor.sources.ros_sources import BagCamera, BagPoses  # noqa: E402
 from eagor.sources.video import Video  # noqa: E402
 
 SECONDS, MEMORY = 5.0, 3 << 30  # of CPU for one input; bytes above what the samples take
@@ -236,9 +236,12 @@ BAGS = [*recorded()]
 MODELS = (("plumb_bob", cameras.PLUMB), ("equidistant", cameras.ROUND))
 CAMERAS = [
     getattr(cameras, name).format(matrix=cameras.MATRIX, model=model, values=[*values], count=len(values)).encode()
-    for name in ("ROS", "OPENCV", "XML", "ECHO", "KALIBR")
+    for name in ("ROS", "ECHO", "KALIBR")
     for model, values in MODELS
 ]
+with tempfile.TemporaryDirectory() as place:
+    for ending in ("yml", "xml", "json"):
+        CAMERAS.append(cameras.written_by_opencv(Path(place, f"a.{ending}"), cameras.PLUMB).read_bytes())
 ANGLES = b"stamp,yaw_deg,pitch_deg,roll_deg,frame\n0.5,0,2,3,a_0.png\n1.5,9,2,3,a_1.png\n2,20,2,-3,a_2.png\n"
 SERVED = [
     b'{"choices": [{"message": {"content": [{"type": "text", "text": "[[1, 2, 30, 40]]"}]}, "usage": {}}]}',

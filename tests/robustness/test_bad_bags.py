@@ -167,19 +167,6 @@ def message(time, size):
     return record(5, struct.pack("<HIQQ", 1, 0, time, time) + cdr)
 
 
-def packed(content, compression, times=1):
-    """`content`, so often, compressed in steps."""
-    if compression == "lz4":
-        from lz4.frame import LZ4FrameCompressor
-
-        packer = LZ4FrameCompressor(block_size=7, block_linked=False)
-        return packer.begin() + b"".join(packer.compress(content) for _ in range(times)) + packer.flush()
-    from backports.zstd import ZstdCompressor
-
-    packer = ZstdCompressor()
-    return b"".join([*(packer.compress(content) for _ in range(times)), packer.flush()])
-
-
 def chunk(size, content, compression, time=1):
     return record(
         6, struct.pack("<QQQI", time, time, size, 0) + text(compression) + struct.pack("<Q", len(content)) + content

@@ -90,13 +90,6 @@ def test_what_is_no_video(tmp_path, name):
         Video(tmp_path / name)
 
 
-def test_a_file_that_may_not_be_read(tmp_path, monkeypatch):
-    path = clips.clip(tmp_path / "a.mp4")
-    monkeypatch.setattr("os.access", lambda *_: False)  # for root, all files are readable
-    with pytest.raises(ImageError, match="cannot be read; make it readable"):
-        Video(path)
-
-
 def test_a_playlist_opens_no_other_file(tmp_path):
     clips.clip(tmp_path / "a.ts")
     listed = tmp_path / "list.mp4"
@@ -123,19 +116,12 @@ def test_no_pictures(tmp_path):
 
 
 def test_pictures_too_large(tmp_path, monkeypatch):
-    monkeypatch.setattr("eagor.sources.tracks.LARGEST", 8000)
+    monkeypatch.setattr("eagor.sources.video.LARGEST", 8000)
     with pytest.raises(ImageError, match="pictures of 128 x 64 pixels; wanted at most 8000"):
         Video(clips.clip(tmp_path / "a.mp4"))
 
 
 # --- damage ----------------------------------------------------------------------------------------------------------
-
-
-def test_a_recording_without_its_index(tmp_path):
-    path = clips.clip(tmp_path / "a.mp4")
-    path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(ImageError, match=r"cut off|damaged"):
-        Video(path)
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv"])
@@ -292,37 +278,36 @@ def test_nothing_stays_open(tmp_path):
 
 PEAK = """
 import re, sys
-from eagor.sources.video import Video
-video = Video(sys.argv[1], rows=int(sys.argv[2]) or None)
-print(sum(1 for _ in video), *video.shape)
-# Not ru_maxrss: it begins with what the process had that started this one.
-print(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
-"""
-WRITE = """
-import sys
 import av
 import numpy as np
-base = np.random.default_rng(0).integers(0, 255, (60, 120, 3), dtype=np.uint8).repeat(64, 0).repeat(64, 1)
-with av.open(sys.argv[1], "w") as container:
-    stream = container.add_stream("libx264", rate=30)
-    stream.height, stream.width, stream.pix_fmt = *base.shape[:2], "yuv420p"
-    plain = "rc-lookahead=0:sync-lookahead=0:bframes=2:ref=4:threads=1"
-    stream.options = {"preset": "ultrafast", "x264-params": plain}
-    for k in range(10):
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.roll(base, 8 * k, axis=1), format="rgb24")))
-    container.mux(stream.encode())
+from eagor.sources.video import Video
+if sys.argv[2] == "write":
+    base = np.random.default_rng(0).integers(0, 255, (60, 120, 3), dtype=np.uint8).repeat(64, 0).repeat(64, 1)
+    with av.open(sys.argv[1], "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.height, stream.width, stream.pix_fmt = *base.shape[:2], "yuv420p"
+        plain = "rc-lookahead=0:sync-lookahead=0:bframes=2:ref=4:threads=1"
+        stream.options = {"preset": "ultrafast", "x264-params": plain}
+        for k in range(10):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.roll(base, 8 * k, axis=1), format="rgb24")))
+        container.mux(stream.encode())
+else:
+    video = Video(sys.argv[1], rows=int(sys.argv[2]) or None)
+    print(sum(1 for _ in video), *video.shape)
+    # Not ru_maxrss: it begins with what the process had that started this one.
+    print(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is of Linux")
 @pytest.mark.slow
 def test_8k_stays_below_one_and_a_half_gigabytes(tmp_path):
-    path = str(tmp_path / "8k.mp4")
-    subprocess.run([sys.executable, "-c", WRITE, path], check=True, timeout=300)
-    for rows, shape in ((1024, "1024 2048"), (0, "3840 7680")):
-        done = subprocess.run(
-            [sys.executable, "-c", PEAK, path, str(rows)], capture_output=True, text=True, timeout=300, check=True
-        )
-        seen, peak = done.stdout.splitlines()
+    def run(what):
+        words = [sys.executable, "-c", PEAK, str(tmp_path / "8k.mp4"), what]
+        return subprocess.run(words, capture_output=True, text=True, timeout=300, check=True).stdout.splitlines()
+
+    run("write")
+    for rows, shape in (("1024", "1024 2048"), ("0", "3840 7680")):
+        seen, peak = run(rows)
         assert seen == f"10 {shape}"
-        assert int(peak) * 1024 < 1.5e9, f"{int(peak) / 1024:.0f} MiB for {rows or 'all'} rows"
+        assert int(peak) * 1024 < 1.5e9, f"{int(peak) / 1024:.0f} MiB for {rows} rows"

@@ -185,16 +185,11 @@ def camera_latency(options: CameraLatency) -> int:
     values = {"latency_s": found.seconds, "low_s": low, "high_s": high, "correlation": found.correlation}
     rounded: dict[str, Any] = {key: round(value, 5) for key, value in values.items()}
     terminal.give(
-        options.json, rounded | {"steps": found.steps, "mirrored": found.mirrored},
+        options.json, rounded | {"steps": found.steps},
         f"latency      {found.seconds:.3f} s, with 95 % from {low:.3f} to {high:.3f}",
         f"correlation  {found.correlation:.2f}, over {found.steps} steps from picture to picture",
         *([f"Other commands take it as --latency {found.seconds:.3f}"] if found.seconds >= 0 else []),
     )  # fmt: skip
-    if found.mirrored:
-        terminal.warning(
-            "the pictures turn the other way than odometry: the camera is upside down, its pictures are mirrored, or "
-            "odometry's yaw is positive to the right"
-        )
     if high < 0:
         terminal.warning("pictures come before odometry: it is odometry that is late, or their clocks differ")
     return terminal.OK

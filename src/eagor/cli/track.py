@@ -199,9 +199,9 @@ def _of_looks(looks: RecordedLooks) -> FrameStream:
 
 def _checked_floor(floor: float, stream: FrameStream) -> float:
     """The floor's height, if every pose with a position is above it; else raises `UsageError`."""
-    from eagor.sources.bag_sources import BagPoses
     from eagor.sources.odometry import GivenPoses
     from eagor.sources.ros_messages import IMU
+    from eagor.sources.ros_sources import BagPoses
 
     poses = [*stream.poses] if isinstance(stream.poses, GivenPoses) else []
     poses += [pose for each in getattr(stream.source, "posed", ()) for pose in each.poses]

@@ -16,13 +16,15 @@ class Pose:
     """Where the body is: `stamp` in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None.
 
     The world has z up (REP-103), and does not jump while the body moves (REP-105: ``odom``). `spread`: standard
-    deviation of the error of the orientation, radians per axis, where it is known.
+    deviation of the error of the orientation, radians per axis, where it is known. `frame`: the name of the picture
+    that was taken there, as a file of poses has it, or None.
     """
 
     stamp: float
     world_R_body: np.ndarray
     position: np.ndarray | None = None
     spread: float = 0.0
+    frame: str | None = None
 
 
 @runtime_checkable

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -17,7 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from eagor.conventions import HABITAT_R_BODY, OPTICAL_R_BODY
 from eagor.errors import EagorError, PoseError
-from eagor.odometry.files import FramePose, Poses
+from eagor.odometry import Pose
+from eagor.odometry.files import GivenPoses, is_near
 
 __all__ = ["AXES", "settled", "with_axes"]
 
@@ -40,10 +42,10 @@ OFF, CLOSE, MANY = math.radians(8), math.radians(3), 4
 LEVEL = 0.7  # cosine: a camera whose up is mostly this near to the world's
 STILL = 0.05  # metres: a camera that moves no farther stands
 
-Read = Callable[[], Any]  # gives a picture: an object with `picture`, and the `grid` of an ordinary one
+Shown = Any  # an object with a `picture`, and the `grid` of an ordinary one
 
 
-def with_axes(poses: Poses, axes: str) -> Poses:
+def with_axes(poses: GivenPoses, axes: str) -> GivenPoses:
     """The poses of a camera that has these `axes`, in ours: x ahead, y left, and a world whose z is up.
 
     Where the world's z is not, it is that of the first camera (SLAM), or turned by what is up for most of them.
@@ -58,19 +60,19 @@ def with_axes(poses: Poses, axes: str) -> Poses:
         first_camera = (body_R_pose @ up)[2] > LEVEL or np.linalg.norm(up) < 0.5
         level = body_R_pose if first_camera else Rotation.align_vectors([[0.0, 0, 1]], [up])[0].as_matrix()
     return poses.made(
-        FramePose(pose.stamp, level @ turn, None if pose.position is None else level @ pose.position, pose.frame)
+        replace(pose, world_R_body=level @ turn, position=None if pose.position is None else level @ pose.position)
         for pose, turn in zip(poses, turns, strict=True)
     )
 
 
 def settled(
-    poses: Poses,
+    poses: GivenPoses,
     axes: str,
     name: str,
-    frames: Callable[[], Iterable[tuple[FramePose, Read | None]]] | None,
+    frames: Callable[[], Iterable[tuple[Pose, Shown]]] | None,
     say: Callable[[str], object],
-) -> Poses:
-    """The poses in our axes. `axes`: "auto", or a name of `AXES`; `frames`: poses with what reads their pictures.
+) -> GivenPoses:
+    """The poses in our axes. `axes`: "auto", or a name of `AXES`; `frames`: poses with their pictures.
 
     Raises `PoseError` where nothing tells the axes of a file in which they may be others, and where the pictures tell
     what is wrong with the poses. With `axes` that is only said, and of "body" nothing is.
@@ -95,13 +97,13 @@ def settled(
     return with_axes(poses, axes)
 
 
-def _found(poses: Poses, pairs: Sequence[_Pair], name: str, say: Callable[[str], object]) -> str:
+def _found(poses: GivenPoses, pairs: Sequence[_Pair], name: str, say: Callable[[str], object]) -> str:
     """The axes of a file that does not tell them. Raises `PoseError` where it has to."""
     some = poses[:: 1 + len(poses) // 1000]
     turns = np.array([pose.world_R_body for pose in some])
     bent = Rotation.from_matrix(turns[0].T @ turns).as_rotvec()
     squares, turned = (bent**2).sum(axis=0), np.linalg.norm(bent, axis=1).max() > LEAST
-    places = np.array([pose.position for pose in poses if pose.position is not None and pose.near]).reshape(-1, 3)
+    places = np.array([pose.position for pose in poses if pose.position is not None and is_near(pose)]).reshape(-1, 3)
     gone = np.ptp(places, axis=0) if len(places) else np.zeros(3)  # along each axis of its world
     # With our axes a camera would hardly turn about its vertical, or lie on its side or back, or fly up.
     odd = (turned and squares[2] < 0.5 * squares.sum()) or turns[:, 2, 2].mean() < 0.5
@@ -136,20 +138,19 @@ class _Pair(NamedTuple):
     seen: np.ndarray
 
 
-def _pairs(frames: Iterable[tuple[FramePose, Read | None]], poses: Sequence[FramePose]) -> Iterator[_Pair]:
+def _pairs(frames: Iterable[tuple[Pose, Shown]], poses: Sequence[Pose]) -> Iterator[_Pair]:
     """Pairs of pictures between which the camera turns, by its poses or by the pictures themselves."""
     from eagor.odometry.features import Views, match
     from eagor.odometry.two_views import estimate_relative_rotation
 
     last, found, tried, apart = None, 0, 0, min(APART, (poses[-1].stamp - poses[0].stamp) / PAIRS)
-    for pose, read in islice(((pose, read) for pose, read in frames if read is not None), LOOKED):
+    for pose, frame in islice(frames, LOOKED):
         if found >= PAIRS or tried >= TRIED:
             return
         far = 0.0 if last is None else _angle(last[0].world_R_body.T @ pose.world_R_body)
         if last is not None and far < LEAST and pose.stamp - last[0].stamp < apart:
             continue
         with suppress(EagorError):  # who looks at it meets it again, and says so
-            frame = read()
             views = Views.of(frame.picture, frame.grid, SIZE)
             if last is not None and far < MOST:
                 tried += 1

@@ -1,22 +1,10 @@
-"""Poses from a file, in the forms in which programs write them.
+"""Poses from a file, in the forms in which programs write them; docs/how-to/robot-log.md has the columns.
 
-Ours is CSV. The first line names the columns, in any order; other columns are ignored:
-
-- ``stamp``: seconds, on the clock of the frames, increasing. Counts of milli-, micro- or nanoseconds since 1970 are
-  read as such, others where the name says so (``stamp_ms``).
-- the orientation ``world_R_body`` (REP-103: x forward, y left, z up), either as the unit quaternion ``qw,qx,qy,qz`` or
-  as ``yaw_deg,pitch_deg,roll_deg`` (or ``_rad``): yaw to the left, then pitch (positive: nose DOWN), then roll.
-- ``x,y,z`` (optional): position in metres in the world frame.
-- ``frame`` (optional): the image captured in this pose; empty for odometry between the frames.
-
-Blank lines, and lines that begin with ``#``, are skipped. Others:
-
-- tables with other names, also in a comment, with commas, semicolons, tabs or blanks between (EuRoC's ``#timestamp
-  [ns],p_RS_R_x [m],...``); TUM and ORB-SLAM: eight numbers with blanks between, stamp, x, y, z, qx, qy, qz, qw;
-- COLMAP's ``images.txt``: IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, from the world to the camera;
-- nerfstudio's and Instant NGP's ``transforms.json``: file_path and transform_matrix, from the camera to the world.
-
-Which axes they have: `eagor.odometry.axes`.
+Ours is CSV whose first line names the columns, in any order; others are ignored, and so are blank lines, and lines that
+begin with ``#``. Tables of others have other names, also in a comment, or none (TUM, EuRoC), and other marks between.
+COLMAP's images.txt tells from the world to the camera, transforms.json of nerfstudio and Instant NGP the other way
+round. Counts of milli-, micro- or nanoseconds since 1970 are read as such, others where the name says so
+(``stamp_ms``). Which axes they have: `eagor.odometry.axes`.
 """
 
 from __future__ import annotations
@@ -25,11 +13,11 @@ import csv
 import math
 import re
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import takewhile
-from operator import itemgetter
 from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,10 +26,11 @@ from eagor._checks import LATEST, checked_stamp, parsed
 from eagor._files import natural, read_file
 from eagor.conventions import rotation_from_wxyz
 from eagor.errors import EagorError, FormatError, PoseError, RotationError, TimeError
+from eagor.odometry import Pose
 from eagor.sphere import interpolate_rotation
 from eagor.tracking.poses import FARTHEST
 
-__all__ = ["BEYOND", "FramePose", "Poses", "interpolated", "pair", "read_poses", "times_of", "usable"]
+__all__ = ["BEYOND", "GivenPoses", "interpolated", "is_near", "pair", "read_poses", "times_of", "usable"]
 
 QUATERNION, ANGLES, POSITION = ("qw", "qx", "qy", "qz"), ("yaw_deg", "pitch_deg", "roll_deg"), ("x", "y", "z")
 HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
@@ -75,37 +64,32 @@ NORM = 0.01  # by which the length of a quaternion may differ from 1: printed wi
 BEYOND = 0.05  # seconds: what lies so far outside of the poses still takes the nearest one
 
 
-class FramePose(NamedTuple):
-    """One line: stamp in seconds, `world_R_body` ``(3, 3)``, `position` ``(3,)`` in metres or None, frame's name."""
+class GivenPoses(tuple[Pose, ...]):
+    """A `PoseSource` of poses that are there already, in order of time; `name`: where they are from.
 
-    stamp: float
-    world_R_body: np.ndarray
-    position: np.ndarray | None
-    frame: str | None
-
-    @property
-    def near(self) -> bool:
-        """Whether the position can be one: a lost estimate of a robot's place often ends in numbers without end."""
-        return self.position is None or bool((np.abs(self.position) <= FARTHEST).all())
-
-
-class Poses(tuple[FramePose, ...]):
-    """The poses of a file. `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours.
-
-    `form`: that of another program, in words, which may lack pictures.
+    Of a file: `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours; `form`: that of
+    another program, in words, which may lack pictures.
     """
 
-    axes = form = ""
+    axes, form, name = "", "", "the poses"
 
-    def made(self, poses: Iterable[FramePose]) -> Poses:
+    def __new__(cls, poses: Iterable[Pose], name: str = name) -> GivenPoses:
+        found = super().__new__(cls, poses)
+        found.name = name
+        return found
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def made(self, poses: Iterable[Pose]) -> GivenPoses:
         """Others of the same file."""
-        found = Poses(poses)
+        found = GivenPoses(poses)
         found.__dict__.update(self.__dict__)
         return found
 
 
-def read_poses(path: str | Path) -> Poses:
-    """The poses in the file, sorted by time (format: this module's text).
+def read_poses(path: str | Path) -> GivenPoses:
+    """The poses in the file, sorted by time.
 
     Raises `FormatError` for a violation of the format, `RotationError` for a quaternion that is not of unit length,
     `TimeError` if the stamps do not increase; each error names the file and the line. Stamps that are hardly seconds
@@ -121,6 +105,7 @@ def read_poses(path: str | Path) -> Poses:
         poses = _nerfstudio(text) if text.lstrip().startswith("{") else _colmap(lines) or _of_table(lines)
     except EagorError as error:
         raise type(error)(f"{path}{error}") from error
+    poses.name = str(path)
     apart = float(np.median(np.diff([pose.stamp for pose in poses]))) if len(poses) > 1 and not poses.form else 0.0
     if apart >= APART:
         what, short = next(names for most, names in COUNTS if apart < most)
@@ -153,7 +138,7 @@ def times_of(names: Sequence[str]) -> list[float] | None:
 # --- tables ---
 
 
-def _of_table(lines: Sequence[str]) -> Poses:
+def _of_table(lines: Sequence[str]) -> GivenPoses:
     """The poses of a table; errors begin with what comes after the file's name."""
     comments = [line.strip() for line in takewhile(lambda line: not line.strip() or line.lstrip()[0] == "#", lines)]
     if len(comments) == len(lines):
@@ -186,9 +171,9 @@ def _of_table(lines: Sequence[str]) -> Poses:
         try:
             text = f"stamp {checked_stamp(float(stamps[index])):.6f} comes after {stamps[index - 1]:.6f}; wanted"
             text += " increasing stamps. Sort the lines by stamp, and split the file where the clock was reset"
-            raise TimeError(text)
         except TimeError as error:
-            raise TimeError(f", line {rows[index][0]}: {error}") from error
+            text = str(error)
+        raise TimeError(f", line {rows[index][0]}: {text}")
     if "qw" in at:
         wxyz = np.stack([table[name] for name in QUATERNION], axis=1)
         with np.errstate(over="ignore"):
@@ -204,8 +189,9 @@ def _of_table(lines: Sequence[str]) -> Poses:
         turns = Rotation.from_euler("ZYX", np.fmod(angles, 360), degrees=True).as_matrix()
     places = np.stack([table[name] for name in POSITION], axis=1) if "x" in at else [None] * len(rows)
     frames = [row[at["frame"]] or None if "frame" in at else None for _, row in rows]
-    poses = Poses(map(FramePose, stamps.tolist(), turns, places, frames))
-    poses.axes = ("body?" if ours else "") if "qw" in at else "body"
+    each = zip(stamps.tolist(), turns, places, frames, strict=True)
+    poses = GivenPoses(Pose(stamp, turn, place, frame=frame) for stamp, turn, place, frame in each)
+    poses.axes = "body" if "qw" not in at else "body?" if ours else ""
     return poses
 
 
@@ -229,10 +215,10 @@ def _rows(lines: Sequence[str], begin: int, mark: str | None) -> Iterator[tuple[
 def _number(name: str, text: str, line: int) -> float:
     if not _is_number(text) or "_" in text:  # Python would take 1_0 for 10
         raise FormatError(f", line {line}: {name} is {_cut(repr(text))}; wanted a number")
-    if not math.isfinite(float(text)):
-        what = "wanted a finite number. Leave out lines without a known pose"
-        raise FormatError(f", line {line}: {name} is {_cut(text)}; {what}")
-    return float(text)
+    if not math.isfinite(number := float(text)):
+        wanted = "wanted a finite number. Leave out lines without a known pose"
+        raise FormatError(f", line {line}: {name} is {_cut(text)}; {wanted}")
+    return number
 
 
 def _is_number(text: str) -> bool:
@@ -265,10 +251,8 @@ def _unnamed(count: int, mark: str | None) -> list[str]:
             return [*names, *(f"column {k}" for k in range(len(names), count))]
     if count == 12:
         raise FormatError(": twelve numbers a line are KITTI's poses, which have no times; wanted a column stamp")
-    raise FormatError(
-        f": {count} numbers a line, and no names of columns; wanted a first line of names (with a # or without), "
-        "or TUM's eight numbers with blanks between: stamp x y z qx qy qz qw"
-    )
+    wanted = "wanted a first line of names (with a # or without), or TUM's eight numbers with blanks between"
+    raise FormatError(f": {count} numbers a line, and no names of columns; {wanted}: stamp x y z qx qy qz qw")
 
 
 def _check_names(names: Sequence[str], line: int) -> None:
@@ -291,7 +275,7 @@ def _check_names(names: Sequence[str], line: int) -> None:
 # --- poses of pictures, without times ---
 
 
-def _colmap(lines: Sequence[str]) -> Poses | None:
+def _colmap(lines: Sequence[str]) -> GivenPoses | None:
     """The pictures of COLMAP's images.txt; None if it is another file."""
     rows = [line.split(maxsplit=9) for line in lines if not line.lstrip().startswith("#")]
     rows = [row for row in rows if len(row) == 10 and not all(map(_is_number, row[9].split()))]
@@ -308,7 +292,7 @@ def _colmap(lines: Sequence[str]) -> Poses | None:
     return _placed([row[9].strip() for row in rows], turns, places, "optical", "COLMAP's images.txt")
 
 
-def _nerfstudio(text: str) -> Poses:
+def _nerfstudio(text: str) -> GivenPoses:
     """The pictures of a transforms.json. Raises `FormatError`."""
     try:
         found: Any = parsed(text)
@@ -328,16 +312,14 @@ def _nerfstudio(text: str) -> Poses:
     return _placed(names, left @ right, matrices[:, :3, 3], "opengl", "a transforms.json")
 
 
-def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: str, form: str) -> Poses:
+def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: str, form: str) -> GivenPoses:
     """Pictures by name in order of the names, one a second where these are no times."""
     order = sorted(range(len(names)), key=lambda k: natural(_base(names[k])))
     stamps = times_of([PurePath(_base(names[k])).stem for k in order])
     if stamps is None or len({*stamps}) < len(stamps):
         stamps = [float(k) for k in range(len(names))]
-    poses = sorted(
-        (FramePose(at, turns[k], places[k], names[k]) for at, k in zip(stamps, order, strict=True)), key=itemgetter(0)
-    )
-    found = Poses(poses)
+    made = (Pose(at, turns[k], places[k], frame=names[k]) for at, k in zip(stamps, order, strict=True))
+    found = GivenPoses(sorted(made, key=lambda pose: pose.stamp))
     found.axes, found.form = axes, form
     return found
 
@@ -345,23 +327,26 @@ def _placed(names: Sequence[str], turns: np.ndarray, places: np.ndarray, axes: s
 # --- at a time, and with pictures ---
 
 
-def usable(poses: Sequence[FramePose], name: str | Path) -> Sequence[FramePose]:
-    """Those that are `near`; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
-    near = tuple(pose for pose in poses if pose.near)
+def is_near(pose: Pose) -> bool:
+    """Whether the position can be one: a lost estimate of a robot's place often ends in numbers without end."""
+    return pose.position is None or bool((np.abs(pose.position) <= FARTHEST).all())
+
+
+def usable(poses: Sequence[Pose], name: str | Path) -> Sequence[Pose]:
+    """Those that are near; that others are left out is a `UserWarning`. Raises `PoseError` if none is left."""
+    near = tuple(filter(is_near, poses))
     if len(near) == len(poses):
         return poses
-    first = next(pose for pose in poses if not pose.near)
-    text = (
-        f"{name}: the position at {first.stamp:.10g} s is {np.asarray(first.position).tolist()}; wanted metres, each "
-        f"within {FARTHEST:g} of the origin"
-    )
+    first = next(pose for pose in poses if not is_near(pose))
+    place = f"the position at {first.stamp:.10g} s is {np.asarray(first.position).tolist()}"
+    text = f"{name}: {place}; wanted metres, each within {FARTHEST:g} of the origin"
     if not near:
         raise PoseError(f"{text}. So are all others: are they metres?")
     warnings.warn(f"{text}. Left out: {len(poses) - len(near)} of {len(poses)} poses", UserWarning, stacklevel=2)
     return near
 
 
-def interpolated(poses: Sequence[Any]) -> Callable[[float], tuple[np.ndarray, np.ndarray | None]]:
+def interpolated(poses: Sequence[Pose]) -> Callable[[float], tuple[np.ndarray, np.ndarray | None]]:
     """Orientation ``(3, 3)`` and position ``(3,)`` at any time, between `poses`; before and after them, the nearest."""
     stamps = np.array([pose.stamp for pose in poses])
 
@@ -379,8 +364,8 @@ def interpolated(poses: Sequence[Any]) -> Callable[[float], tuple[np.ndarray, np
 
 
 def pair(
-    poses: Sequence[FramePose], images: Sequence[Path], name: str | Path = "the pose file"
-) -> tuple[tuple[FramePose, Path | None], ...]:
+    poses: Sequence[Pose], images: Sequence[Path], name: str | Path = "the pose file"
+) -> tuple[tuple[Pose, Path | None], ...]:
     """Each pose with its image, sorted by time: by file name if the file has names, else in order.
 
     Poses of other images are kept as odometry. Raises `PoseError` for an image with no pose or with two, and for
@@ -394,23 +379,20 @@ def pair(
             )
         return tuple(zip(poses, images, strict=True))
     by_name, by_stem = {image.name: image for image in images}, {image.stem: image for image in images}
-    if len(by_name) < len(images):
-        twice = sorted(n for n in by_name if sum(image.name == n for image in images) > 1)
-        raise PoseError(f"two frames are called {twice[0]}; rename one, because poses refer to frames by name")
-    told = [_base(pose.frame) if pose.frame else "" for pose in poses]  # nerfstudio may leave out the ending
-    pairs = tuple((pose, by_name.get(each) or by_stem.get(each)) for pose, each in zip(poses, told, strict=True))
-    used = [image.name for _, image in pairs if image is not None]
-    missing = [n for n in by_name if n not in {*used}]
+    for called, count in Counter(image.name for image in images).items():
+        if count > 1:
+            raise PoseError(f"{count} frames are called {called}; rename them, because poses name frames")
+    bases = [_base(pose.frame) if pose.frame else "" for pose in poses]  # nerfstudio may leave out the ending
+    pairs = tuple((pose, by_name.get(each) or by_stem.get(each)) for pose, each in zip(poses, bases, strict=True))
+    used = Counter(image.name for _, image in pairs if image is not None)
+    missing, twice = [n for n in by_name if n not in used], sorted(n for n, count in used.items() if count > 1)
+    lacks = f"{name} has no pose for {_some(missing)}"
     if missing and used and getattr(poses, "form", ""):
-        text = f"{name} has no pose for {_some(missing)}, {len(missing)} of {len(images)} pictures: left out"
-        warnings.warn(text, UserWarning, stacklevel=2)
+        warnings.warn(f"{lacks}, {len(missing)} of {len(images)} pictures: left out", UserWarning, stacklevel=2)
     elif missing:
-        raise PoseError(
-            f"{name} has no pose for {_some(missing)}: its column 'frame' must name each image. "
-            "Add a line for it, or leave that image out"
-        )
-    if len(used) > len({*used}):
-        twice = sorted({n for n in used if used.count(n) > 1})
+        column = "its column 'frame' must name each image. Add a line for it, or leave that image out"
+        raise PoseError(f"{lacks}: {column}")
+    if twice:
         raise PoseError(f"{name} has several poses for {_some(twice)}; leave 'frame' empty on all lines but one")
     return pairs
 

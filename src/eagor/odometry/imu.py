@@ -16,6 +16,7 @@ from __future__ import annotations
 import io
 import os
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO, NamedTuple
 
@@ -24,9 +25,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from eagor._values import lazy
 from eagor.errors import FormatError, PoseError
+from eagor.odometry import Pose
 
 __all__ = ["MotionTrack", "Trailer", "read_insta360"]
 
+RATE = 100.0  # poses per second that are taken from a track
 MARGIN = 0.1  # seconds beyond the ends of the track in which its first or last orientation holds
 # Seconds over which accelerations are averaged: longer than a step or a swing of the arm (1 to 2 s), so that they
 # cancel; short enough that a gyroscope with a bias of 0.5 degrees per second turns by 2.5 degrees meanwhile.
@@ -46,7 +49,7 @@ ABSURD = 1e5  # a value as large as that is no measurement: raw ones have 16 bit
 
 @dataclass(frozen=True, eq=False)
 class MotionTrack:
-    """Orientations of the camera at known times.
+    """A `PoseSource`: orientations of the camera at known times, from its IMU; iterating gives `RATE` per second.
 
     `stamps` ``(N,)``: seconds on the video's clock, increasing. `rotations`: world_R_body at each; the world has z up.
     `source`: for texts.
@@ -56,28 +59,26 @@ class MotionTrack:
     rotations: Rotation = field(repr=False)
     source: str = ""
 
-    @property
-    def start(self) -> float:
-        """The first stamp."""
-        return float(self.stamps[0])
+    def __iter__(self) -> Iterator[Pose]:
+        first, last = self.stamps[[0, -1]].tolist()
+        for number in range(int((last - first) * RATE) + 1):
+            yield Pose(stamp := first + number / RATE, self.world_R_body(stamp))
 
-    @property
-    def end(self) -> float:
-        """The last stamp."""
-        return float(self.stamps[-1])
+    def close(self) -> None:
+        """Nothing is held."""
 
     def world_R_body(self, stamp: float) -> np.ndarray:
         """The pose ``(3, 3)`` at `stamp`, on the shortest turn between the samples around it.
 
         Raises `PoseError` more than `MARGIN` beyond the ends of the track.
         """
-        if not self.start - MARGIN <= stamp <= self.end + MARGIN:
+        first, last = self.stamps[[0, -1]].tolist()
+        if not first - MARGIN <= stamp <= last + MARGIN:
             raise PoseError(
-                f"the motion track ({self.source}) tells no orientation at {stamp:.3f} s: it goes from "
-                f"{self.start:.3f} to {self.end:.3f} s. Take pictures from within these times, or "
-                "give the poses in another way"
+                f"the motion track ({self.source}) tells no orientation at {stamp:.3f} s: it goes from {first:.3f} to "
+                f"{last:.3f} s. Take pictures from within these times, or give the poses in another way"
             )
-        return self._between(min(max(stamp, self.start), self.end)).as_matrix()
+        return self._between(min(max(stamp, first), last)).as_matrix()
 
     @lazy
     def _between(self) -> Slerp:

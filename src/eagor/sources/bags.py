@@ -1,44 +1,29 @@
 """ROS 2 bags without ROS: recordings of topics, read from MCAP or SQLite (a folder or one file), and written as MCAP.
 
-`rosbags` reads them. Of an MCAP file without an end, as a crash leaves it, a whole copy is read, with what can be read
-of it; of an SQLite file with a journal beside it, one into which that is folded.
+`rosbags` reads them. Of an MCAP file without an end, as a crash leaves it, a copy of its whole chunks is read; of an
+SQLite file with a journal beside it, one into which that is folded.
 """
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import sqlite3
-import struct
 import tempfile
 import threading
 import time
 import warnings
 import weakref
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from errno import ENOENT
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from eagor._extras import require_extra
 from eagor.errors import EagorError, FormatError, StorageError
 from eagor.sources.panorama import in_order
-from eagor.sources.ros_messages import (
-    CAMERA_INFO,
-    COMPRESSED,
-    IMAGE,
-    IMU,
-    NANO,
-    ODOMETRY,
-    POSE,
-    POSE_WITH_COVARIANCE,
-    TRANSFORM,
-    TRANSFORMS,
-    nanoseconds,
-    store,
-)
+from eagor.sources.ros_messages import CAMERA_INFO, MOTION, NANO, PICTURES, nanoseconds, store
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -52,10 +37,7 @@ SUFFIXES = (".mcap", ".db3")
 MAGIC, ROS_1, ROS_1_SUFFIX = b"\x89MCAP0\r\n", b"#ROSBAG V", ".bag"
 ZSTANDARD = b"\x28\xb5\x2f\xfd"  # as no message begins: a recorder compresses by message, too
 DEFINITIONS = ("ros2msg", "ros2idl", "omgidl")  # of types, that `rosbags` reads
-CHUNK = 0x06  # MCAP's number of such records
 MOST = 1 << 28  # bytes of a record of a file that was cut off, which may claim any
-PICTURES = (IMAGE, COMPRESSED)
-MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS, POSE_WITH_COVARIANCE, TRANSFORM)  # the best first
 TF, TF_STATIC = "/tf", "/tf_static"
 
 
@@ -114,15 +96,12 @@ class Bag:
                         if data[:4] == ZSTANDARD:
                             data = ZstdDecompressor().decompressobj().decompress(data)
                         stamp, topic, kind = nanos / NANO, connection.topic, connection.msgtype
-                        if topic not in decoders:
-                            decoders[topic] = _decoder(self.path, connection)
+                        decoders[topic] = decode = decoders.get(topic) or _decoder(self.path, connection)
                         try:
-                            message = decoders[topic](data, kind)
+                            message = decode(data, kind)
                         except Exception as error:
-                            raise FormatError(
-                                f"{self.path}: a message of {topic} at {stamp:.3f} s is no {kind} "
-                                f"({type(error).__name__}: {error})"
-                            ) from error
+                            what = f"{topic} at {stamp:.3f} s is no {kind} ({type(error).__name__}: {error})"
+                            raise FormatError(f"{self.path}: a message of {what}") from error
                         yield stamp, topic, kind, message
             except EagorError:
                 raise
@@ -185,65 +164,29 @@ def _recover(file: Path, whole: Path) -> str | None:
     from mcap.stream_reader import StreamReader
     from mcap.writer import CompressionType, Writer
 
-    schemas, channels, broken = dict[int, int](), dict[int, int](), "it has no end"
+    schemas, channels = dict[int, int](), dict[int, int]()
     with file.open("rb") as source, whole.open("wb") as copy:
         writer = Writer(copy, compression=CompressionType.NONE)
         writer.start("ros2")
-
-        def take(records: Iterable[Any]) -> bool:
-            """Copy them; whether the end of the file is among them."""
-            for record in records:
+        try:
+            for record in StreamReader(source, validate_crcs=True, record_size_limit=MOST).records:
                 if isinstance(record, Message):
-                    if record.channel_id in channels:
-                        number = channels[record.channel_id]
+                    if (number := channels.get(record.channel_id)) is not None:
                         writer.add_message(number, record.log_time, record.data, record.publish_time, record.sequence)
                 elif isinstance(record, Schema) and record.id not in schemas:  # each chunk may say it again
-                    text = record.data if record.encoding in DEFINITIONS else b""
-                    encoding = record.encoding if text else ""
-                    schemas[record.id] = writer.register_schema(record.name, encoding, text)
+                    known = record.encoding in DEFINITIONS and record.data
+                    how = (record.encoding, record.data) if known else ("", b"")
+                    schemas[record.id] = writer.register_schema(record.name, *how)
                 elif isinstance(record, Channel) and record.id not in channels:
                     schema = schemas.get(record.schema_id, 0)
                     channels[record.id] = writer.register_channel(record.topic, record.message_encoding, schema)
                 elif isinstance(record, DataEnd):
-                    return True
-            return False
-
-        try:
-            if take(StreamReader(source, validate_crcs=True, record_size_limit=MOST).records):
-                broken = None
+                    return None
         except Exception as error:  # as the library happens to meet the damage
-            broken = str(error) or "it ends in the middle of a record"
-            with suppress(Exception):
-                inside = io.BytesIO(_cut_chunk(source))
-                take(StreamReader(inside, skip_magic=True, record_size_limit=MOST).records)
-        writer.finish()
-    return broken
-
-
-def _cut_chunk(source: BinaryIO) -> bytes:
-    """The records in the last chunk of an MCAP file that ends within it, as far as they go; empty if it does not."""
-    from lz4.frame import LZ4FrameDecompressor
-    from zstandard import ZstdDecompressor
-
-    end, at = source.seek(0, os.SEEK_END), len(MAGIC)
-    while at + 9 <= end:
-        source.seek(at)
-        kind, length = struct.unpack("<BQ", source.read(9))
-        if at + 9 + length > end:
-            if kind != CHUNK or end - at > MOST:
-                break
-            source.seek(at + 9 + 28)  # times, size and checksum of the whole chunk
-            method = source.read(*struct.unpack("<I", source.read(4)))
-            source.seek(8, os.SEEK_CUR)
-            match method, source.read():
-                case b"lz4", data:
-                    return LZ4FrameDecompressor().decompress(data, max_length=MOST)
-                case b"zstd", data:
-                    return ZstdDecompressor().stream_reader(data).read(MOST)
-                case _, data:
-                    return data
-        at += 9 + length
-    return b""
+            return str(error) or "it ends in the middle of a record"
+        finally:
+            writer.finish()
+    return "it has no end"
 
 
 def _fold(file: Path, beside: Sequence[Path], whole: Path) -> None:

@@ -1,23 +1,21 @@
 """What a camera's pictures tell of it: the lenses of a dual fisheye camera, how well these agree, how late it stamps.
 
-**Lenses.** What both see at once, the overlap, ties them to each other, and fixes their curves there. It tells nothing
-about the inside of the pictures: that part then rests on the assumption that the lenses are nearly equidistant.
-Pictures of a camera that turned in place fix all of it, since the same things pass through all parts of the lenses, and
-a whole turn is 360 degrees. Robust least squares with weak priors; nothing tells how the rig as a whole sits on the
-body.
+**Lenses.** The overlap ties them to each other, and fixes their curves there; the inside of the pictures then rests on
+the assumption that the lenses are nearly equidistant. If the camera turned in place, the same things pass through all
+parts of the lenses, and a whole turn is 360 degrees. Nothing tells how the rig as a whole sits on the body.
 
-**Latency.** A camera that stamps its pictures `latency` seconds late shows at the stamp t what odometry told for t -
-latency. For each step between two pictures both tell how far the body turned about its vertical axis; the latency is
-the shift at which the two series have the highest correlation. Its interval is from a moving-block bootstrap (H.
-Kunsch, Annals of Statistics 17, 1989): neighbouring steps are not independent.
+**Latency.** A camera that stamps its pictures `latency` seconds late shows at t what odometry told for t - latency: the
+shift at which turns about the vertical axis, from picture to picture, have the highest correlation with odometry's. Its
+interval is from a moving-block bootstrap (H. Kunsch, Annals of Statistics 17, 1989).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -34,9 +32,7 @@ from eagor.sources.panorama import checked_picture
 from eagor.sources.stitching import Stitcher, sizes_of
 from eagor.sphere import world_R_body
 
-__all__ = [
-    "Calibrated", "Latency", "calibrate", "check_turning", "first_rig", "latency_between", "overlap_of", "steps_of",
-]  # fmt: skip
+__all__ = ["Calibrated", "Latency", "calibrate", "check_turning", "latency_between", "overlap_of", "steps_of"]
 
 FIELDS = np.radians([180, 185, 190, 195, 200, 205, 210, 220])  # of which one is taken to begin with
 GATES = np.radians([6.0, 1.5])  # between the rays of a pair, in each round of finding points
@@ -55,15 +51,19 @@ CURVE, ALIKE = 0.10, 0.3  # of each term of the polynomial at the rim; share of 
 FINEST, PARALLAX = math.radians(0.05), math.radians(0.3)
 ROUNDS, HEAVY = 4, 2.4  # of estimating the noise; noises at which Cauchy's loss begins to level off
 
+GRID = 0.005  # seconds between the shifts that are tried; the peak is found between them
+FEWEST_STEPS, LONGEST = 20, 1.0  # between pictures; seconds between two of them
+LEAST_CHANGE = math.radians(3.0)  # per second: by how much the turning rate has to vary to tell anything
+LEAST_MATCH = 0.5  # correlation below which the two do not show the same motion
+BLOCK, DRAWS = 1.0, 400  # seconds of neighbouring steps that are drawn together, and how often
+
 Sightings = Features  # with moment, lens, x, y (pixels) of each point, ``(n, 4)``, in place of its direction
 
 
-@dataclass(frozen=True, eq=False)
-class Calibrated:
-    """A fitted `rig` and how well it fits.
+class Calibrated(NamedTuple):
+    """A fitted `rig`, the `pairs` between its lenses, and between moments (0 unless the camera turned).
 
-    `pairs` between the lenses, and between moments (0 unless the camera turned); `gap`: the median angle between the
-    two rays of a pair, radians; `before`: the same with the rig to begin with.
+    `gap`: the median angle between the two rays of a pair, radians; `before`: the same with the rig to begin with.
     """
 
     rig: Rig
@@ -93,42 +93,34 @@ def calibrate(
         raise ImageError("the rig has other lenses than two fisheyes; this fits dual fisheye cameras")
     seen = _sightings(start, moments, on_step)
     start = start if rig else _placed(start, seen)
-    turns = _chained(start, seen) if turned else np.eye(3)[None].repeat(len(moments), axis=0)
+    turns = _chained(start, seen) if turned else None
     fitted, before, x, pairs = start, 0.0, None, np.empty((0, 2, 4))
     for gate in GATES:  # the second time on views that the first fit has straightened
         seen = seen if x is None else _sightings(fitted, moments, on_step)
-        pairs = _pairs(fitted, seen, turns, float(gate), turned)
+        pairs = _pairs(fitted, seen, turns, float(gate))
         if len(pairs) < FEWEST:
             where = "between the pictures" if turned else "in the overlap of the lenses"
             raise ImageError(
-                f"only {len(pairs)} points were found again {where} of {len(moments)} pictures; wanted {FEWEST} or "
-                "more. Give more pictures, with things two metres away or farther in all directions, in good light. If "
-                "the lenses do not overlap, nothing can be fitted"
+                f"only {len(pairs)} points were found again {where} of {len(moments)} pictures; wanted {FEWEST}. Give "
+                "more pictures, in good light, with things two metres away or farther all around, where lenses overlap"
             )
         before = before or float(np.median(_gaps(start, pairs, turns)))
-        fitted, turns, x = _fitted(start, pairs, turns, turned, x)
+        fitted, turns, x = _fitted(start, pairs, turns, x)
     within = int((pairs[:, 0, 0] == pairs[:, 1, 0]).sum())
     return Calibrated(fitted, (within, len(pairs) - within), float(np.median(_gaps(fitted, pairs, turns))), before)
-
-
-# --- a start ---
 
 
 def first_rig(moments: Sequence[Sequence[np.ndarray]], fov: float = math.radians(200)) -> Rig:
     """An ideal rig of two lenses back to back, `fov` radians across, whose circles are where these pictures show them.
 
-    `moments`: for each moment its picture ``(H, W, 3)`` with both circles side by side, or two pictures, one per lens.
-    Raises `ImageError` unless all have the same size, and one or two pictures each.
+    Side by side in one picture of each moment, or in two. Raises `ImageError` for others, and for different sizes.
     """
     sizes = {sizes_of(checked_picture(each, "a picture") for each in pictures) for pictures in moments}
     if len(sizes) != 1:
-        raise ImageError(
-            f"the pictures have {len(sizes)} different sizes; wanted those of one camera in one mode, all alike"
-        )
+        raise ImageError(f"the pictures have {len(sizes)} different sizes; wanted those of one camera in one mode")
     (size,) = sizes
-    ((width, height), *others) = size
-    half = 0 if others else width // 2
-    if len(others) > 1 or (half and not 1.8 <= width / height <= 2.2):
+    (width, height), half = size[0], size[0][0] // 2 if len(size) == 1 else 0
+    if len(size) > 2 or (half and not 1.8 <= width / height <= 2.2):
         raise ImageError(
             f"a moment has pictures of {size}; wanted two circles side by side (twice as wide as high), or two "
             "pictures, one for each lens. For another layout, begin with a rig: --rig FILE.yaml"
@@ -153,9 +145,9 @@ def _circle(brightest: np.ndarray) -> tuple[float, float, float]:
     return (left + right) / 2, (top + bottom) / 2, max(right - left, bottom - top) / 2
 
 
-def _placed(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> Rig:
+def _placed(rig: Rig, seen: Sequence[Sightings]) -> Rig:
     """`rig` with the field that fits best, and its second lens turned as the points say."""
-    pairs, best, most = np.concatenate([_matched(front, back) for front, back in seen]), rig, 0
+    pairs, best, most = _between_lenses(rig, seen), rig, 0
     for fov in FIELDS:
         lenses = [replace(lens, focal=(lens.radius / (fov / 2),) * 2) for lens in rig.lenses]
         rays = [lens.unproject(*pairs[:, side, 2:].T) for side, lens in enumerate(lenses)]
@@ -166,38 +158,35 @@ def _placed(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> Rig:
     return best
 
 
-def _chained(rig: Rig, seen: Sequence[Sequence[Sightings]]) -> np.ndarray:
+def _chained(rig: Rig, seen: Sequence[Sightings]) -> np.ndarray:
     """Rotations ``(m, 3, 3)`` of the moments, in the axes of the first, each by way of the one before."""
-    joined, turns, still = [_joined(rig, each) for each in seen], [np.eye(3)], np.eye(3)[None].repeat(len(seen), 0)
-    for number, (one, other) in enumerate(pairwise(joined), 2):
+    turns = [np.eye(3)]
+    for number, (one, other) in enumerate(pairwise(_deepest(rig, each) for each in seen), 2):
         pairs = _matched(one, other)
         pairs = pairs[:: max(1, math.ceil(len(pairs) / FOR_TURNS))]
-        rays = [_rays(rig, pairs[:, side], still) for side in (0, 1)]
+        rays = [_rays(rig, pairs[:, side]) for side in (0, 1)]
         turn = estimate_relative_rotation(*rays, moves=False) if len(pairs) else None
         if turn is None:
             raise ImageError(
-                f"picture {number} cannot be related to the one before: were they taken at the same place, in the "
-                "order in which the camera turned, by at most 60 degrees from one to the next? Leave it out, or give "
-                "more"
+                f"picture {number} cannot be related to the one before: were they taken at one place, in the order in "
+                "which the camera turned, by at most 60 degrees each? Leave it out, or give more"
             )
         turns.append(turns[-1] @ turn.old_R_new)
     return np.stack(turns)
 
 
-# --- things seen twice ---
-
-
-def _sightings(rig: Rig, moments: Sequence[Sequence[np.ndarray]], on_step: Callable[[], None]) -> list[list[Sightings]]:
-    """What each lens sees of each moment, found on views that are straight as far as `rig` knows."""
+def _sightings(rig: Rig, moments: Sequence[Sequence[np.ndarray]], on_step: Callable[[], None]) -> list[Sightings]:
+    """What the lenses see of each moment, found on views that are straight as far as `rig` knows."""
     stitcher, found = Stitcher(rig, min(ROWS, rig.rows)), []
     size = max(LEAST_PIXELS, min(MOST_PIXELS, round(2 * math.tan(FIELD / 2) * stitcher.grid.height / math.pi)))
     for moment, pictures in enumerate(moments):
-        found.append([])
+        points, descriptors = [], []
         for index, lens in enumerate(rig.lenses):
             features = Views.of(stitcher.alone(index, *pictures)[0], size=size).features
             x, y, depth = lens.project(features.directions)
-            points = np.stack([np.full(len(x), moment), np.full(len(x), index), x, y], axis=1)
-            found[-1].append(Sightings(points, features.descriptors)[depth > RIM])
+            own = np.stack([np.full(len(x), moment), np.full(len(x), index), x, y], axis=1)
+            points, descriptors = [*points, own[depth > RIM]], [*descriptors, features.descriptors[depth > RIM]]
+        found.append(Sightings(np.concatenate(points), np.concatenate(descriptors)))
         on_step()
     return found
 
@@ -208,48 +197,48 @@ def _matched(one: Sightings, other: Sightings) -> np.ndarray:
     return np.stack([one.directions[first], other.directions[second]], axis=1)
 
 
-def _joined(rig: Rig, lenses: Sequence[Sightings]) -> Sightings:
-    """All points of a moment, each thing by the lens that sees it deepest: twins would fail the ratio test."""
-    points = np.concatenate([each.directions for each in lenses])
-    rays = _rays(rig, points * [0, 1, 1, 1], np.eye(3)[None])
-    deepest = np.array([lens.project(rays)[2] for lens in rig.lenses]).argmax(axis=0) == points[:, 1]
-    return Sightings(points, np.concatenate([each.descriptors for each in lenses]))[deepest]
+def _deepest(rig: Rig, seen: Sightings) -> Sightings:
+    """The points of a moment, each thing by the lens that sees it deepest: twins would fail the ratio test."""
+    depths = np.array([lens.project(_rays(rig, seen.directions))[2] for lens in rig.lenses])
+    return seen[depths.argmax(axis=0) == seen.directions[:, 1]]
 
 
-def _pairs(rig: Rig, seen: Sequence[Sequence[Sightings]], turns: np.ndarray, gate: float, turned: bool) -> np.ndarray:
+def _between_lenses(rig: Rig, seen: Sequence[Sightings]) -> np.ndarray:
+    """What two lenses see at the same moment, ``(n, 2, 4)``."""
+    alone = [[each[each.directions[:, 1] == index] for index in range(len(rig.lenses))] for each in seen]
+    return np.concatenate([_matched(*two) for each in alone for two in combinations(each, 2)] or [np.empty((0, 2, 4))])
+
+
+def _pairs(rig: Rig, seen: Sequence[Sightings], turns: np.ndarray | None, gate: float) -> np.ndarray:
     """Sightings of one thing, ``(n, 2, 4)``, whose rays are less than `gate` (radians) apart.
 
-    By two lenses at each moment, and if the camera `turned` in place, at two moments.
+    By two lenses at each moment, and if the camera turned in place by these `turns`, at two moments.
     """
-    n = len(seen)
-    found = [_matched(a, b) for lenses in seen for a, b in combinations(lenses, 2)]
-    if turned:
-        joined = [_joined(rig, each) for each in seen]
-        found += [_matched(joined[i], joined[j]) for i, j in combinations(range(n), 2) if min(j - i, n - j + i) <= NEXT]
-    pairs = np.concatenate([*found, np.empty((0, 2, 4))])
-    return pairs[_gaps(rig, pairs, turns) < gate]
+    pairs, n = [_between_lenses(rig, seen)], len(seen)
+    if turns is not None:
+        joined = [_deepest(rig, each) for each in seen]
+        pairs += [_matched(joined[i], joined[j]) for i, j in combinations(range(n), 2) if min(j - i, n - j + i) <= NEXT]
+    found = np.concatenate(pairs)
+    return found[_gaps(rig, found, turns) < gate]
 
 
-def _rays(rig: Rig, points: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """Where points ``(n, 4)`` are seen, in the world, ``(n, 3)``, by a camera with these rotations ``(m, 3, 3)``."""
+def _rays(rig: Rig, points: np.ndarray, turns: np.ndarray | None = None) -> np.ndarray:
+    """Where points ``(n, 4)`` are seen, ``(n, 3)``; in the world, by a camera with rotations ``(m, 3, 3)``."""
     rays = np.empty((len(points), 3))
     for index, lens in enumerate(rig.lenses):
         own = points[:, 1] == index
         rays[own] = lens.unproject(*points[own, 2:].T)
-    return np.einsum("nij,nj->ni", turns[points[:, 0].astype(int)], rays)
+    return rays if turns is None else np.einsum("nij,nj->ni", turns[points[:, 0].astype(int)], rays)
 
 
-def _gaps(rig: Rig, pairs: np.ndarray, turns: np.ndarray) -> np.ndarray:
+def _gaps(rig: Rig, pairs: np.ndarray, turns: np.ndarray | None) -> np.ndarray:
     """The angle between the two rays of each pair, radians ``(n,)``."""
     return np.linalg.norm(_rays(rig, pairs[:, 0], turns) - _rays(rig, pairs[:, 1], turns), axis=1)
 
 
-# --- the fit ---
-
-
 def _fitted(
-    start: Rig, pairs: np.ndarray, turns: np.ndarray, turned: bool, before: np.ndarray | None
-) -> tuple[Rig, np.ndarray, np.ndarray]:
+    start: Rig, pairs: np.ndarray, turns: np.ndarray | None, before: np.ndarray | None
+) -> tuple[Rig, np.ndarray | None, np.ndarray]:
     """The most likely lenses near those of `start` that make the rays of `pairs` meet, and the camera's turns.
 
     The third are the differences from the start: of each lens, then the rotations of the moments but the first;
@@ -257,15 +246,15 @@ def _fitted(
     share their errors.
     """
     used, own = pairs[:: max(1, math.ceil(len(pairs) / MOST))], OWN * len(start.lenses)
-    size = own + (3 * (len(turns) - 1) if turned else 0)
+    moments = 1 if turns is None else len(turns)
+    size = own + 3 * (moments - 1)
     curves = [CURVE / lens.reach ** (2 * np.arange(1, 5)) for lens in start.lenses]
     priors = [(CENTRE, CENTRE, FOCAL, *curve, TILT, TILT, TILT) for curve in curves]
     deviations = np.concatenate([*priors, np.full(size - own, TURN)])
-    still = np.eye(3)[None].repeat(len(turns), 0)
-    parts = np.unique(bin_index(_rays(start, used.reshape(-1, 4), still))).size * len(start.lenses)
-    share = min(1.0, parts * (len(turns) if turned else 1) / len(used))
+    parts = np.unique(bin_index(_rays(start, used.reshape(-1, 4)))).size * len(start.lenses)
+    share = min(1.0, parts * moments / len(used))
 
-    def at(x: np.ndarray) -> tuple[Rig, np.ndarray]:
+    def at(x: np.ndarray) -> tuple[Rig, np.ndarray | None]:
         """Lenses and rotations ``(m, 3, 3)`` of the moments."""
         lenses = []
         for part, lens in zip(x[:own].reshape(-1, OWN), start.lenses, strict=True):
@@ -274,8 +263,8 @@ def _fitted(
             focal = (lens.focal[0] * math.exp(part[2]), lens.focal[1] * math.exp(part[2]))
             pose = lens.body_R_lens @ Rotation.from_rotvec(part[7:]).as_matrix()
             lenses.append(replace(lens, centre=centre, focal=focal, distortion=tuple(terms), body_R_lens=pose))
-        steps = np.concatenate([np.zeros(3), x[own:]]).reshape(-1, 3)
-        return Rig(start.sizes, tuple(lenses)), turns @ Rotation.from_rotvec(steps).as_matrix() if turned else turns
+        steps = Rotation.from_rotvec(np.concatenate([np.zeros(3), x[own:]]).reshape(-1, 3))
+        return Rig(start.sizes, tuple(lenses)), None if turns is None else turns @ steps.as_matrix()
 
     def residuals(x: np.ndarray, scale: np.ndarray) -> np.ndarray:
         rig, rotations = at(x)
@@ -288,13 +277,10 @@ def _fitted(
         x[:own] = before[:own]
     for _ in range(ROUNDS):  # weights of Cauchy's law for the pairs; priors are Gaussian
         gaps = _gaps(at(x)[0], used, at(x)[1])
-        noise = max(FINEST if turned else PARALLAX, float(np.median(gaps)) / math.sqrt(2 * math.log(2)))
+        noise = max(PARALLAX if turns is None else FINEST, float(np.median(gaps)) / math.sqrt(2 * math.log(2)))
         scale = np.sqrt(share / (1 + (gaps / (HEAVY * noise)) ** 2)) / noise
         x = least_squares(residuals, x, args=(scale,), max_nfev=8, x_scale=deviations).x
     return *at(x), x
-
-
-# --- how well lenses agree ---
 
 
 def overlap_of(rig: Rig, pictures: Sequence[np.ndarray]) -> tuple[float, np.ndarray, float | None, np.ndarray]:
@@ -316,33 +302,17 @@ def overlap_of(rig: Rig, pictures: Sequence[np.ndarray]) -> tuple[float, np.ndar
     below[seen] = np.clip(4 * difference[seen], 0, 255).astype(np.uint8)[:, None]
     area = float(weights[seen].sum())
     grey = float((difference * weights)[seen].sum()) / area if area else None
-    still = np.eye(3)[None]
-    pairs = _pairs(rig, _sightings(rig, [pictures], lambda: None), still, float(GATES[0]), turned=False)
-    return area / (4 * math.pi), _gaps(rig, pairs, still), grey, np.concatenate([shown, below])
+    pairs = _pairs(rig, _sightings(rig, [pictures], lambda: None), None, float(GATES[0]))
+    return area / (4 * math.pi), _gaps(rig, pairs, None), grey, np.concatenate([shown, below])
 
 
-# --- how late a camera's stamps are ---
-
-GRID = 0.005  # seconds between the shifts that are tried; the peak is found between them
-FEWEST_STEPS = 20
-LEAST_CHANGE = math.radians(3.0)  # per second: by how much the turning rate has to vary to tell anything
-LEAST_MATCH = 0.5  # correlation below which the two do not show the same motion
-BLOCK, DRAWS = 1.0, 400  # seconds of neighbouring steps that are drawn together, and how often
-LONGEST = 1.0  # seconds between two pictures that make a step
-
-
-@dataclass(frozen=True)
-class Latency:
-    """`seconds` from capture to stamp, the `interval` that holds it with 95 %, and the correlation there.
-
-    `steps`: how many were compared. `mirrored`: whether the pictures turn the other way than odometry does.
-    """
+class Latency(NamedTuple):
+    """`seconds` from capture to stamp, the `interval` that holds it with 95 %, the `correlation` of so many `steps`."""
 
     seconds: float
     interval: tuple[float, float]
     correlation: float
     steps: int
-    mirrored: bool = False
 
 
 def steps_of(frames: Iterable[Frame]) -> np.ndarray:
@@ -375,28 +345,23 @@ def latency_between(steps: np.ndarray, poses: Sequence[Pose], *, most: float = 1
     if n < FEWEST_STEPS:
         span = f"{steps[0, 0]:.2f} to {steps[-1, 1]:.2f} s" if len(steps) else "none that could be compared"
         raise PoseError(
-            f"{n} steps between pictures lie within the odometry, {most:g} s off its ends; wanted {FEWEST_STEPS} or "
-            f"more. Pictures: {span}; odometry: {first:.2f} to {last:.2f} s. Both need one clock: shift one of them, "
-            "or record longer"
+            f"{n} steps between pictures lie within the odometry, {most:g} s off its ends; wanted {FEWEST_STEPS}. "
+            f"Pictures: {span}; odometry: {first:.2f} to {last:.2f} s. Shift one to the other's clock, or record longer"
         )
     shifts = np.arange(-most, most + GRID / 2, GRID)
     rates = np.stack([_turned(slerp, start - shift, end - shift) for shift in shifts]) / (end - start)  # (shifts, n)
     seen = turned / (end - start)
     values = _correlation(rates, seen)
-    mirrored = bool(values.max() < -values.min() - 0.2)
-    if mirrored:
-        values, seen = -values, -seen
     at = int(values.argmax())
-    if values[at] < LEAST_MATCH:
+    opposite = -values.min() > values.max() + 0.2
+    if opposite or values[at] < LEAST_MATCH:
         raise PoseError(
-            f"what the pictures show and what odometry tells do not agree at any shift up to {most:g} s (highest "
-            f"correlation {values[at]:.2f}; wanted {LEAST_MATCH:g} or more). Are they of the same time and body, and "
-            "is the shift larger (--most SECONDS)?"
+            f"pictures and odometry {'turn the other way' if opposite else 'do not agree'} at any shift up to {most:g} "
+            f"s (highest correlation {values[at]:.2f}; wanted {LEAST_MATCH:g}). Are they of one time and body, or "
+            "mirrored, or is the shift larger (--most SECONDS)?"
         )
     if at in (0, len(shifts) - 1):
-        raise PoseError(
-            f"the best shift is {shifts[at]:+.2f} s, the end of what was searched; search farther: --most {2 * most:g}"
-        )
+        raise PoseError(f"the best shift is the last one, {shifts[at]:+.2f} s; search farther: --most {2 * most:g}")
     random, peaks = np.random.default_rng(seed), []
     block = min(max(1, round(BLOCK / float(np.median(end - start)))), max(1, n // 4))
     for _ in range(DRAWS):
@@ -404,7 +369,7 @@ def latency_between(steps: np.ndarray, poses: Sequence[Pose], *, most: float = 1
         drawn = (begins[:, None] + np.arange(block)).ravel()[:n]
         peaks.append(_peak(shifts, _correlation(rates[:, drawn], seen[drawn])))
     low, high = map(float, np.quantile(peaks, [0.025, 0.975]))
-    return Latency(_peak(shifts, values), (low, high), float(values[at]), n, mirrored)
+    return Latency(_peak(shifts, values), (low, high), float(values[at]), n)
 
 
 def check_turning(poses: Sequence[Pose]) -> Slerp:
@@ -416,11 +381,8 @@ def check_turning(poses: Sequence[Pose]) -> Slerp:
     ticks = np.linspace(stamps[0], stamps[-1], max(2, math.ceil((stamps[-1] - stamps[0]) / 0.1)))
     change = float(np.std(_turned(slerp, ticks[:-1], ticks[1:]) / np.diff(ticks)))
     if change < LEAST_CHANGE:
-        raise PoseError(
-            f"the turning rate varies by {math.degrees(change):.1f} degrees per second (standard deviation); wanted "
-            f"{math.degrees(LEAST_CHANGE):g} or more. Turn the camera left and right about its vertical axis, briskly, "
-            "for half a minute"
-        )
+        rates = f"by {math.degrees(change):.1f} degrees per second; wanted {math.degrees(LEAST_CHANGE):g} or more"
+        raise PoseError(f"the turning rate varies {rates}. Turn the camera left and right, briskly, for half a minute")
     return slerp
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,16 +26,15 @@ from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.odometry.files import times_of
 from eagor.sources import CameraSource, Frame
-from eagor.sources.bag_sources import BagCamera
 from eagor.sources.bags import is_bag, split_bag
 from eagor.sources.defects import problems
 from eagor.sources.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
 from eagor.sources.live_camera import SCHEMES, STREAMS, LiveCamera
 from eagor.sources.panorama import IMAGES, Picture, in_order, pictures_in, read_stored
 from eagor.sources.rigs import read_rig
+from eagor.sources.ros_sources import BagCamera
 from eagor.sources.stitching import PanoramaBuilder, sizes_of
-from eagor.sources.tracks import is_animation, plays, selected
-from eagor.sources.video import Video
+from eagor.sources.video import Video, is_animation, plays, selected
 
 __all__ = [
     "BUILT_IN", "GROUP", "LEAST_ROWS", "SOURCES", "Footage", "FrameCheck", "Images", "ShapeError", "is_video",
@@ -56,7 +55,8 @@ RATE = 1.0  # pictures per second where nothing tells
 LEAST_ROWS = 960  # of a video's frames: enough to look nice, and little memory
 
 NOTHING = IntrinsicsHint()
-Item = tuple[float, str, Callable[[], Picture]]  # stamp (seconds), name, and what gives the picture or `EagorError`
+Shown = TypeVar("Shown", Picture, Frame)
+Item = tuple[float, str, Callable[[], Picture | Frame]]  # stamp (seconds), name, what gives the picture, or raises
 
 
 def open_source(
@@ -127,12 +127,12 @@ def open_footage(
     if is_bag(path):
         bag = BagCamera(path, topic, rows=rows, rig=rig, camera=check.camera, info=info)
         if bag.lens is not None:
-            check.say(f"{bag.topic}: {in_words(bag.lens.name, bag.view)}")
+            check.say(f"{bag.topic}: {in_words(bag.lens.name, bag.builder.view)}")
         return Footage(partial(_of_bag, bag, check, rate, start, end), latency, bag.begins - latency, bag=bag)
     paths = [Path(place) for place in places]
     if is_video(paths, rig is not None):
         how: dict[str, Any] = {"rig": rig, "camera": camera, "force": force, "rows": rows}
-        video = Video(paths[0], *paths[1:], rate=rate, start=start, end=end, **how)
+        video = Video(*paths, rate=rate, start=start, end=end, **how)
         return Footage(partial(_of_video, video, check), latency, video=video)
     found = images_of(paths, rate, check)
     return Footage(found.items, latency, images=found)
@@ -186,10 +186,8 @@ class FrameCheck:
         key = sizes_of(pictures), hint
         builder = self._builders.get(key) if projection is None else None
         if builder is None:
-            builder = PanoramaBuilder(
-                key[0], name, rig=self.rig, camera=self.camera, hint=hint, projection=projection, rows=self.rows,
-                force=self.force,
-            )  # fmt: skip
+            known: dict[str, Any] = {"rig": self.rig, "camera": self.camera, "rows": self.rows, "force": self.force}
+            builder = PanoramaBuilder(key[0], name, hint=hint, projection=projection, **known)
             if projection is None:  # which may differ from picture to picture
                 self._builders[key] = builder
         if builder.refused or not self._looked:
@@ -199,25 +197,26 @@ class FrameCheck:
 
     def look(
         self,
-        frame: Picture,
+        frame: Shown,
         name: str,
         builder: PanoramaBuilder | None = None,
         hint: IntrinsicsHint = NOTHING,
         facts: Sequence[str] = (),
-    ) -> Picture:
+    ) -> Shown:
         """The `frame`; of the first one it is said what the file tells (`facts`, and the lens), and what looks odd."""
         if self._looked:
             return frame
         self._looked = True  # not before: who reads a frame again that was refused is told again
-        (high, wide), words, odd = frame.picture.shape[:2], "", ()
+        (high, wide), odd = frame.picture.shape[:2], ()
         if frame.grid is not None or (builder is not None and builder.fisheye):
             words = in_words((self.camera and self.camera.name) or hint.source, frame.grid)
+            facts = (words, *facts, *(hint.facts if frame.grid is not None else ()))
         elif not is_twice_as_wide(high, wide):
             odd = (f"it is {wide} x {high}, not 2:1; accepted, with all columns for 360 degrees, all rows for 180",)
         elif frame.unseen is None:  # a part has no seam
             odd = problems(frame.picture)
-        for fact in (*filter(None, [words]), *facts, *(hint.facts if frame.grid is not None else ())):
-            self.say(fact if fact.startswith("warning: ") else f"{name}: {fact}")
+        for fact in facts:
+            self.say(f"{name}: {fact}")
         for problem in odd:
             self.say(f"warning: {name}: {problem}")
         return frame
@@ -240,21 +239,19 @@ class Images:
 
 def _of_video(video: Video, check: FrameCheck) -> Iterator[Item]:
     for frame in video:
-        found = Picture(frame.picture, frame.unseen, frame.grid)
-        yield frame.stamp, frame.name, partial(check.look, found, frame.name, video.builder, video.hint)
+        yield frame.stamp, frame.name, partial(check.look, frame, frame.name, video.builder, video.hint)
 
 
 def _of_bag(bag: BagCamera, check: FrameCheck, rate: float | None, start: float, end: float | None) -> Iterator[Item]:
     """By the headers' stamps; `start` and `end` count from the first."""
 
     def seen(read: Callable[[], np.ndarray], name: str) -> Picture:
-        found = Picture(read(), bag.unseen, bag.view)
-        return check.look(found, name) if bag.view is None else found  # an ordinary lens is said already
+        found = Picture(read(), bag.builder.unseen, bag.builder.view)
+        return check.look(found, name) if found.grid is None else found  # an ordinary lens is said already
 
-    coming = ((stamp - bag.begins, (stamp, read)) for stamp, read in bag.pictures())
     last = math.inf if end is None else end
-    inside = takewhile(lambda each: each[0] <= last, (each for each in coming if each[0] >= start))
-    for _, (stamp, read) in selected(inside, 0.0, None, rate, 1e-6):
+    coming = ((stamp - bag.begins, (stamp, read)) for stamp, read in bag.pictures() if stamp - bag.begins >= start)
+    for _, (stamp, read) in selected(takewhile(lambda each: each[0] <= last, coming), 0.0, None, rate, 1e-6):
         yield stamp, (name := f"{bag.topics[0]} at {stamp:.3f} s"), partial(seen, read, name)
 
 
@@ -282,8 +279,8 @@ class Footage:
     @property
     def ordinary(self) -> bool:
         """Whether its pictures are those of an ordinary camera, as far as that is known without one."""
-        known = self.bag if self.video is None else self.video.builder
-        return known is not None and known.view is not None
+        known = self.video or self.bag
+        return known is not None and known.builder.view is not None
 
     @property
     def grid(self) -> ErpGrid | PerspectiveGrid:
@@ -324,8 +321,7 @@ def is_video(places: Sequence[Path], rig: bool = False) -> bool:
     """Whether the one place is a video, or a picture that moves; with a `rig` there may be a video for each lens."""
     if len(places) == 1 and is_animation(places[0]):
         return True
-    many = len(places) > 1 and not rig
-    return not many and all(map(_is_film, places))
+    return (len(places) == 1 or rig) and all(map(_is_film, places))
 
 
 def images_of(places: Sequence[Path], rate: float | None, check: FrameCheck) -> Images:
@@ -353,9 +349,8 @@ def _single(places: Sequence[Path]) -> tuple[Path, ...]:
         if os.path.isdir(place):
             raise ImageError(f"{place} is a folder; give one folder, or only image files")
         if not os.path.exists(place):
-            raise ImageError(
-                f"there is no file {place}; give a video, a recorded ROS 2 bag, a folder of pictures, or image files"
-            )
+            wanted = "give a video, a recorded ROS 2 bag, a folder of pictures, or image files"
+            raise ImageError(f"there is no file {place}; {wanted}")
     return in_order(places)
 
 

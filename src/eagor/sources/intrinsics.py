@@ -12,7 +12,7 @@ import os
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +42,6 @@ UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # mm: inch, cm, mm, micrometre
 QUARTERS = {3: 2, 6: 3, 8: 1}  # quarter turns, counterclockwise, of Exif's orientations; the others are mirrored
 
 FOCAL_KEY = re.compile(r"focal_?length[._]?(in)?_?35mm", re.IGNORECASE)
-STEADY_KEY = re.compile(r"stabili[sz]|steadi", re.IGNORECASE)
-OFF = ("", "0", "off", "no", "none", "false", "disabled")
 
 
 class ShapeError(ImageError):
@@ -121,10 +119,10 @@ def ordinary_grid(camera: Camera, hint: IntrinsicsHint, size: tuple[int, int], n
     width, height = size
     if camera.rig is not None:
         lens = camera.rig.lenses[0]
-        wide, high = lens.size
-        if hint.turns % 2 == 0 or _alike(size, (high, wide)):  # else it was calibrated as it is shown
+        if hint.turns % 2 == 0 or _alike(size, (lens.size[1], lens.size[0])):  # else it was calibrated as it is shown
             lens = lens.turned(hint.turns)
         if not _alike(size, lens.size):
+            wide, high = camera.rig.lenses[0].size
             raise ImageError(
                 f"{name} is {width} x {height}, and {camera.name} is for pictures of {wide} x {high}; wanted the same "
                 "shape in any size. A camera cuts its pictures differently for another shape: calibrate it with such "
@@ -164,35 +162,27 @@ def intrinsics_from_exif(path: str | Path) -> IntrinsicsHint:
             turns = QUARTERS.get(exif.get(ORIENTATION, 1), 0)
     except Exception:  # Pillow may raise anything for damaged metadata
         return IntrinsicsHint()
-    film, length, per_unit, wide, high = (
-        _number(tags.get(tag)) for tag in (FOCAL_35MM, FOCAL_LENGTH, PLANE_X, EXIF_WIDTH, EXIF_HEIGHT)
-    )
+    numbers = (_number(tags.get(tag)) for tag in (FOCAL_35MM, FOCAL_LENGTH, PLANE_X, EXIF_WIDTH, EXIF_HEIGHT))
+    film, length, per_unit, wide, high = numbers
     taken = wide or size[0], high or size[1]
     if not (_alike(size, taken) or _alike(size, (taken[1], taken[0]))):
         return IntrinsicsHint(turns=turns, facts=("its Exif is that of a picture of another shape: it was cropped",))
     if film:
         return _hint(film * math.hypot(*size) / FULL_FRAME, "its Exif (FocalLengthIn35mmFilm)", size[turns % 2], turns)
-    unit = UNITS.get(tags.get(PLANE_UNIT, 2), 0.0)
-    focal = (length or 0.0) * (per_unit or 0.0) / (unit or math.inf) * max(size) / max(taken)
-    return _hint(focal, "its Exif (FocalLength, FocalPlaneXResolution)", size[turns % 2], turns)
+    focal = (length or 0.0) * (per_unit or 0.0) / UNITS.get(tags.get(PLANE_UNIT, 2), math.inf)
+    source = "its Exif (FocalLength, FocalPlaneXResolution)"
+    return _hint(focal * max(size) / max(taken), source, size[turns % 2], turns)
 
 
 def intrinsics_from_tags(tags: Mapping[str, str], size: tuple[int, int], turns: int) -> IntrinsicsHint:
     """What the `tags` of a video say, of pictures of `size` (width, height) as they are shown.
 
-    Phones write the focal length in 35 mm film (``com.apple.quicktime.camera.focal_length.35mm_equivalent`` and the
-    like). Where the tags say that the pictures were steadied or cropped, a fact warns: no lens describes them exactly.
+    Phones write the focal length in 35 mm film (``com.apple.quicktime.camera.focal_length.35mm_equivalent``).
     """
-    facts = tuple(
-        f"warning: its metadata says {key.rsplit('.', 1)[-1]} = {value}: such pictures move within the lens' field, "
-        "so directions are off by some degrees. Film without stabilisation"
-        for key, value in tags.items()
-        if STEADY_KEY.search(key) and value.strip().lower() not in OFF
-    )
     films = ((key, film) for key, value in tags.items() if FOCAL_KEY.search(key) and (film := _number(value)))
     key, film = next(films, ("..", 0.0))
     source = f"its metadata ({key.rsplit('.', 2)[-2]}, 35 mm)"
-    return replace(_hint(film * math.hypot(*size) / FULL_FRAME, source, size[0], turns), facts=facts)
+    return _hint(film * math.hypot(*size) / FULL_FRAME, source, size[0], turns)
 
 
 def _hint(focal: float, source: str, width: int, turns: int) -> IntrinsicsHint:
@@ -224,8 +214,9 @@ def rig_of_info(received: Any, rectified: bool, name: str) -> Rig:
     size = wide // across, high // down
     if min(size) < 1:
         raise FormatError(f"{name} is for pictures of {wide} x {high} pixels; wanted the size that the camera has")
-    letter, values = ("P", [float(v) for v in received.p]) if rectified else ("K", [float(v) for v in received.k])
-    fx, fy, cx, cy = (values[at] for at in ((0, 5, 2, 6) if rectified else (0, 4, 2, 5)))
+    letter, values, columns = ("P", received.p, 4) if rectified else ("K", received.k, 3)
+    values = [float(value) for value in values]
+    fx, cx, fy, cy = (values[at] for at in (0, 2, columns + 1, columns + 2))
     if not (np.isfinite(values).all() and min(fx, fy) > 0):
         raise FormatError(
             f"{name} has the focal lengths {fx:g} and {fy:g} in {letter}; wanted pixels above 0. The camera is not "
@@ -233,7 +224,7 @@ def rig_of_info(received: Any, rectified: bool, name: str) -> Rig:
         )
     centre = (cx + 0.5 - left) / across, (cy + 0.5 - top) / down
     model = "none" if rectified else received.distortion_model.strip().lower()
-    distortion = [] if rectified else [float(v) for v in received.d]
+    distortion = [] if rectified else [float(value) for value in received.d]
     try:
         return Rig((size,), (lens_of_model(model, size, (fx / across, fy / down), centre, distortion),))
     except EagorError as error:  # numbers that no lens has

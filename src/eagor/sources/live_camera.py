@@ -2,11 +2,9 @@
 
 A thread of its own decodes all that comes of a stream and keeps the newest picture. What nobody took in time is
 counted. A stream that breaks off is opened again after a pause that grows; meanwhile `problem` says what is wrong.
-
-Raw pictures, ``pipe:rgb24:1920x960``, follow each other without anything between: for rgb24, height x width x 3 bytes,
-row by row from the top. With ``:stamped`` at the end (``pipe:rgb24:1920x960:stamped``), eight bytes stand before each:
-the time of capture as a little-endian IEEE double, seconds on the clock of ``time.time()``. Use it if you know when a
-picture was taken; without it, the arrival less the latency counts.
+Raw pictures (``pipe:rgb24:1920x960``) follow each other row by row from the top, without anything between but, with
+``:stamped`` at the end, the time of capture before each: a little-endian double, seconds on the clock of
+``time.time()``.
 """
 
 from __future__ import annotations
@@ -21,23 +19,23 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from io import FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
+from eagor._checks import above
 from eagor._extras import require_extra
 from eagor._files import redacted
-from eagor.cameras import Rig
 from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.odometry.clocks import TimestampDejitter
 from eagor.sources import Frame
-from eagor.sources.intrinsics import Camera
 from eagor.sources.stitching import PanoramaBuilder
-from eagor.sources.tracks import Damage, pictures, to_rgb
+from eagor.sources.video import Damage, pictures, to_rgb
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -56,8 +54,7 @@ BRIEF = {"probesize": "2000000", "analyzeduration": "1000000"}  # bytes, microse
 SETTINGS = {"size": "video_size", "rate": "framerate", "format": "input_format"}  # and what FFmpeg calls them
 _SIZE = re.compile(r"(\d+)x(\d+)")
 
-# Bytes per pixel.
-BYTES = {"rgb24": 3.0, "bgr24": 3.0, "rgba": 4.0, "bgra": 4.0, "gray": 1.0, "yuv420p": 1.5, "nv12": 1.5, "yuyv422": 2.0}
+BYTES = {"rgb24": 3, "bgr24": 3, "rgba": 4, "bgra": 4, "gray": 1}  # per pixel
 LARGEST = 1 << 27  # pixels
 _SPEC = re.compile(r"pipe:(\w+):(\d+)x(\d+)(:stamped)?")
 STAMP = struct.Struct("<d")
@@ -111,9 +108,8 @@ class Stream:
                 others = ", ".join(sorted({stream.type for stream in container.streams})) or "nothing"
                 raise DeviceError(f"{self.name} has no pictures, but: {others}. Give the address of a video")
             if (context := streams[0].codec_context) is None:
-                raise DeviceError(
-                    f"{self.name} is in a codec that this FFmpeg cannot decode; wanted H.264, H.265, MJPEG"
-                )
+                wanted = "wanted H.264, H.265, MJPEG"
+                raise DeviceError(f"{self.name} is in a codec that this FFmpeg cannot decode; {wanted}")
             context.thread_type = "SLICE"  # threads by picture would hold back a picture for each thread
             damage, before = Damage(), 0
             for picture in pictures(container, streams[0], damage):
@@ -161,13 +157,10 @@ def device(text: str) -> Stream:
         raise DeviceError(f"{path}: size={settings['size']}; wanted width and height, such as size=1920x960")
     size = (int(found[1]), int(found[2])) if "size" in settings else None
     if not os.path.exists(path):
-        there = ", ".join(str(each) for each in sorted(Path("/dev").glob("video*")))
-        have = f"this machine has {there}" if there else "this machine has no camera (no /dev/video*)"
-        raise DeviceError(f"there is no {path}; {have}. Plug it in, or give another source")
+        there = ", ".join(map(str, sorted(Path("/dev").glob("video*")))) or "no camera (no /dev/video*)"
+        raise DeviceError(f"there is no {path}; this machine has {there}. Plug it in, or give another source")
     if not stat.S_ISCHR(os.stat(path).st_mode):
-        raise DeviceError(
-            f"{path} is no device; wanted a camera such as /dev/video0, or the path of a video or a folder"
-        )
+        raise DeviceError(f"{path} is no device; wanted one such as /dev/video0, or the path of a video or a folder")
     return Stream(path, path, "v4l2", {SETTINGS[key]: value for key, value in settings.items()}, size=size)
 
 
@@ -202,20 +195,15 @@ def _raw(
     import av
 
     per, head, shape = BYTES[kind], STAMP.size if stamped else 0, f"{kind}, {width} x {height}"
-    rows, planes = (height * 3 // 2, ()) if per == 1.5 else (height, () if per == 1 else (int(per),))
-    size = head + round(width * height * per)
+    size = head + width * height * per
     while True:
         data, read = memoryview(bytearray(size)), 0
         while read < size and (part := file.readinto(data[read:])):  # type: ignore[attr-defined]
             read += part
         if 0 < read < size:
             damaged()
-            warnings.warn(
-                f"standard input ended in the middle of a picture, after {read} of {size} bytes. Are its pictures "
-                f"{shape}?",
-                UserWarning,
-                stacklevel=2,
-            )
+            text = f"standard input ended in the middle of a picture, after {read} of {size} bytes. Are its pictures"
+            warnings.warn(f"{text} {shape}?", UserWarning, stacklevel=2)
         if read < size:
             return
         told = STAMP.unpack_from(data)[0] if stamped else None
@@ -224,8 +212,8 @@ def _raw(
                 f"standard input: the time before a picture is {told:g}; wanted seconds since 1970 as a little-endian "
                 f"double, then {size - head} bytes ({shape}). Pictures without times: leave out :stamped"
             )
-        array = np.frombuffer(data, np.uint8, offset=head).reshape(rows, width, *planes)
-        yield told, av.VideoFrame.from_ndarray(np.ascontiguousarray(array), format=kind)
+        array = np.frombuffer(data, np.uint8, offset=head).reshape(height, width, *((per,) if per > 1 else ()))
+        yield told, av.VideoFrame.from_ndarray(array, format=kind)
 
 
 def raw_pipe(text: str, file: BinaryIO | None = None) -> Stream:
@@ -240,12 +228,9 @@ def raw_pipe(text: str, file: BinaryIO | None = None) -> Stream:
             f"{text}: wanted pipe:FORMAT:WIDTHxHEIGHT, such as pipe:rgb24:1920x960, with :stamped at the end if each "
             f"picture's time comes before it. Formats: {', '.join(BYTES)}"
         )
-    width, height = int(found[2]), int(found[3])
-    halved = BYTES[found[1]] in (1.5, 2.0)
-    if not 0 < width * height <= LARGEST or (halved and (width % 2 or height % 2)):
-        even = "even sides, " if halved else ""
-        raise DeviceError(f"{text}: wanted {even}at least 1 and at most {LARGEST} pixels")
-    stamped = bool(found[4])
+    width, height, stamped = int(found[2]), int(found[3]), bool(found[4])
+    if not 0 < width * height <= LARGEST:
+        raise DeviceError(f"{text}: wanted at least 1 and at most {LARGEST} pixels")
     raw = partial(_raw, file=file, kind=found[1], width=width, height=height, stamped=stamped)
     return Stream(text, "standard input", again=False, stamped=stamped, raw=raw)
 
@@ -261,21 +246,19 @@ STREAMS = {  # what a text has to begin with, or be, and what then opens it
 # --- the newest picture ---
 
 
-@dataclass(frozen=True, eq=False)
-class TimedFrame:
-    """A decoded picture, its `stamp` (seconds, capture), and which one it is, from 1."""
+class TimedFrame(NamedTuple):
+    """A decoded picture and its `stamp` (seconds, capture)."""
 
     stamp: float
     picture: VideoFrame
-    number: int
 
 
 class FrameGrabber:
     """The newest picture of a stream. `latency`: seconds; `rate`: the most pictures per second to keep, or None.
 
     `problem`: what is wrong now, in words, or None. `dropped`: pictures that nobody took in time, that were damaged, or
-    that could not be put in order. `error`: what ended the stream for good; None if it ended as such streams do, or has
-    not. Raises `DeviceError` if the stream cannot be opened or no picture comes.
+    that could not be put in order. `error`: what ended the stream for good, or None. Raises `DeviceError` if the stream
+    cannot be opened or no picture comes.
     """
 
     def __init__(self, stream: Stream, *, latency: float = 0.0, rate: float | None = None) -> None:
@@ -283,12 +266,20 @@ class FrameGrabber:
         self.newest: TimedFrame | None = None
         self.error: EagorError | None = None
         self._clock, self._rate, self._changed = TimestampDejitter(latency), rate, threading.Condition()
-        self._taken = 0  # the number of the picture that was taken last
-        self._closed = self._ended = False
+        self._fresh = self._closed = self._ended = False  # fresh: the newest was not taken yet
         self._broken: str | None = None
         self._since = time.monotonic()  # the last picture, or the beginning
         threading.Thread(target=self._run, name="eagor-camera", daemon=True).start()
-        self._wait_for_first()
+        try:
+            with self._changed:
+                self._changed.wait_for(lambda: self.newest is not None or self._ended, PATIENCE)
+            if self.newest is None:
+                why = "it ended before the first picture" if self._ended else f"no picture came within {PATIENCE:.0f} s"
+                why = f"{stream.name}: {why}. Is something sending pictures there?"
+                raise self.error or DeviceError(why)
+        except BaseException:  # interrupted, too
+            self.close()
+            raise
 
     @property
     def problem(self) -> str | None:
@@ -308,11 +299,11 @@ class FrameGrabber:
     def take(self, wait: bool = True) -> TimedFrame | None:
         """The newest picture; one that was not taken yet, if it is to `wait`. None where no more can come."""
         with self._changed:
-            while wait and not self._closed and not self._is_new() and not self._ended:
+            while wait and not (self._closed or self._fresh or self._ended):
                 self._changed.wait()
-            if self.newest is None or (wait and (self._closed or not self._is_new())):
+            if wait and (self._closed or not self._fresh):
                 return None
-            self._taken = self.newest.number
+            self._fresh = False
             return self.newest
 
     def close(self) -> None:
@@ -320,24 +311,6 @@ class FrameGrabber:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-
-    def _is_new(self) -> bool:
-        return self.newest is not None and self.newest.number != self._taken
-
-    def _wait_for_first(self) -> None:
-        try:
-            with self._changed:
-                self._changed.wait_for(lambda: self.newest is not None or self._ended, PATIENCE)
-        except BaseException:  # interrupted
-            self.close()
-            raise
-        if self.newest is not None:
-            return
-        self.close()
-        if self.error is not None:
-            raise self.error
-        why = "it ended before the first picture" if self._ended else f"no picture came within {PATIENCE:.0f} s"
-        raise DeviceError(f"{self.stream.name}: {why}. Is something sending pictures there?")
 
     def _run(self) -> None:
         pause = FIRST_PAUSE
@@ -369,9 +342,8 @@ class FrameGrabber:
     def _read(self) -> None:
         """All pictures of the stream, until it ends or `close`."""
         kept = -math.inf
-        pictures = self.stream.pictures(self._damaged)
-        try:
-            for own, picture in pictures:
+        with closing(self.stream.pictures(self._damaged)) as coming:  # type: ignore[type-var]
+            for own, picture in coming:
                 arrival = time.monotonic()
                 if self._closed:
                     return
@@ -384,11 +356,9 @@ class FrameGrabber:
                     if self._rate is not None and stamp < kept + 0.9 / self._rate:
                         continue
                     kept = stamp
-                    self.dropped += self._is_new()
-                    self.newest = TimedFrame(stamp, picture, 1 if self.newest is None else self.newest.number + 1)
+                    self.dropped += self._fresh
+                    self.newest, self._fresh = TimedFrame(stamp, picture), True
                     self._changed.notify_all()
-        finally:
-            pictures.close()  # type: ignore[attr-defined]
 
     def _damaged(self) -> None:
         with self._changed:
@@ -396,15 +366,13 @@ class FrameGrabber:
 
 
 class LiveCamera:
-    """A `CameraSource` of one stream, of panoramas or of an ordinary `camera`; or of one per picture of a `rig`.
+    """A `CameraSource` of one stream; or of one per picture of a rig. `lens`: as for `PanoramaBuilder`.
 
-    Each new picture of the first stream is stitched with the newest ones of the others. Only the newest picture is
-    kept: it is made a frame when it is asked for. `dropped` counts those of the first stream that nobody took in time
-    and those that were damaged; `rate`: the most pictures per second to take, which are not counted. Streams that break
-    off are opened again. `problem`: what is wrong right now, in words, or None. Iterating twice shares the frames.
-
-    Raises `DeviceError` if a stream cannot be opened, or nothing comes; `ImageError` for pictures that are no
-    panoramas, or do not fit the rig.
+    Each new picture of the first stream is stitched with the newest ones of the others. Only the newest is kept, and
+    made a frame when it is asked for. `dropped` counts those of the first stream that nobody took in time, and damaged
+    ones; `rate`: the most per second to take. `problem`: what is wrong right now, in words, or None. Iterating twice
+    shares the frames. Raises `DeviceError` if a stream cannot be opened, or nothing comes; `ImageError` for pictures
+    that are no panoramas, or do not fit the rig.
     """
 
     live = True
@@ -414,15 +382,13 @@ class LiveCamera:
         self,
         streams: Sequence[Stream],
         *,
-        rig: Rig | None = None,
-        rows: int | None = None,
         rate: float | None = None,
         latency: float = 0.0,
-        camera: Camera | None = None,
+        **lens: Any,
     ) -> None:
         if not math.isfinite(latency):
             raise TimeError(f"latency = {latency!r}; wanted seconds from capture to arrival, 0 or more")
-        if rate is not None and not (math.isfinite(rate) and rate > 0):
+        if rate is not None and not above(rate, 0):
             raise TimeError(f"rate = {rate!r}; wanted pictures per second, more than 0")
         if latency and any(stream.stamped for stream in streams):
             raise TimeError(f"latency = {latency:g} s, but the pictures come with their times of capture; leave it out")
@@ -433,10 +399,10 @@ class LiveCamera:
         try:
             for stream in streams:
                 self._grabbers.append(FrameGrabber(stream, latency=latency, rate=rate))
-            firsts = [grabber.newest for grabber in self._grabbers]
-            self._sizes = [(first.picture.width, first.picture.height) for first in firsts if first is not None]
-            self._builder = PanoramaBuilder(self._sizes, self._name, rig=rig, camera=camera, rows=rows)
-            self._builder.check(*self._decoded([first for first in firsts if first is not None]))
+            firsts = [grabber.newest for grabber in self._grabbers if grabber.newest is not None]
+            self._sizes = [(first.picture.width, first.picture.height) for first in firsts]
+            self._builder = PanoramaBuilder(self._sizes, self._name, **lens)
+            self._builder.check(*self._decoded(firsts))
         except BaseException:
             self.close()
             raise
@@ -481,12 +447,9 @@ class LiveCamera:
         for each, (wide, high) in zip(taken, self._sizes, strict=True):
             width, height = each.picture.width, each.picture.height
             if abs(width * high - wide * height) > 0.02 * high * width:
-                raise ImageError(
-                    f"it is {width} x {height}, and the first was {wide} x {high}: another camera or mode? Set it "
-                    "back, or start again"
-                )
-        stamps = [each.stamp for each in taken]
-        apart = max(stamps) - min(stamps)
+                came = f"it is {width} x {height}, and the first was {wide} x {high}"
+                raise ImageError(f"{came}: another camera or mode? Set it back, or start again")
+        apart = max(each.stamp for each in taken) - min(each.stamp for each in taken)
         self._broken = f"{self._name}: the pictures of its lenses are {apart:.2f} s apart" if apart > APART else None
         return self._builder.make(*self._decoded(taken))
 

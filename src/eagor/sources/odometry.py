@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,60 +23,25 @@ from eagor import plugins
 from eagor._extras import require_extra
 from eagor.errors import DeviceError, EagorError, PoseError
 from eagor.odometry.axes import settled
-from eagor.odometry.files import BEYOND, FramePose, Poses, interpolated, pair, read_poses, usable
+from eagor.odometry.files import BEYOND, GivenPoses, interpolated, is_near, pair, read_poses, usable
+from eagor.odometry.imu import MotionTrack
 from eagor.odometry.visual import VisualOdometer
 from eagor.sources import CameraSource, Frame, Pose, PoseSource
-from eagor.sources.bag_sources import BagPoses, bag_odometry
 from eagor.sources.camera_sources import Footage, Images, warned
 from eagor.sources.panorama import Picture
-
-if TYPE_CHECKING:
-    from eagor.odometry.imu import MotionTrack
+from eagor.sources.ros_sources import BagPoses, bag_odometry
 
 __all__ = [
-    "GivenPoses", "MotionPoses", "PosedFrame", "PosedFrames", "open_poses", "poses_for", "poses_in_words", "prefetched",
+    "GivenPoses", "PosedFrame", "PosedFrames", "open_poses", "poses_for", "poses_in_words", "prefetched",
 ]  # fmt: skip
 
 GROUP = "eagor.poses"
 BUILT_IN = {"go2": "eagor.robots:go2_poses", "ros": "eagor.robots.ros:ros_poses"}
 BY_SIGHT = ("auto", "level")
-MOTION_RATE = 100.0  # poses per second that are taken from a motion track
 HOLE = 0.5  # seconds without a pose that are worth a word
 LONGEST = 2.0  # and over which poses are interpolated: a robot may turn half round in them, either way
 
 T = TypeVar("T")
-
-
-class GivenPoses:
-    """Poses that are there already, in order of time; `name`: where they are from, `ends`: the stamp of the last."""
-
-    def __init__(self, poses: Sequence[Pose], name: str = "the poses") -> None:
-        self._poses, self.name = tuple(poses), name
-        self.ends = self._poses[-1].stamp if self._poses else float("nan")
-
-    def __iter__(self) -> Iterator[Pose]:
-        return iter(self._poses)
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-class MotionPoses:
-    """Orientations of a video's motion track, `MOTION_RATE` per second."""
-
-    def __init__(self, track: MotionTrack) -> None:
-        self.track = track
-
-    def __iter__(self) -> Iterator[Pose]:
-        for number in range(int((self.track.end - self.track.start) * MOTION_RATE) + 1):
-            yield self.at(self.track.start + number / MOTION_RATE)
-
-    def at(self, stamp: float) -> Pose:
-        """The pose at any time."""
-        return Pose(stamp, self.track.world_R_body(stamp))
-
-    def close(self) -> None:
-        """Nothing is held."""
 
 
 def open_poses(
@@ -95,9 +60,8 @@ def open_poses(
     `eagor.odometry.axes.settled`; ``ros:/odom``, a topic of ROS 2 or of a bag; ``go2``, a robot's odometry, over the
     DDS `domain` and network `interface`; or what another package brings. A file of poses is compared with the pictures,
     and where these are image files, tells when they were taken: `source` gives them at these times from then on. `say`
-    is told what is found out about a file (default: what is wrong is a `UserWarning`).
-
-    Raises `DeviceError` for live poses of a recording, and the other way round, and what the source raises.
+    is told what is found out about a file (default: what is wrong is a `UserWarning`). Raises `DeviceError` for live
+    poses of a recording, and the other way round, and what the source raises.
     """
     name, _, topic = text.partition(":")
     footage, own = source if isinstance(source, Footage) else None, getattr(source, "poses", None)
@@ -106,7 +70,7 @@ def open_poses(
     if found is not None:
         return found
     if text == "auto" and video is not None and video.motion is not None:
-        return MotionPoses(video.motion)
+        return video.motion
     if text == "auto" and own is not None:  # a simulated body knows its own
         return own
     if text in BY_SIGHT:
@@ -138,7 +102,7 @@ def poses_in_words(poses: Any) -> str:
         return "a camera that stands still"
     if isinstance(poses, GivenPoses | BagPoses):
         return f"poses from {poses.name if isinstance(poses, GivenPoses) else poses.topic}"
-    if isinstance(poses, MotionPoses):
+    if isinstance(poses, MotionTrack):
         return "orientations from the video's IMU"
     if getattr(poses, "level", False):
         return "headings from the pictures themselves, which are taken as level"
@@ -157,17 +121,15 @@ def _of_file(path: str, axes: str, source: Footage | None, say: Callable[[str], 
         source.items = source.images.items
     at = interpolated(near)
 
-    def posed() -> Iterator[tuple[FramePose, Callable[[], Picture]]]:
+    def posed() -> Iterator[tuple[Pose, Frame]]:
         for frame in () if source is None else Footage(source.items):
             if frame.picture is not None:
-                picture = Picture(frame.picture, grid=frame.grid)
-                yield FramePose(frame.stamp, *at(frame.stamp), frame.name), lambda picture=picture: picture
+                yield Pose(frame.stamp, *at(frame.stamp)), frame
 
-    found = settled(near, axes, path, None if source is None else posed, say)
-    return GivenPoses([Pose(each.stamp, each.world_R_body, each.position) for each in found], path)
+    return settled(near, axes, path, None if source is None else posed, say)
 
 
-def _paired(frames: Images, poses: Poses, near: Poses, name: str) -> Images:
+def _paired(frames: Images, poses: GivenPoses, near: GivenPoses, name: str) -> Images:
     """The pictures at the times of their poses: by their names' times, by the names of frames, or else in order.
 
     Raises as `pair`. A picture whose pose cannot be one raises `PoseError` when it is read.
@@ -184,7 +146,7 @@ def _paired(frames: Images, poses: Poses, near: Poses, name: str) -> Images:
                 return replace(frames, paths=paths, stamps=stamps)
             return frames
     pairs = [(pose, image) for pose, image in pair(poses, frames.paths, name) if image is not None]
-    refused = {image: pose for pose, image in pairs if not pose.near}
+    refused = {image: pose for pose, image in pairs if not is_near(pose)}
 
     def read(path: Path) -> Picture:
         if path in refused:
@@ -242,8 +204,8 @@ class PosedFrames:
         poses, last = self.poses, -1
         if isinstance(poses, VisualOdometer):
             found = self._by_sight(poses)
-        elif isinstance(poses, MotionPoses):
-            found = (PosedFrame(frame, poses.at(frame.stamp)) for frame in self.source)
+        elif isinstance(poses, MotionTrack):
+            found = (PosedFrame(each, Pose(each.stamp, poses.world_R_body(each.stamp))) for each in self.source)
         else:
             found = map(PosedFrame, self.source) if poses is None else self._by_odometry(poses)
         for each in found:
@@ -294,8 +256,9 @@ class PosedFrames:
             elif hole > LONGEST and min(stamp - last.stamp, ahead.stamp - stamp) > BEYOND:  # type: ignore[union-attr]
                 lacks = "within"
             if lacks and isinstance(poses, GivenPoses) and not frame.problem:
+                ends = poses[-1].stamp if poses else math.nan
                 raise PoseError(
-                    f"{frame.name} has no pose: {name} tells those from {begins:.10g} to {poses.ends:.10g} s. The "
+                    f"{frame.name} has no pose: {name} tells those from {begins:.10g} to {ends:.10g} s. The "
                     "clock of a video begins at 0, that of a bag is in its headers. Shift the stamps of the file, or "
                     "cut with --start, --end"
                 )

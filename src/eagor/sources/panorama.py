@@ -73,15 +73,10 @@ def read_panorama(path: str | os.PathLike[str]) -> np.ndarray:
     """
     found = read_stored(path)
     height, width = found.picture.shape[:2]
-    if TONE_MAPPED in found.facts:
-        warnings.warn(f"{os.fspath(path)!r} {TONE_MAPPED}", UserWarning, stacklevel=2)
-    if width != 2 * height:
-        warnings.warn(
-            f"{os.fspath(path)!r} is {width} x {height}, not 2:1: longitude and latitude are mapped separately (all "
-            "columns span 360 degrees, all rows 180). If the image covers less than the whole sphere, pad it first",
-            UserWarning,
-            stacklevel=2,
-        )
+    stretched = f"is {width} x {height}, not 2:1: all columns span 360 degrees, all rows 180. If it shows less, pad it"
+    odd = {TONE_MAPPED: TONE_MAPPED in found.facts, f"{stretched} first": width != 2 * height}
+    for text in (text for text, holds in odd.items() if holds):
+        warnings.warn(f"{os.fspath(path)!r} {text}", UserWarning, stacklevel=2)
     return found.picture
 
 
@@ -299,11 +294,6 @@ def resized(image: np.ndarray, size: tuple[int, int], wrap: bool = False) -> np.
     box = (pad, 0, pad + width, height)  # the filter also reads the padding beyond the box
     picture = Image.fromarray(np.ascontiguousarray(image))
     return np.asarray(picture.resize((size[1], size[0]), Image.Resampling.BICUBIC, box))
-
-
-def resized_mask(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A mask ``(H, W)`` at `size` (height, width)."""
-    return resized(np.repeat(np.uint8(255) * mask[..., None], 3, axis=2), size)[..., 0] > 127
 
 
 def by_area(image: np.ndarray, height: int, width: int) -> np.ndarray:

@@ -40,16 +40,11 @@ LARGEST = 1 << 20  # bytes: a calibration has a few hundred
 UNIT = 0.01  # by which the length of a quaternion may differ from 1
 FLATTEST = 100  # by how much a picture may be larger than the focal length: a field of 178 degrees
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
-ALIASES = {"K": "camera_matrix", "D": "distortion_coefficients"} | {
-    other: name
-    for name, others in {
-        "camera_matrix": "cameraMatrix k mtx",
-        "distortion_coefficients": "dist_coeffs dist_coeff distCoeffs d dist distortion_coeffs",
-        "image_width": "width",
-        "image_height": "height",
-    }.items()
-    for other in others.split()
-}
+ALIASES = {
+    **dict.fromkeys(("K", "k", "cameraMatrix", "mtx"), "camera_matrix"),
+    **dict.fromkeys(("D", "d", "dist", "dist_coeff", "dist_coeffs", "distCoeffs"), "distortion_coefficients"),
+    "distortion_coeffs": "distortion_coefficients", "width": "image_width", "height": "image_height",
+}  # fmt: skip
 # Distortion models of ROS, OpenCV and Kalibr: the kind of lens, and how many numbers at most.
 MODELS = {
     "plumb_bob": ("pinhole", 5), "rational_polynomial": ("pinhole", 8), "radtan": ("pinhole", 4),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import deque
+from contextlib import suppress
 from functools import lru_cache
 from statistics import fmean, median
 from typing import Any
@@ -87,7 +88,7 @@ class TransformTree:
         news = set()
         for each in received.transforms:
             parent, child, stamp = _named(each.header.frame_id), _named(each.child_frame_id), seconds(each.header.stamp)
-            try:
+            with suppress(EagorError):
                 place = rotation_of(each.transform.rotation), triple(each.transform.translation)
                 if fixed:
                     self.fix(parent, child, place)
@@ -99,9 +100,7 @@ class TransformTree:
                     assert isinstance(history, PoseHistory)
                     history.add(stamp, *place)
                     self._newest[child] = stamp
-            except EagorError:
-                continue
-            news.add(child)
+                news.add(child)
         return news
 
     def fix(self, parent: str, child: str, transform: Transform) -> None:
@@ -111,13 +110,12 @@ class TransformTree:
 
     def between(self, parent: str, child: str) -> list[str] | None:
         """The frames whose links lead from `child` to `parent`, in no order; None if these are not connected."""
-        ways = self._ways(parent, child)
-        return ways and ways[0] + ways[1]
+        return (ways := self._ways(parent, child)) and ways[0] + ways[1]
 
     def newest(self, parent: str, child: str) -> float | None:
         """The newest time that all moving transforms between two frames reach; None if none moves."""
-        moving = [self._newest[each] for each in self.between(parent, child) or () if each in self._newest]
-        return min(moving, default=None)
+        moving = self.between(parent, child) or ()
+        return min((self._newest[each] for each in moving if each in self._newest), default=None)
 
     def root(self, frame: str) -> str:
         """The last of the frame's parents."""
@@ -184,8 +182,7 @@ class Turning:
         self._gaps.append(gap)
         if gap > HOLE * median(self._gaps):  # it may have turned about, and the shortest turn is none of it
             return
-        turned = Rotation.from_matrix(before.world_R_body.T @ pose.world_R_body).as_rotvec()
-        self._rate = turned / gap, gap
+        self._rate = Rotation.from_matrix(before.world_R_body.T @ pose.world_R_body).as_rotvec() / gap, gap
         if rate is not None:
             change = self._rate[0] - rate[0]
             self._density.append(3 * float(change @ change) / (gap + rate[1]))
@@ -193,32 +190,28 @@ class Turning:
     @property
     def midway(self) -> float:
         """Standard deviation, radians, midway between two poses that are as far apart as most are."""
-        if len(self._density) < FEWEST:
-            return 0.0
-        return math.sqrt(fmean(self._density) * median(self._gaps) ** 3 / 48)
+        many = len(self._density) >= FEWEST
+        return math.sqrt(fmean(self._density) * median(self._gaps) ** 3 / 48) if many else 0.0
 
     def problem(self, topic: str) -> str | None:
         """That it is more than can be tolerated, in words."""
-        if self.midway <= TOLERATED:
-            return None
-        return (
+        return None if self.midway <= TOLERATED else (
             f"{topic} tells a pose every {median(self._gaps):.2f} s, too seldom for how the turning changes: between "
             f"two of them, directions are off by {math.degrees(self.midway):.1f} degrees (standard deviation); wanted "
             "odometry at a higher rate"
-        )
+        )  # fmt: skip
 
 
 class PoseReader:
     """Makes poses of the messages on one `topic` of type `kind`.
 
     `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message; that its
-    name contradicts them is a `UserWarning`, once. "": its pictures name none, so that its axes are taken for those of
-    the `body`, which is a problem. None: the pose of the `body` is wanted. `strict`: give no pose before these
-    transforms are known; otherwise the camera's axes are taken for those of the message. `world`: the frame of the
-    poses for transforms (default: odom, else map, else the root of the tree). `rewinds`: whether the stamps may go back
-    by more than a second, as those of a clock that was set; otherwise such poses are left out, which is said once, from
-    `OVERTAKEN` on, and `back` counts them. `turning`: how well the poses tell what lies between them. `problem`: what
-    is missing, in words, or None.
+    name contradicts them is a `UserWarning`, once. "": its pictures name none: its axes are taken for those of the
+    `body`, which is a problem. None: the pose of the `body` is wanted. `strict`: give no pose before these transforms
+    are known; otherwise the camera's axes are taken for those of the message. `world`: the frame of the poses for
+    transforms (default: odom, else map, else the root). `rewinds`: stamps may go back by more than a second, as those
+    of a clock that was set; otherwise such poses are left out, said once, and counted in `back`. `problem`: what is
+    missing, in words, or None.
     """
 
     def __init__(
@@ -278,13 +271,12 @@ class PoseReader:
         found = self.tree.at(self.body if untold else source, target, stamp)
         if found is not None:
             return _composed(found, (optical(target), IDENTITY[1]))
-        if self.camera or self.strict:  # else the body is what the odometry tells of
-            self.problem = f"/tf_static and /tf do not tell where {target} is in {source}"
+        if not (self.camera or self.strict):  # the body is what the odometry tells of
+            return IDENTITY
+        self.problem = f"/tf_static and /tf do not tell where {target} is in {source}"
         if self.strict:
             return None
-        self.problem = self.problem and self.problem + ": the camera is taken to look ahead along it" * bool(
-            self.camera
-        )
+        self.problem += ": the camera is taken to look ahead along it"
         return IDENTITY
 
     def _of_tree(self) -> list[Pose]:

@@ -25,32 +25,10 @@ from eagor.sources.panorama import read_image
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
-    "CAMERA_INFO",
-    "COMPRESSED",
-    "IMAGE",
-    "IMU",
-    "ODOMETRY",
-    "POSE",
-    "POSE_WITH_COVARIANCE",
-    "TEXT",
-    "TRANSFORM",
-    "TRANSFORMS",
-    "VECTOR",
-    "compressed_message",
-    "header",
-    "image_from_msg",
-    "image_message",
-    "message",
-    "odometry_message",
-    "pose_from_msg",
-    "quaternion",
-    "seconds",
-    "stamp_of",
-    "store",
-    "taken_as",
-    "transform_message",
-    "transforms_message",
-    "vector",
+    "CAMERA_INFO", "COMPRESSED", "IMAGE", "IMU", "MOTION", "NANO", "ODOMETRY", "PICTURES", "POSE",
+    "POSE_WITH_COVARIANCE", "TEXT", "TRANSFORM", "TRANSFORMS", "VECTOR", "compressed_message", "header",
+    "image_from_msg", "image_message", "message", "odometry_message", "pose_from_msg", "quaternion", "seconds",
+    "stamp_of", "store", "taken_as", "transform_message", "transforms_message", "vector",
 ]  # fmt: skip
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -59,6 +37,8 @@ POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TRANSFORMS, VECTOR, TEXT = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/String"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+PICTURES = (IMAGE, COMPRESSED)
+MOTION = (ODOMETRY, POSE, IMU, TRANSFORMS, POSE_WITH_COVARIANCE, TRANSFORM)  # the best first
 
 NANO = 10**9
 LATEST = 2**31  # seconds: builtin_interfaces/Time counts them as int32
@@ -157,12 +137,10 @@ def _raw(received: Any) -> np.ndarray:
     if encoding not in ENCODINGS and encoding not in BAYER:
         raise _refused("an Image has the encoding", encoding)
     count, places = ENCODINGS.get(encoding, (1, slice(1)))
+    values = _rows(received, count * (2 if "16" in encoding else 1))
     if "16" in encoding:
-        order = ">u2" if received.is_bigendian else "<u2"
-        wide = np.ascontiguousarray(_rows(received, 2 * count)).view(order)
+        wide = np.ascontiguousarray(values).view(">u2" if received.is_bigendian else "<u2")
         values = (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
-    else:
-        values = _rows(received, count)
     picture = np.array(values[..., places], order="C")  # of its own: who looks at it may draw on it
     return _demosaiced(picture[..., 0], BAYER[encoding]) if encoding in BAYER else picture
 
@@ -202,41 +180,33 @@ def _rows(received: Any, size: int) -> np.ndarray:
 def _of_yuv(received: Any) -> np.ndarray:
     """RGB ``(H, W, 3)`` uint8 of an Image in YUV (`YUV`). Raises `ImageError` for a size that cannot be shared."""
     height, width, step, encoding = received.height, received.width, received.step, received.encoding
-    how = f"YUV2RGB_{YUV[encoding]}"
-    if not encoding.startswith("nv"):  # Y between U and V
-        rows = _rows(received, 2)
-        if width % 2:
-            wanted = "wanted an even number: two share their colour"
-            raise ImageError(f"an Image of YUV 4:2:2 is {width} pixels wide; {wanted}")
-        return _converted(rows, how)
-    light, full = _rows(received, 1)[..., 0], encoding == "nv24"
-    wanted = 2 * height * step if full else height // 2 * step
+    how, planar = f"YUV2RGB_{YUV[encoding]}", encoding.startswith("nv")  # else Y lies between U and V
+    rows = _rows(received, 1 if planar else 2)
+    wanted = 0 if not planar else 2 * height * step if encoding == "nv24" else height // 2 * step
     colours = np.frombuffer(received.data, dtype=np.uint8)[height * step :][:wanted]
-    if height % 2 or width % 2 or len(colours) < wanted:
-        raise ImageError(
-            f"an Image of {width} x {height} pixels as {encoding} has {len(colours)} bytes of colour; wanted {wanted}, "
-            "and even sides"
-        )
-    pairs = colours.reshape(-1, step // 2, 2) if not full else colours.reshape(height, step, 2)[::2, ::2]
-    return _converted(np.vstack([light, pairs[:, : width // 2].reshape(height // 2, width)]), how)
+    if width % 2 or (planar and height % 2) or len(colours) < wanted:
+        lacks = f"has {len(colours)} bytes of colour; wanted {wanted}, and even sides" if planar else "has an odd width"
+        raise ImageError(f"an Image of {width} x {height} pixels as {encoding} {lacks}: neighbours share a colour")
+    if not planar:
+        return _converted(rows, how)
+    pairs = colours.reshape(height, step, 2)[::2, ::2] if encoding == "nv24" else colours.reshape(-1, step // 2, 2)
+    return _converted(np.vstack([rows[..., 0], pairs[:, : width // 2].reshape(height // 2, width)]), how)
 
 
 def _decoded(received: Any) -> np.ndarray:
     """By compressed_image_transport's format, such as "bayer_rggb8; png compressed ", or only "jpeg"."""
-    told, data = received.format, bytes(received.data)
-    encoding = "compressedDepth" if "compressedDepth" in told else told.partition(";")[0].strip()
+    format_, data = received.format, bytes(received.data)
+    encoding = "compressedDepth" if "compressedDepth" in format_ else format_.partition(";")[0].strip()
     if encoding in DEPTH or (encoding not in AS_OPENCV and re.fullmatch(r"\d+[USF]C\d*", encoding)):
         raise _refused("a CompressedImage has the format", encoding)
     try:
         picture = read_image(io.BytesIO(data), len(data))
     except Exception as error:  # Pillow's decoders may raise anything for damaged files
-        raise ImageError(
-            f"a CompressedImage of {len(data)} bytes, which says that its format is {told!r}, cannot be "
-            f"decoded ({error}); wanted jpeg or png"
-        ) from error
+        what = f"a CompressedImage of {len(data)} bytes, which says that its format is {format_!r}, cannot be decoded"
+        raise ImageError(f"{what} ({error}); wanted jpeg or png") from error
     if encoding in BAYER and (picture == picture[..., :1]).all():  # else it was demosaiced before it was compressed
         return _demosaiced(picture[..., 0], BAYER[encoding])
-    return np.ascontiguousarray(picture[..., ::-1]) if _is_swapped(told) else picture
+    return np.ascontiguousarray(picture[..., ::-1]) if _is_swapped(format_) else picture
 
 
 def _is_swapped(told: str) -> bool:

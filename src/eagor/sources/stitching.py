@@ -10,16 +10,16 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from eagor._checks import is_twice_as_wide
+from eagor._checks import is_twice_as_wide, whole
 from eagor.cameras import Rig, Sampler
 from eagor.errors import ImageError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sources.defects import MAKE, STITCH, TWICE, circles_in_words, two_eyes
 from eagor.sources.intrinsics import ASK, Camera, IntrinsicsHint, ShapeError, ordinary_grid
 from eagor.sources.metadata import EYES, Projection
-from eagor.sources.panorama import by_area, checked_picture, resized, resized_mask
+from eagor.sources.panorama import by_area, checked_picture, resized
 
-__all__ = ["PanoramaBuilder", "Stitcher", "seen_by", "sizes_of"]
+__all__ = ["PanoramaBuilder", "Stitcher", "sizes_of"]
 
 STRETCHED = "all columns for 360 degrees, all rows for 180"
 MOST_ROWS = 1 << 14  # of a panorama: the directions of its pixels take 13 GB
@@ -63,23 +63,6 @@ class Stitcher:
         return own(*self.scaled(pictures)), own.seen
 
 
-def seen_by(rig: Rig, panorama: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What the rig's camera shows of a panorama ``(H, W, 3)`` uint8: its pictures ``(H, W, 3)``, black beyond the rims.
-
-    Bicubic, without a low-pass filter: give a panorama that is about as fine as the pictures. Raises `ImageError`.
-    """
-    grid = ErpGrid(*checked_picture(panorama).shape[:2])
-    pictures = tuple(np.zeros((height, width, 3), np.uint8) for width, height in rig.sizes)
-    for lens in rig.lenses:
-        width, height = rig.sizes[lens.picture]
-        x, y = np.arange(width) + 0.5, np.arange(height)[:, None] + 0.5
-        directions = lens.unproject(x, y)
-        back_x, back_y, depth = lens.project(directions)
-        shown = (np.hypot(back_x - x, back_y - y) < 1) & (depth >= 0)
-        pictures[lens.picture][shown] = Sampler(grid, directions[shown], cubic=True)(panorama)
-    return pictures
-
-
 class PanoramaBuilder:
     """Says what pictures of `sizes` (width, height) are, of a source called `name`, and makes frames of them.
 
@@ -87,11 +70,10 @@ class PanoramaBuilder:
     `projection` of the sphere, and `hint` of an ordinary lens, for pictures that are not 2:1. `force`: what nothing is
     known of is a panorama all the same. `rows`: the most rows; larger pictures are shrunk.
 
-    `grid`: of what it makes, a `PerspectiveGrid` for an ordinary camera's pictures; `unseen` ``(H, W)``: what they do
-    not show, or None; `wanted`: rows and columns to which each picture may be brought while it is decoded; `fisheye`:
-    whether the camera's calibration is one; `facts`: sentences about what the file says; `level_R_body`: None, or the
-    rotation ``(3, 3)`` that makes frames level, as the file says; `refused`: why nothing tells what they are, else "".
-    Raises `ImageError` where sizes do not fit.
+    `grid`: of what it makes; `unseen` ``(H, W)``: what they do not show, or None; `wanted`: rows and columns to which
+    each picture may be brought while it is decoded; `fisheye`: whether the camera's calibration is one; `facts`: what
+    the file says, in sentences; `level_R_body`: None, or the rotation ``(3, 3)`` that makes frames level; `refused`:
+    why nothing tells what they are, else "". Raises `ImageError` where sizes do not fit.
     """
 
     def __init__(
@@ -106,6 +88,8 @@ class PanoramaBuilder:
         rows: int | None = None,
         force: bool = False,
     ) -> None:
+        if rows is not None and not whole(rows, 1):
+            raise ImageError(f"rows = {rows!r}; wanted a whole number of at least 1, or None for those of the pictures")
         camera = camera or Camera()
         self.fisheye = rig is None and camera.rig is not None and not camera.rig.lenses[0].is_ordinary
         rig = camera.rig if self.fisheye else rig
@@ -130,18 +114,18 @@ class PanoramaBuilder:
         projection = projection or Projection("nothing", "rectangular")
         *_, down, across = EYES[projection.stereo]
         high, wide = max(1, round(height * down)), max(1, round(width * across))
-        whole = projection.kind == "equirectangular" or is_twice_as_wide(high, wide)
+        sphere = projection.kind == "equirectangular" or is_twice_as_wide(high, wide)
         view, part = None, any(projection.cropped)
-        if not part and (camera.known or not (whole or force or camera.eyes)):
+        if not part and (camera.known or not (sphere or force or camera.eyes)):
             view = ordinary_grid(camera, hint, (wide, high), name)
-        if view is None and not (whole or force):
+        if view is None and not (sphere or force):
             why = f" ({'; '.join(hint.facts)})" if hint.facts else ""
             self.refused = (
                 f"is {wide} x {high}, not 2:1 as a whole panorama is, and does not tell its lens{why}. {ASK}. Are "
                 f"these the pictures of lenses? {MAKE}. A panorama all the same: --force ({STRETCHED})"
             )
         self._settled |= view is not None or part or projection.stereo != "mono"
-        self._layout = layout = projection.layout((wide, high), rows, view is None and whole)
+        self._layout = layout = projection.layout((wide, high), rows, view is None and sphere)
         self.grid = ErpGrid(*layout.shape) if view is None else view.resized(*layout.shape)
         self.unseen = layout.unseen
         self.wanted = (self._layout.size,)
@@ -155,7 +139,8 @@ class PanoramaBuilder:
         """What is not seen of a frame, if a `mask` ``(H, W)`` says so of its picture, or None."""
         if mask is None or self._stitcher is not None:
             return self.unseen
-        own = self._layout.place(resized_mask(mask, self._layout.size))
+        grey = np.repeat(np.uint8(255) * mask[..., None], 3, axis=2)
+        own = self._layout.place(resized(grey, self._layout.size)[..., 0] > 127)
         return own if self.unseen is None else own | self.unseen
 
     def check(self, *pictures: np.ndarray, name: str = "") -> None:

@@ -241,8 +241,8 @@ def _listed(text: str, order: Order) -> list[_Coordinates]:
         places = _PLACES["yxyx" if key == _Y_FIRST else order]
         decided, score = _entry(text, start, stop, end)
         score, end = (*numbers[4:], score)[0], stop
-        ordered, starts = (tuple(each[at] for at in places) for each in (numbers, [each.start() for each in found]))
-        boxes.append(_Coordinates(ordered, starts, decided, score))
+        starts = tuple(found[at].start() for at in places)
+        boxes.append(_Coordinates(tuple(numbers[at] for at in places), starts, decided, score))
     return boxes or points
 
 

@@ -32,9 +32,9 @@ from eagor.errors import DeviceError, EagorError
 from eagor.live.threads import LoopClock
 from eagor.sources import Frame, Pose
 from eagor.sources.bags import MOTION, PICTURES, TF, TF_STATIC
-from eagor.sources.image_topics import ImageTopics, Info, beside, lens_of_info, placed, topics_of
 from eagor.sources.ros_frames import BACK, BODY, IDENTITY, PoseReader, Transform, TransformTree, optical
 from eagor.sources.ros_messages import CAMERA_INFO, NANO, TRANSFORMS, seconds, store
+from eagor.sources.ros_sources import ImageTopics, Info, beside, lens_of_info, placed, topics_of
 
 __all__ = ["RosCamera", "RosPoses", "TopicListener"]
 
