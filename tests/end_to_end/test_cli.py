@@ -724,32 +724,34 @@ def test_the_demo_leaves_a_report(tmp_path):
     assert found["walk"]["success"] in (0, 1)
     page = Path(found["report"]).read_text(encoding="utf-8")
     assert "A camera walks through apartment 3 and looks for it" in page, "as --seed names it"
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == 2
     assert page.index("data:image/png") < page.index("<table>") < page.index("<details>"), "first a picture"
     assert "http" not in re.sub(r"base64,[^\"]+", "", page)  # nothing is fetched
-    for name in ("beliefs.png", "errors.png", "map.png"):
+    for name in ("beliefs.png", "errors.png"):
         assert picture_width(tmp_path / name) >= 1200
-    assert page.count("scrolls sideways") == 5
+    assert page.count("scrolls sideways") == 4
     assert "0 to 9999" in refused("demo", "--seed", "10000", "--out", tmp_path)
     assert "0 to 4" in refused("demo", "--episode", "5", "--out", tmp_path)
 
 
 def test_the_demo_tells_of_in_sight_and_hidden_what_is_so():
     from eagor.cli import demo_apartment
+    from eagor.lab.envs.episodes import EpisodeSpec
 
     trace = {"visible": [False, True, False, False, True]}
     walk = {"trace": trace, "metrics": {"success": 1, "steps": 5}}
-    record = {"episode": {"query": "bed"}, "methods": {"eagor": walk}}
+    spec = EpisodeSpec("navigation", "apartment", 3, 1, 1)
+    record = {"episode": {"query": "bed", "scene": "x"}, "methods": {"eagor": walk}}
     errors = {"eagor": np.array([90.0, 4.0, 6.0, 8.0, 2.0]), "plain": np.array([70.0, 5.0, 50.0, 70.0, 3.0])}
-    search = demo_apartment.Search(None, None, record, [], {}, errors, "scout")
+    search = demo_apartment.Search(spec, record, [], {}, errors, "scout")
     assert search.hidden == [(0, 0), (2, 3)]
-    assert [*search.means["eagor"].values()] == [5.0, 3.0, 7.0]
-    told = " ".join(demo_apartment.summary(search))
+    assert [*search.means("eagor").values()] == [5.0, 3.0, 7.0]
+    told = " ".join(demo_apartment.as_json(search)["summary"])
     assert "found the bed in 5 steps" in told
     assert "out of sight in 3 of 5 looks" in told
-    assert "our tracker was off by 7.0°, the newest look alone by 60.0°. In sight: 3.0° and 4.0°." in told
+    assert "our tracker was off by 7.0°, the newest look alone by 60.0°. In sight our tracker was off by 3.0°, " in told
     walk["trace"] = {"visible": [False] * 5}
-    assert "hidden again" not in " ".join(demo_apartment.summary(search))
+    assert "hidden again" not in " ".join(demo_apartment.as_json(search)["summary"])
 
 
 def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
