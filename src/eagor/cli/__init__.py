@@ -34,7 +34,7 @@ if not sys.stderr.isatty():  # read by transformers: no progress bars without a 
 
 from eagor._version import __version__
 from eagor.cli import terminal
-from eagor.cli.checks import LIMITS, checked_number
+from eagor.cli.checks import check_numbers
 from eagor.errors import AnswerError, EagorError, ServerError, StorageError, WorkError
 from eagor.plugins import readable_lists
 
@@ -101,11 +101,9 @@ def _run(arguments: list[str]) -> int:
     except SystemExit:  # tyro has printed help
         return 0
     command = getattr(command, "action", command)  # `bench run` is an action of `bench`
-    for name in LIMITS:
-        if isinstance(value := getattr(command, name, None), int | float):
-            checked_number(value, f"--{name}")
+    check_numbers(command)
     kind = type(command)
-    name = getattr(kind, "runs", None) or re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind.__name__).lower()
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind.__name__).lower()
     return getattr(sys.modules[kind.__module__], name)(command)
 
 

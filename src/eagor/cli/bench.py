@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.options import Common, Detector, Flag, Rows, Whole, bare, given, grouped, pairs_of
+from eagor.cli.options import Common, Detector, Flag, Rows, Whole, bare, grouped, refuse
 from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:
@@ -182,20 +182,16 @@ def bench_list(options: BenchList) -> int:
     from eagor.lab import worlds
 
     found = {name: _described(task) for name, task in _tasks().items()}
-    if options.json:
-        terminal.emit(found)
-        return terminal.OK
     published = {name: entry for name, entry in found.items() if "agents" in entry}
-    print("Simulated, no data needed (eagor bench run TASK)")
-    simulated = {name: entry for name, entry in found.items() if name not in published}
-    terminal.facts({n: e.get("what") or f"not available ({e['unavailable']})" for n, e in simulated.items()}, 4)
-    print(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file")
+    what = {n: e.get("what") or f"not available ({e['unavailable']})" for n, e in found.items() if n not in published}
+    lines = ["Simulated, no data needed (eagor bench run TASK)", *terminal.facts(what, 4)]
+    lines.append(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file")
     for name, entry in published.items():
-        print(f"\n{name}  {entry['title']} (eagor bench run {name} --data DIR)\n  agents")
-        terminal.facts(entry["agents"], 4)
-        print("  options (--set OPTION=VALUE)")
-        terminal.facts({k: f"{v['what']} (default {v['default']})" for k, v in entry["options"].items()}, 4)
-    return terminal.OK
+        options_of = {k: f"{v['what']} (default {v['default']})" for k, v in entry["options"].items()}
+        lines += ["", f"{name}  {entry['title']} (eagor bench run {name} --data DIR)"]
+        lines += ["  agents", *terminal.facts(entry["agents"], 4)]
+        lines += ["  options (--set OPTION=VALUE)", *terminal.facts(options_of, 4)]
+    return terminal.give(options.json, found, *lines)
 
 
 def _tasks() -> dict[str, Any]:
@@ -259,11 +255,8 @@ def bench_info(options: BenchInfo) -> int:
     if not found:
         reasons = "; ".join(f"as {', '.join(names)}: {why}" for why, names in refused.items())
         raise FormatError(f"{data} holds the data of no known task; {reasons or 'name one that has data'}")
-    if options.json:
-        terminal.emit(found)
-    for content in () if options.json else found.values():
-        terminal.facts(content)
-    return terminal.OK
+    lines = (terminal.facts(content) for content in found.values())
+    return terminal.give(options.json, found, *(each for part in lines for each in part))
 
 
 def bench_run(options: BenchRun) -> int:
@@ -276,10 +269,8 @@ def bench_run(options: BenchRun) -> int:
     if not (shard := re.fullmatch(r"(\d+)/(\d+)", options.shard or "1/1")):
         raise terminal.UsageError(f"--shard {options.shard}; wanted I/N, such as 1/4")
     config = configure(task, _values(options, task), pairs_of(options.set))  # wrong ones are said before the run begins
-    samples, settings = (
-        runner.samples_of(task, config, options.limit, (int(shard[1]), int(shard[2]))),
-        settings_of(config),
-    )
+    samples = runner.samples_of(task, config, options.limit, (int(shard[1]), int(shard[2])))
+    settings = settings_of(config)
     who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
     parts = task.name, settings.get("agent"), short_name(who) if who else "", settings.get("seed", "")
     out = options.out or Path("runs") / "-".join(str(part) for part in parts if part not in ("", None))
@@ -308,8 +299,7 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     fields = task.Config.__struct_fields__
     simulated = "methods" in fields
     more = () if simulated else ("ablations", "walking", "detector")
-    if wrong := given(options, [*(name for name in GIVEN if name not in fields), *more]):
-        raise terminal.UsageError(f"{task.name} takes no --{wrong[0].replace('_', '-')}")
+    refuse(options, [*(name for name in GIVEN if name not in fields), *more], f"is no option of {task.name}")
     values = {name: getattr(options, name) for name in GIVEN if name in fields}
     values |= {name: str(value) for name, value in values.items() if isinstance(value, Path)}
     perception = options.perception or (PERCEPTION if simulated else "")
@@ -333,6 +323,19 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     return values | {"perception": perception, "methods": methods, "disturbances": disturbances}
 
 
+def pairs_of(pairs: tuple[str, ...]) -> dict[str, str]:
+    """The values of --set by name. Raises `UsageError` unless each is RULE=VALUE, and each rule has one value."""
+    found = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not (key and equals and value):
+            raise terminal.UsageError(f"--set {pair}; wanted RULE=VALUE, such as success_distance=0.5")
+        if key in found and found[key] != value:
+            raise terminal.UsageError(f"--set {key}={found[key]} {pair}: two values of {key}; leave one of them out")
+        found[key] = value
+    return found
+
+
 def bench_score(options: BenchScore) -> int:
     """``eagor bench score``."""
     from eagor.lab.eval.predictions import keep, score_predictions
@@ -353,12 +356,9 @@ def _summarised(run: Run, out: Path | None, as_json: bool, more: dict[str, Any] 
     summary = results.summarise(run)
     if success := report.criterion_of(run):
         summary["success"] = success
-    if as_json:
-        terminal.emit(results.as_json(summary, run) | (more or {}) | ({"out": str(out)} if out else {}))
-    else:
-        terminal.say(*tables.as_text(run, summary))
-        if out:
-            print(f"\nFor pictures and intervals: eagor bench report {out}")
+    more_in = ["", f"For pictures and intervals: eagor bench report {out}"] if out else []
+    found = results.as_json(summary, run) | (more or {}) | ({"out": str(out)} if out else {})
+    terminal.give(as_json, found, *tables.as_text(run, summary), *more_in)
     if not summary["episodes"]:
         terminal.error(f"no {getattr(run.task, 'case', 'case')} could be run" + (f"; {out} says why" if out else ""))
         return terminal.FAILED
@@ -414,8 +414,6 @@ def bench_failures(options: BenchFailures) -> int:
     from eagor.lab.eval import results, tables
     from eagor.lab.tasks.task import sample_of
 
-    if options.limit < 0:
-        raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
     run = results.read(options.run)
     summary, method, layers = results.summarise(run), _method(run, options.method), []
     found = {key: summary[key] for key in ("task", "episodes", "failed", "failures")}

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.options import Common, Rows, Whole, bare, given
+from eagor.cli.options import Common, Rows, Whole, bare, given, refuse
 from eagor.errors import EagorError, PoseError
 
 
@@ -62,9 +62,7 @@ def calibrate(options: Calibrate) -> int:
     """Run the command; returns its exit code."""
     kind = "replay" if given(options, TAKES["replay"]) else options.what
     for other, names in TAKES.items():
-        if wrong := given(options, sorted({*names} - {*TAKES[kind]})):
-            value = getattr(options, wrong[0])
-            raise terminal.UsageError(f"--{wrong[0]} {value} is for eagor calibrate {other}")
+        refuse(options, sorted({*names} - {*TAKES[kind]}), f"is for eagor calibrate {other}")
     checks.check_outputs(options, [options.replay, options.truth, options.poses])
     return {"responses": responses, "heads": heads, "replay": replay}[kind](options)
 

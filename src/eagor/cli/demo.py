@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from tyro.conf import arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.options import Common, Name, Whole, bare, given
+from eagor.cli.options import Common, Name, Whole, bare, refuse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +41,8 @@ def demo(options: Demo) -> int:
     if options.photo is not None:
         found, report = _photo(options, options.photo)
         table = list[str]()
-    elif options.query is not None:
-        raise terminal.UsageError("--query is for --photo PICTURE; in the apartment the search is chosen by --episode")
     else:
+        refuse(options, ["query"], "is for --photo PICTURE; in the apartment the search is chosen by --episode")
         from eagor.cli import demo_apartment
         from eagor.lab.envs.episodes import PER_PLACE
         from eagor.lab.envs.places import SEEDS
@@ -63,8 +62,7 @@ def demo(options: Demo) -> int:
 def _photo(options: Demo, path: Path) -> tuple[dict[str, Any], Path]:
     from eagor.sources.camera_sources import FrameCheck, ShapeError
 
-    if mistaken := given(options, ("seed", "episode")):
-        raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")
+    refuse(options, ("seed", "episode"), "chooses an apartment; leave it out with --photo")
     spec = options.perception
     if spec == "auto":  # without a query the detector chooses one, so it has to be one that knows things
         spec = "coco" if options.query is None else checks.perception_for([checks.checked_query(options.query)], None)
@@ -85,5 +83,5 @@ def _photo(options: Demo, path: Path) -> tuple[dict[str, Any], Path]:
     used = {"photograph": path.name, "perception": spec, "truth": demo_photo.NO_TRUTH}
     page = BeliefPage(options.out / "report.html", query=query, used=used)
     with terminal.progress("looking", looks, shown=not options.json) as advance, page:
-        played = demo_photo.play(image, perception, query, page, advance, checks.tracker_config(spec))
+        played = demo_photo.play(image, perception, query, page, advance)
     return demo_photo.as_json(played, spec, path.name), page.path

@@ -25,7 +25,6 @@ from eagor.sources.camera_sources import Footage
 from eagor.sources.odometry import GivenPoses
 from eagor.sources.panorama import Picture, shrunk, turn
 from eagor.sphere import azimuth_elevation, world_R_body
-from eagor.tracking import TrackerConfig
 
 PLACE = 0.1  # weight from which a candidate is named
 LOOKS = 24
@@ -61,9 +60,8 @@ def best_query(perception: Perception, panorama: np.ndarray) -> str:
 
 
 def play(
-    image: np.ndarray, perception: Perception, query: str, page: BeliefPage, advance: Callable[[], object],
-    config: TrackerConfig | None = None,
-) -> list[Followed]:  # fmt: skip
+    image: np.ndarray, perception: Perception, query: str, page: BeliefPage, advance: Callable[[], object]
+) -> list[Followed]:
     """Look `LOOKS` times for `query`, and follow it on the page. Raises `RunError` if nothing was ever seen."""
     rows = min(max(rows_of(perception), LEAST_ROWS), MOST_ROWS)
     small, way, found = shrunk(image, rows), poses(), list[Followed]()
@@ -77,7 +75,7 @@ def play(
         advance()
 
     source = Footage(lambda: iter([(pose.stamp, f"look {k}", partial(seen, pose)) for k, pose in enumerate(way, 1)]))
-    for _ in Loop(source, GivenPoses(way), perception, query, sinks=[ByFrame(each)], config=config):
+    for _ in Loop(source, GivenPoses(way), perception, query, sinks=[ByFrame(each)]):
         pass
     if all(count == 0 for count in map(detections, found)):
         raise RunError(f"there was no {query!r} to see in any of {LOOKS} looks; ask for something else with --query")

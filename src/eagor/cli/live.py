@@ -11,7 +11,7 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -20,10 +20,11 @@ from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
 from eagor.cli.answers import in_words
-from eagor.cli.options import Axes, Flag, TrackingOptions, bare
+from eagor.cli.options import Axes, Flag, TrackingOptions, bare, refuse
 
 if TYPE_CHECKING:
     from eagor.live.events import Answer, NextLooks
+    from eagor.live.loop import Sink
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,31 +89,30 @@ def live(options: Live) -> int:
     if len(options.words) < 2:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted SOURCE, then one or more QUERY")
     source, queries = options.words[0], checks.checked_queries(options.words[1:])
-    checks.checked_record(options.record)
     checks.check_outputs(options)
     spec = checks.perception_for(queries, options.perception)
-    config = replace(checks.tracker_config(spec, **vars(options)), floor_height=options.floor)
-    mask, rows = checks.mask_of(options.mask), checks.rows_for(spec, options.rows)
+    config, mask = checks.tracker_config(spec, options), checks.mask_of(options.mask)
+    rows = checks.rows_for(spec, options.rows)
     opens = partial(open_source, source, latency=options.latency, rows=rows, **checks.lens_of(options))
     if source.startswith("ros:"):  # its publishers may not be there yet
         terminal.log(f"waiting for pictures on {source}")
-    camera, looks, log = opens(), NextLooks(), None
+    camera, looks = opens(), NextLooks()
+    sinks: list[Sink] = []
     try:
         if options.rerun is not None:
             from eagor.live.rerun import RerunLog
 
-            log = RerunLog(options.rerun, f"{', '.join(queries)}: {source}", realtime=True)
+            sinks.append(RerunLog(options.rerun, f"{', '.join(queries)}: {source}", realtime=True))
         dds = {"domain": options.domain, "interface": options.interface}
         poses = poses_for(options.poses, camera, axes=options.axes, **dds)
         loop = Loop(
             already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast,
-            [looks, *([log] if log else [])], config=config, rate=options.rate, patience=options.patience,
-            record=options.record, pictures=options.pictures, mask=mask,
+            [looks, *sinks], config=config, rate=options.rate, patience=options.patience, record=options.record,
+            pictures=options.pictures, mask=mask,
         )  # fmt: skip
     except BaseException:
-        camera.close()
-        if log is not None:
-            log.close()
+        for each in (camera, *sinks):
+            each.close()
         raise
     terminal.log(
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
@@ -131,8 +131,9 @@ def live(options: Live) -> int:
         loop.run(answered)
     finally:
         told.close()
-        if log is not None and log.problem is not None:
-            terminal.warning(log.problem)
+        for sink in sinks:
+            if problem := getattr(sink, "problem", None):
+                terminal.warning(problem)
         counts = loop.counts
         terminal.log(
             f"{counts.frames} pictures, {counts.looks} looks, {counts.poses} poses, {counts.answers} answers"
@@ -147,7 +148,7 @@ def live(options: Live) -> int:
 class _Printer:
     """What is printed: lines of JSON, or the newest answers; on stderr what goes wrong, once, and the last answers."""
 
-    def __init__(self, options: Live, queries: Sequence[str], looks: NextLooks | None = None) -> None:
+    def __init__(self, options: Live, queries: Sequence[str], looks: NextLooks) -> None:
         from eagor.live.events import FaultLog
 
         self._options, self._queries, self._looks = options, queries, looks
@@ -155,7 +156,7 @@ class _Printer:
         self._newest: dict[str, Answer] = {}
         self._begun, self._shown, self._rows = math.inf, -math.inf, 1
         self._faults = FaultLog()
-        self._next: tuple[float, float] | None = None  # where to look next: azimuth and elevation, radians
+        self._next: list[float] = []  # where to look next: azimuth and elevation, radians
         self.last: str | None = None
 
     def add(self, answer: Answer) -> None:
@@ -172,16 +173,13 @@ class _Printer:
                     self._show("")
                 terminal.log(text)
                 self.last = text if wrong else self.last
-            toward = None if self._looks is None else self._looks.of(answer)
-            self._next = None
-            if toward is not None:
-                azimuth, elevation = azimuth_elevation(toward)
-                self._next = float(azimuth), float(elevation)
+            toward = self._looks.of(answer)
+            self._next = [] if toward is None else [*map(float, azimuth_elevation(toward))]
         if options.json:
             found = answer.as_dict(options.modes)
-            if first and self._next is not None:
-                azimuth, elevation = (round(math.degrees(angle), 6) for angle in self._next)
-                found["next_look"] = {"azimuth_deg": azimuth, "elevation_deg": elevation}
+            if first and self._next:
+                angles = (round(math.degrees(angle), 6) for angle in self._next)
+                found["next_look"] = dict(zip(("azimuth_deg", "elevation_deg"), angles, strict=True))
             terminal.emit(found)
         elif answer.query == self._queries[-1]:
             self._say(answer.stamp)
@@ -200,7 +198,7 @@ class _Printer:
             e = answer.estimate
             cone = "" if e.direction is None else f", {e.certainty}"
             parts.append(f"{query}: {answer_in_words(e)}{cone}, {answer.status_words}")
-        if self._next is not None:
+        if self._next:
             parts.append(f"look next {in_words(*self._next)}")
         if self._in_place:
             self._show(" | ".join(parts))
@@ -223,18 +221,16 @@ class _Printer:
 
 def _replay(options: Live) -> int:
     """``eagor live replay DIR``."""
+    from eagor.live.events import NextLooks
     from eagor.live.recording import Replay
 
     if len(options.words) != 2:
         raise terminal.UsageError("wanted the folder of one recording: eagor live replay DIR")
     folder = options.words[1]
-    if options.perception is not None:
-        raise terminal.UsageError(
-            f"replay gives the answers of then; for another detector: eagor track {folder} QUERY "
-            f"--perception {options.perception}"
-        )
+    again = f"eagor track {folder} QUERY --perception {options.perception}"
+    refuse(options, ["perception"], f"{options.perception}: replay gives the answers of then; for another: {again}")
     replay = Replay(Path(folder))
-    told, answers = _Printer(options, replay.settings.queries), 0
+    told, answers = _Printer(options, replay.settings.queries, NextLooks()), 0
     try:
         for answers, answer in enumerate(replay, 1):  # noqa: B007
             told.add(answer)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.answers import Lines
+from eagor.cli.answers import appended
 from eagor.cli.frames import Tally, open_stream
 from eagor.cli.options import Footage
 from eagor.errors import ImageError, PoseError
@@ -46,17 +46,17 @@ def look(options: Look) -> int:
     places = checks.places_of(options.words, options.rig is not None)
     if options.out.suffix.lower() != ".jsonl":
         raise terminal.UsageError(f"--out {options.out}: wanted a file name that ends in .jsonl")
-    checks.check_outputs(options, [*places, Path(options.poses)])
+    checks.check_outputs(options, [*places, options.poses])
     views = _views(options, queries)
     stream = open_stream(options, places, views)
     of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
     tally, last, labels = Tally(), 0.0, Counter[str]()
-    with Lines(options.out) as file, terminal.progress("looking", stream.count, shown=not options.json) as advance:
+    with appended(options.out) as add, terminal.progress("looking", stream.count, shown=not options.json) as advance:
         head = [first_line(of, options.perception, views, stream.told, stream.begins)]
         frames = PosedFrames(stream.source, stream.poses, stream.looks, terminal.log)
         try:
             for posed, entries in looked_at(prefetched(frames), views, queries, HiddenParts(say=terminal.log)):
-                file.add("".join(f"{line}\n" for line in [*head, *map(json.dumps, entries)]))
+                add("".join(f"{line}\n" for line in [*head, *map(json.dumps, entries)]))
                 head.clear()
                 if not posed.looked:
                     continue

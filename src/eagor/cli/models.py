@@ -41,10 +41,8 @@ def models_list(options: ModelsList) -> int:
     from eagor.perception import coco
 
     steps = "".join(f"; before it can run: {step}" for step in coco.wanted())
-    terminal.give(options.json, {"models": [_coco()]}, f"coco: {coco.state()} at {coco.model_file()}{steps}")
-    if not options.json:
-        terminal.facts(coco.ABOUT, 2)
-    return terminal.OK
+    where = f"coco: {coco.state()} at {coco.model_file()}{steps}"
+    return terminal.give(options.json, {"models": [_coco()]}, where, *terminal.facts(coco.ABOUT, 2))
 
 
 def models_get(options: ModelsGet) -> int:
@@ -132,18 +130,14 @@ def doctor(options: Doctor) -> int:
     wants = {f"{kind[:-1]} {name}": why for kind, each in states.items() for name, why in each.items() if why != READY}
     for extra, lacks in lacking.items():
         (wants if lacks else works)[f"extra {extra}"] = ": ".join([USES[extra], *lacks])
-    if options.json:
-        found = {"packages": packages, **states, "extras": lacking, "left_out": left_out, "healthy": not missing}
-        terminal.emit(about | found)
-        return terminal.FAILED if missing else terminal.OK
-    terminal.say("eagor {eagor}, Python {python} on {platform}".format(**about))
-    terminal.say("with " + ", ".join(f"{name} {number}" for name, number in packages.items() if number), "")
-    terminal.say("These work now:")
-    terminal.facts(works, 2)
-    terminal.say("", "These need something first:")
-    terminal.facts(wants or {"nothing": ""}, 2)
-    for line in left_out:
-        terminal.say(f"left out: {line}")
+    found = {"packages": packages, **states, "extras": lacking, "left_out": left_out, "healthy": not missing}
+    terminal.give(
+        options.json, about | found, "eagor {eagor}, Python {python} on {platform}".format(**about),
+        "with " + ", ".join(f"{name} {number}" for name, number in packages.items() if number), "",
+        "These work now:", *terminal.facts(works, 2), "",
+        "These need something first:", *terminal.facts(wants or {"nothing": ""}, 2),
+        *(f"left out: {line}" for line in left_out),
+    )  # fmt: skip
     if missing:
         terminal.error(f"eagor itself lacks {', '.join(missing)}; install it again with pip")
     return terminal.FAILED if missing else terminal.OK

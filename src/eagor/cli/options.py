@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
 from tyro.conf import arg, subcommand
 
-from eagor.errors import EagorError
+from eagor.cli.terminal import UsageError
 
 
 def bare(metavar: str | None = None, help: str | None = None) -> Any:
@@ -53,16 +53,7 @@ Static = Annotated[
 ]
 Eyes = Annotated[
     Literal["mono", "left-right", "right-left", "top-bottom", "bottom-top", "vr180", "vr180-top-bottom"] | None,
-    bare(
-        "LAYOUT",
-        "Two eyes in a panorama's picture (3D 360, VR180; default: as its file says; alike halves are refused): "
-        "left-right or top-bottom (the left eye's first), right-left, bottom-top, vr180 (half spheres side by side), "
-        "vr180-top-bottom; mono: one.",
-    ),
-]
-Mask = Annotated[
-    Path | None,
-    bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),
+    bare("LAYOUT"),
 ]
 Force = Annotated[
     bool,
@@ -92,13 +83,18 @@ class Lens(Common):
     camera: Annotated[Path | None, bare("FILE")] = None
     """An ordinary camera: its calibration by ROS, OpenCV, Kalibr or COLMAP, or a rig with one lens."""
     eyes: Eyes = None
+    (
+        "Two eyes in a panorama's picture (3D 360, VR180; default: as its file says; alike halves are refused): "
+        "left-right or top-bottom (the left eye's first), right-left, bottom-top, vr180 (half spheres side by side), "
+        "vr180-top-bottom; mono: one."
+    )
     rig: Annotated[Path | None, bare("FILE.yaml")] = None
     """Lenses, for pictures that are not stitched: their circles (eagor camera calibrate), or ordinary cameras."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answering(Lens):
-    """Options of the commands that answer where something is: who looks, and how the looks are added up."""
+class Looking(Lens):
+    """Options of the commands that look for something: who looks, and how the looks are added up."""
 
     perception: Annotated[str | None, bare("NAME")] = None
     (
@@ -108,6 +104,20 @@ class Answering(Lens):
         "my.py:FUNCTION (a function of yours), a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, "
         "endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed one; `eagor doctor` lists them."
     )
+    degree: Whole = 15
+    """Degree of the spherical harmonics, 1 to 63; the resolution is about 180 / N degrees."""
+    calibration: Annotated[Path | None, bare("FILE.json")] = None
+    """Calibration of the perception and of forgetting, from `eagor calibrate`."""
+    detector: Detector = None
+    mask: Annotated[Path | None, bare("FILE.png")] = None
+    """What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."""
+    force: Force = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answering(Looking):
+    """Options of the commands that answer in a table or a file."""
+
     modes: Annotated[int, arg(metavar="K")] = 10
     """Maximum number of candidate directions in the output."""
     floor: Annotated[float | None, bare("Z")] = None
@@ -115,13 +125,6 @@ class Answering(Lens):
         "Height of the floor in the world of the poses, metres. Objects stand on it, so distances are known sooner. In "
         "locate the camera is at height 0: a floor 1.3 m below it is at -1.3."
     )
-    degree: Whole = 15
-    """Degree of the spherical harmonics, 1 to 63; the resolution is about 180 / N degrees."""
-    calibration: Annotated[Path | None, bare("FILE.json")] = None
-    """Calibration of the perception and of forgetting, from `eagor calibrate`."""
-    detector: Detector = None
-    mask: Mask = None
-    force: Force = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,20 +182,13 @@ def grouped(name: str, text: str, *commands: type) -> Any:
     return made
 
 
-def given(options: Common, names: Sequence[str]) -> list[str]:
+def given(options: Common, names: Iterable[str]) -> list[str]:
     """Those of `names`, of options that the command has, that differ from their default."""
     defaults = {field.name: field.default for field in fields(options)}
     return [name for name in names if name in defaults and getattr(options, name) != defaults[name]]
 
 
-def pairs_of(pairs: tuple[str, ...]) -> dict[str, str]:
-    """The values of --set by name. Raises `EagorError` unless each is RULE=VALUE, and each rule has one value."""
-    found = {}
-    for pair in pairs:
-        key, equals, value = pair.partition("=")
-        if not (key and equals and value):
-            raise EagorError(f"--set {pair}; wanted RULE=VALUE, such as success_distance=0.5")
-        if key in found and found[key] != value:
-            raise EagorError(f"--set {key}={found[key]} {pair}: two values of {key}; leave one of them out")
-        found[key] = value
-    return found
+def refuse(options: Common, names: Iterable[str], why: str) -> None:
+    """Raise `UsageError` if one of these options is given: its name, and `why` not."""
+    if wrong := given(options, names):
+        raise UsageError(f"--{wrong[0].replace('_', '-')} {why}")
