@@ -316,7 +316,7 @@ def test_every_event_comes_back_from_its_bytes():
 
 
 @pytest.mark.parametrize(
-    "wrong", [b"", b"X123", b"\xff" * 60, packed(3), packed((7, "Pose", {})), packed((7, "Tick", {"stamp": 1.0}))]
+    "wrong", [b"", b"X123", b"\xff" * 60, packed(3), packed((8, "Pose", {})), packed((8, "Tick", {"stamp": 1.0}))]
 )
 def test_bytes_that_are_no_event_are_refused(wrong):
     with pytest.raises(FormatError):

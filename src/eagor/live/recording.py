@@ -47,7 +47,7 @@ FLUSHED = 0.5  # seconds between two flushes: as much may be lost
 WAITING = 16  # pictures that may wait to be written; further ones are left out
 QUALITY = 92  # of JPEG
 BODY = "base_link"  # REP-105
-VERSION = 7  # of the events
+VERSION = 8  # of the events
 KINDS: dict[str, type] = {kind.__name__: kind for kind in (*get_args(Event), LoopSettings)}
 
 Pictures = Literal["jpeg", "png", "none"]
@@ -57,7 +57,8 @@ def event_in_bytes(event: Event | LoopSettings) -> bytes:
     """An event without its picture, or the settings of the core, exactly: bytes of `eagor.tracking.checkpoint`."""
     values = {each.name: getattr(event, each.name) for each in fields(event) if each.name != "picture"}
     if isinstance(event, PoseReceived):
-        values["pose"] = [getattr(event.pose, each.name) for each in fields(Pose)]
+        parts = (getattr(event.pose, each.name) for each in fields(Pose))
+        values["pose"] = [part.tolist() if isinstance(part, np.ndarray) else part for part in parts]  # a third of it
     try:
         return packed((VERSION, type(event).__name__, values))
     except FormatError:  # what a look says of its source may be anything
@@ -76,7 +77,7 @@ def event_from(content: bytes) -> Event | LoopSettings:
         )
     try:
         if name == PoseReceived.__name__:
-            values["pose"] = Pose(*values["pose"])
+            values["pose"] = Pose(*(np.array(part) if isinstance(part, list) else part for part in values["pose"]))
         return KINDS[name](**values)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"an event of the recording cannot be read: {error!r}") from error
