@@ -30,12 +30,7 @@ class BenchRun(Common):
     task: Annotated[str, Positional, arg(metavar="TASK")]
     """waypoint, navigation, tracking, an installed task, or one with data: hstar-hos, hstar-hps, osr, eagle360"""
     perception: Annotated[str | None, bare("NAME")] = None
-    (
-        "The detector: scout (default of simulated tasks), a small network on the rendered pictures; truth, a noisy "
-        "detector with the ground truth of the simulator or the annotations (truth:ideal has no noise, "
-        "truth:miss=0.5,spread=4 sets it); a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, "
-        "endpoint:MODEL@http://HOST:PORT/v1); or another."
-    )
+    """scout (default of simulated tasks), truth (the true places, with noise), a model, or another detector."""
     data: Annotated[Path | None, bare("DIR")] = None
     """Benchmarks: the folder with the published files."""
     agent: Annotated[str | None, bare("NAME")] = None
@@ -49,33 +44,21 @@ class BenchRun(Common):
     engine: Literal["processes", "threads", "ray"] = "processes"
     """Kind of --workers: processes; threads, for models on servers; ray, for a Ray cluster (RAY_ADDRESS)."""
     methods: Annotated[tuple[str, ...], bare("NAME ...")] = ()
-    (
-        "The methods (default: all eight, and for a vision-language model plain, its own answer); variants such as "
-        "eagor:degree=7,decode=mean; in navigation also oracle."
-    )
+    """The methods (default: all), or variants such as eagor:degree=7; for language models plain, in navigation oracle."""
     episodes: Annotated[int | None, bare("N")] = None
     """Number of episodes; five in each apartment (default: 20)."""
     seed: Annotated[int | None, bare("N")] = None
-    (
-        "The first apartment (default 2000). 0 to 1999 are for development, 2000 to 9999 for results. Benchmarks: seed "
-        "of truth and of random agents (default 0)."
-    )
+    """The first apartment (default 2000; lower ones are for development). Benchmarks: seed of truth and chance."""
     out: Annotated[Path | None, bare("RUN")] = None
     """The folder of the run (default: runs/TASK-PERCEPTION-SEED). Finished episodes in it are not played again."""
     workers: Whole = 1
     """Number of parallel workers."""
     ablations: Flag = False
-    (
-        "Run also variants of our method and of the published one: degree, decode, calibration, shells (in navigation: "
-        "the oracle, which is told the true direction)."
-    )
+    """Run also variants of our method and of the published one (in navigation: the oracle, told the direction)."""
     walking: Flag = False
     """The camera bobs and sways, and the odometry drifts."""
     set: Annotated[tuple[str, ...], bare("RULE=VALUE ...")] = ()
-    (
-        "Rules to change, such as success_distance=0.5 max_steps=200 stop=call latency=2. Benchmarks: other options, "
-        "such as sure=0.8 scoring=strict labels=both."
-    )
+    """Rules to change, such as success_distance=0.5 max_steps=200, or options of benchmarks (see bench list)."""
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
     """apartment, an installed world, or a GLB file."""
     rows: Rows = None
@@ -83,10 +66,7 @@ class BenchRun(Common):
     """Calibration of our tracker, from `eagor calibrate`."""
     detector: Detector = None
     force: Annotated[bool, bare()] = False
-    (
-        "Accept a calibration that was fitted for another perception, and resume a run although the code, the data or "
-        "the model has changed."
-    )
+    """Accept a calibration of another perception, and resume a run although code, data or model have changed."""
     retry_failed: Flag = False
     """Run failed episodes again."""
 
@@ -111,11 +91,7 @@ class BenchScore(Common):
     """Score predictions from elsewhere, or a run by other rules; nothing is run."""
 
     predictions: Annotated[Path, Positional, arg(metavar="PRED")]
-    (
-        'A JSON lines file with one object per case: its id ("case"; or "doc_id", its number) and the answer '
-        '("submit": [yaw, pitch], "text": the model\'s text, ...), such as the predictions.jsonl of a report. Or the '
-        "folder of a run."
-    )
+    """The folder of a run; or JSON lines, one for each "case" (or "doc_id"), as the predictions.jsonl of a report."""
     task: Annotated[str | None, bare("NAME")] = None
     """The benchmark (default: that of the run)."""
     data: Annotated[Path | None, bare("DIR")] = None

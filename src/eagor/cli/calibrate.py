@@ -25,19 +25,13 @@ class Calibrate(Common):
     replay: Annotated[Path | None, bare("FILE.jsonl")] = None
     """Fit the error model of the detector that wrote this replay file (as `eagor look` does); needs --truth."""
     truth: Annotated[Path | None, bare("FILE.jsonl")] = None
-    (
-        'The true directions for --replay, a line each: {"stamp": 2.0, "query": "chair", "targets": [{"azimuth_deg": '
-        '58, "elevation_deg": -33}]}, of all that are there; an empty list: there is none.'
-    )
+    """The true directions: lines {"stamp", "query", "targets": [{"azimuth_deg", "elevation_deg"}, ...]}; none: []."""
     poses: Annotated[Path | None, bare("CSV")] = None
     """How the camera turned and moved while --replay was seen, as for track: it tells what comes again."""
     out: Annotated[Path | None, bare("FILE.json")] = None
     """File for the result (default: calibration-PERCEPTION.json or heads-MODEL.json)."""
     labels: Annotated[Path | None, bare("FILE.jsonl")] = None
-    (
-        'heads: labelled panoramas of your own, instead of apartments; a line each: {"image": "a.png", "query": '
-        '"chair", "azimuth_deg": 30, "elevation_deg": -12, "radius_deg": 6}, or "box": [x0, y0, x1, y1].'
-    )
+    """heads: lines {"image", "query", "azimuth_deg", "elevation_deg", "radius_deg"}, or "box": [x0, y0, x1, y1]."""
     take: Whole = 3
     """heads: number of heads."""
     episodes: Whole = 60

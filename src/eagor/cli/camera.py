@@ -31,10 +31,7 @@ class CameraCalibrate(Common):
     """
 
     pictures: Annotated[tuple[str, ...], Positional, arg(metavar="PICTURE ...", help_behavior_hint="(required)")]
-    (
-        "Two or more pictures with both circles, side by side; for a camera that writes one picture per lens, "
-        "FRONT.jpg,BACK.jpg with a comma between. Or one video; --every takes pictures of it."
-    )
+    """Pictures with both circles side by side, or FRONT.jpg,BACK.jpg with one each; or one video (--every)."""
     out: Annotated[Path, arg(metavar="FILE.yaml")] = Path("rig.yaml")
     """File for the lenses; other commands take it as --rig."""
     turned: Flag = False

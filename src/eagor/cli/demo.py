@@ -29,10 +29,7 @@ class Demo(Common):
     episode: Whole = 1
     """Search in this apartment, 0 to 4."""
     perception: Name = "auto"
-    (
-        "The detector: auto (in the apartment scout, a small network on the rendered pictures; with --photo as for "
-        "locate), truth (a noisy detector with the simulator's ground truth), or another perception."
-    )
+    """The detector: auto (scout; with --photo as for locate), truth (the true places, with noise), or another."""
 
 
 def demo(options: Demo) -> int:

@@ -35,18 +35,9 @@ class Live(TrackingOptions):
     """
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE QUERY ...", help_behavior_hint="(required)")]
-    (
-        "A camera (/dev/video0, rtsp://HOST/PATH, http://..., udp://..., ros:/image_topic, - or pipe:rgb24:1920x960 "
-        "for standard input), a video, a folder, or a ROS 2 bag (BAG?topic=/image); then what to look for, each in "
-        "quotes. Or: replay DIR."
-    )
+    """A camera (/dev/video0, rtsp://..., ros:/topic, pipe:rgb24:64x32), video, folder or bag; then QUERY. Or: replay DIR."""
     poses: Annotated[str, arg(metavar="SOURCE")] = "auto"
-    (
-        "How the camera turns and moves. auto: by a bag's odometry, a video's IMU, else the pictures (rotation only); "
-        "level: the same for a camera that keeps its pictures level; still: it stands; ros:/odom: a ROS 2 topic, also "
-        "of a bag; go2: the robot's odometry (go2:slow, go2:lidar: of other topics); CSV: a file, as for track, for a "
-        "recorded source."
-    )
+    """How the camera turns and moves: as for track, or ros:/odom, a ROS 2 topic; go2 (go2:slow, go2:lidar), a robot."""
     axes: Axes = "auto"
     rate: Annotated[float, arg(metavar="HZ")] = 20.0
     """Answers per second."""

@@ -25,10 +25,7 @@ class Locate(Answering):
     """Find the direction of an object in one picture: a panorama, or one of an ordinary camera."""
 
     file: Annotated[str, Positional, arg(metavar="PICTURE")]
-    (
-        "An equirectangular image, an ordinary picture (--hfov, --camera), or a video; its centre is forward. Of a rig "
-        "with several cameras FRONT,BACK: a picture or a video of each."
-    )
+    """A panorama, an ordinary picture (--hfov, --camera), or a video; its centre is forward. Of a rig FRONT,BACK."""
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to look for, in words."""
     stamp: Annotated[float | None, bare("SECONDS")] = None

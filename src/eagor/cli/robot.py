@@ -36,10 +36,7 @@ class RobotSim(Common):
     interface: Annotated[str, arg(metavar="NAME")] = "lo"
     """Network interface; lo stays on this machine."""
     target: Annotated[str | None, bare("QUERY")] = None
-    (
-        'What is to be found: it starts some metres away from it. "red ball" (blue, yellow, green) brings a ball along '
-        "that rolls about."
-    )
+    """What is to be found: it starts some metres from it. "red ball" (or blue, yellow, green) brings one that rolls."""
     speed: Annotated[float, arg(metavar="M_PER_S")] = 0.3
     """Speed of the ball; 0: it lies."""
     camera: Literal["erp", "none"] = "erp"

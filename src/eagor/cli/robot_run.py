@@ -38,10 +38,7 @@ class RobotRun(Looking):
     arm: Flag = False
     """Let the robot move. Somebody has to hold the dead-man switch."""
     deadman: Annotated[Literal["remote", "none"] | None, bare("SWITCH")] = None
-    (
-        "What is held while it may move: remote (L1 of the robot's remote control; B stops for good, start releases "
-        "that), none (only for simulated robots). Default: remote; with --sim none."
-    )
+    """Held while it may move: remote (L1 of its remote control; the default), none (--sim, simulated robots)."""
     source: Annotated[str | None, bare("SOURCE")] = None
     """The camera, as for `eagor live`: /dev/video0, rtsp://HOST/PATH, ros:/image_topic, ...; with --sim its own."""
     interface: Annotated[str | None, bare("NAME")] = None

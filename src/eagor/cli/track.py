@@ -34,10 +34,7 @@ class Track(Footage, TrackingOptions):
     """Follow objects through a video or a sequence of pictures: panoramas, or of an ordinary camera."""
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY ...", help_behavior_hint="(required)")]
-    (
-        "A video, a folder of pictures, several image files (sorted by name), or a ROS 2 bag; then what to look for, "
-        "each thing in quotes. Or what eagor look wrote (LOOKS.jsonl); without QUERY, that lists what was seen."
-    )
+    """A video, folder, images or ROS 2 bag, then what to look for. Or LOOKS.jsonl: without QUERY, all is listed."""
     out: Annotated[Path | None, bare("FILE")] = None
     """Write the answers, one line per frame, to FILE.csv or FILE.jsonl."""
     video: Annotated[Path | None, bare("FILE.mp4")] = None
