@@ -23,6 +23,7 @@ from eagor.lab.worlds.painted import painted_room
 
 pytestmark = pytest.mark.xdist_group("real time")
 
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """A folder with a run of one short episode, and a run that was only begun."""

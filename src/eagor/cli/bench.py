@@ -44,7 +44,7 @@ class BenchRun(Common):
     engine: Literal["processes", "threads", "ray"] = "processes"
     """Kind of --workers: processes; threads, for models on servers; ray, for a Ray cluster (RAY_ADDRESS)."""
     methods: Annotated[tuple[str, ...], bare("NAME ...")] = ()
-    """The methods (default: all), or variants such as eagor:degree=7; for language models plain, in navigation oracle."""
+    """The methods (default: all), or variants, such as eagor:degree=7; plain for language models; oracle."""
     episodes: Annotated[int | None, bare("N")] = None
     """Number of episodes; five in each apartment (default: 20)."""
     seed: Annotated[int | None, bare("N")] = None

@@ -35,7 +35,7 @@ class Live(TrackingOptions):
     """
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE QUERY ...", help_behavior_hint="(required)")]
-    """A camera (/dev/video0, rtsp://..., ros:/topic, pipe:rgb24:64x32), video, folder or bag; then QUERY. Or: replay DIR."""
+    """A camera (/dev/video0, rtsp://..., ros:/topic, -), video, folder or bag, then what to look for; or replay DIR"""
     poses: Annotated[str, arg(metavar="SOURCE")] = "auto"
     """How the camera turns and moves: as for track, or ros:/odom, a ROS 2 topic; go2 (go2:slow, go2:lidar), a robot."""
     axes: Axes = "auto"
