@@ -108,7 +108,7 @@ def _check(options: Footage, places: Sequence[Path], bag: bool, moves: bool) -> 
     if not moves:
         refuse(options, ("start", "end", "fps"), "is for a video; these are images")
         if given_poses:
-            refuse(options, ["rate"], f"{options.rate:g}: {poses} tells when the images were taken")
+            refuse(options, ["rate"], f"is not wanted: {poses} tells when the images were taken")
     if options.odom_topic is not None:
         refuse(options, ["poses"], f"{poses} and --odom-topic: wanted one of them")
 
