@@ -23,7 +23,8 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from typing import Any
+from importlib import import_module
+from typing import Annotated, Any, Union
 
 # Our matrices are small: threads in the matrix library cost far more than they gain (several times the time of the demo
 # on shared cores). The library reads this when NumPy is first imported; a value that is set already counts.
@@ -50,6 +51,10 @@ Exit codes: 0 success, 1 the run failed, 2 usage or input, 3 finished but some c
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
 COMPLETION, ROS_ARGS = "--tyro-print-completion", "--ros-args"
+COMMANDS = (
+    "locate", "look", "track", "live", "ros", "robot", "demo", "studio", "bench", "export", "calibrate", "camera",
+    "models", "doctor",
+)  # fmt: skip
 SHELLS = ("bash", "zsh", "fish")
 _LISTS = ("--set", "--methods", "--categories", "--queries")  # options that take several values
 
@@ -136,13 +141,13 @@ def _parse(arguments: list[str]) -> Any:
     """The command with its options. Raises `UsageError`, or `SystemExit` after help."""
     import tyro
 
-    from eagor.cli.commands import Command
-
+    modules = {name: import_module(f"eagor.cli.{'models' if name == 'doctor' else name}") for name in COMMANDS}
+    kinds = (Annotated[getattr(m, n.capitalize()), tyro.conf.subcommand(n)] for n, m in modules.items())
     said = io.StringIO()
     try:
         with redirect_stderr(said):
             return tyro.cli(
-                Command,  # type: ignore[arg-type]
+                Union[tuple(kinds)],  # type: ignore[arg-type]  # noqa: UP007
                 prog="eagor",
                 description=DESCRIPTION,
                 args=arguments,

@@ -145,8 +145,6 @@ def table(path: Path, rivals: Sequence[str] = ()) -> Iterator[Callable[[Entry], 
     `UsageError` before the first answer if the file cannot be written. In CSV, `modes` is the number of candidates.
     """
     suffix = path.suffix.lower()
-    if suffix not in (".csv", ".jsonl"):
-        raise UsageError(f"--out {path}: wanted a file name that ends in .csv or .jsonl")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"--out {path}: there is no folder {path.absolute().parent}; make it first")
     columns = [*COLUMNS, "modes", "problem"]

@@ -35,7 +35,7 @@ LIMITS = {  # of an option of any command: least, most, and what is wanted
     "speed": (0, 3, "0 to 3 metres per second"), "limit": (0, math.inf, "0 or more"),
     "floor": (-math.inf, math.inf, "a height in metres"), "port": (0, 65535, "a port from 0 to 65535"),
 }  # fmt: skip
-PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+ENDINGS = {"picture": (".png", ".jpg", ".jpeg", ".webp"), "table": (".csv", ".jsonl"), "looks": (".jsonl",)}
 OUTPUTS = {
     "out": "file", "picture": "picture", "pictures": "folder", "video": "file", "page": "file", "rerun": "file",
     "record": "new folder",
@@ -103,8 +103,8 @@ def check_outputs(options: object, inputs: Sequence[str | Path | None] = (), **k
             continue
         if os.path.realpath(path) in read:
             raise UsageError(f"--{name} {path} is an input; name another place to write to")
-        if kind == "picture" and path.suffix.lower() not in PICTURES:
-            raise UsageError(f"--{name} {path}: wanted a file name that ends in .png, .jpg or .webp")
+        if path.suffix.lower() not in (endings := ENDINGS.get(kind, (path.suffix.lower(),))):
+            raise UsageError(f"--{name} {path}: wanted a file name that ends in {' or '.join(endings)}")
         folder = kind.endswith("folder")
         there = next(place for place in (path.absolute(), *path.absolute().parents) if os.path.exists(place))
         fits = there.is_dir() if folder else there.is_dir() != path.exists()

@@ -130,19 +130,19 @@ class Tally:
             terminal.warning(f"{name} is left out: {problem}")
             self.bad, self._unread = self.bad + 1, self._unread + (not read)
 
-    def end(self, left_out: Sequence[str]) -> bool:
-        """Say what is missing; returns whether anything is. Raises `RunError` if no frame came."""
+    def end(self, left_out: Sequence[str]) -> int:
+        """Say what is missing; returns the exit code. Raises `RunError` if no frame came."""
         for text in [*left_out, *([f"the frames end early: {self.broken}"] if self.broken else [])]:
             terminal.warning(text)
         if not self.frames:
             raise terminal.RunError("there was no frame to look at")
-        return bool(self.bad or self.broken or left_out)
+        return terminal.INCOMPLETE if self.bad or self.broken or left_out else terminal.OK
 
     def check(self) -> None:
         """Raise `RunError` if all frames were bad, `ImageError` if none could be read: the input is wrong."""
-        if 0 < self.bad < self.frames:
-            terminal.log(f"{self.bad} of {self.frames} frames were left out")
         if self.bad == self.frames:
             error, what = (ImageError, "read") if self._unread == self.frames else (terminal.RunError, "used")
             all_of_them = f"none of the {self.frames} frames could be {what}; the reasons are above"
             raise error(all_of_them if self.bad > 1 else f"the only frame could not be {what}; the reason is above")
+        if self.bad:
+            terminal.log(f"{self.bad} of {self.frames} frames were left out")

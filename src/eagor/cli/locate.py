@@ -54,7 +54,7 @@ def locate(options: Locate) -> int:
     query, floor = checks.checked_query(options.query), options.floor
     spec = checks.perception_for([query], options.perception)
     places = checks.places_of([options.file], options.rig is not None)
-    checks.check_outputs(options, places)
+    checks.check_outputs(options, places, out="table")
     if floor is not None and floor >= 0:
         raise terminal.UsageError(
             f"--floor {floor:g}: the camera of locate is at height 0; wanted a floor below it, such as -1.3"

@@ -44,9 +44,7 @@ def look(options: Look) -> int:
 
     queries = checks.checked_queries(options.queries)
     places = checks.places_of(options.words, options.rig is not None)
-    if options.out.suffix.lower() != ".jsonl":
-        raise terminal.UsageError(f"--out {options.out}: wanted a file name that ends in .jsonl")
-    checks.check_outputs(options, [*places, options.poses])
+    checks.check_outputs(options, [*places, options.poses], out="looks")
     views = _views(options, queries)
     stream = open_stream(options, places, views)
     of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
@@ -74,7 +72,7 @@ def look(options: Look) -> int:
             if looks := tally.frames - tally.bad:
                 terminal.log(f"kept: {options.out}, {terminal.many(looks, 'look')} to {last - stream.begins:.2f} s")
             raise
-    incomplete = tally.end(frames.left_out)
+    code = tally.end(frames.left_out)
     tally.check()
     looks = tally.frames - tally.bad
     told = {"of": of, "perception": options.perception, "poses": stream.told, "looks": looks, "left_out": tally.bad}
@@ -86,7 +84,7 @@ def look(options: Look) -> int:
         f"what there is:  eagor track {options.out}",
         f'where it is:    eagor track {options.out} "{example}"',
     )  # fmt: skip
-    return terminal.INCOMPLETE if incomplete else terminal.OK
+    return code
 
 
 def _views(options: Look, queries: list[str]) -> Detector:

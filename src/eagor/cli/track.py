@@ -67,7 +67,7 @@ def track(options: Track) -> int:
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
     spec = checks.perception_for(queries, options.perception) if looks is None else looks.about.perception
-    checks.check_outputs(options, [*places, options.poses])
+    checks.check_outputs(options, [*places, options.poses], out="table")
     config = checks.tracker_config(spec, options)
     if looks is None:
         perception = checks.make_perception(spec, busy=True)
@@ -131,7 +131,7 @@ def track(options: Track) -> int:
     for sink in sinks:
         if problem := getattr(sink, "problem", None):
             terminal.warning(problem)
-    incomplete = tally.end([] if loop.frames is None else loop.frames.left_out)
+    code = tally.end([] if loop.frames is None else loop.frames.left_out)
     if options.json:
         what = {"queries": queries} if several else {"query": queries[0]}
         terminal.emit(what | {"perception": spec, "poses": stream.told, "frames": entries, "left_out": tally.bad})
@@ -152,7 +152,7 @@ def track(options: Track) -> int:
         written = [str(path) for path in files.paths if path.exists()]
         if written and not options.json:
             terminal.log(f"written: {', '.join(written)}")
-    return terminal.INCOMPLETE if incomplete else terminal.OK
+    return code
 
 
 def estimators(names: Sequence[str], perception: str) -> dict[str, Any]:
