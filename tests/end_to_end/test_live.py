@@ -164,15 +164,6 @@ def test_without_a_terminal_a_line_a_second_and_the_last_answers_are_said(film, 
     assert "12 pictures, 24 looks, 12 poses" in counted
 
 
-def test_on_a_terminal_the_answers_are_shown_in_full_in_place(film, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "50")
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
-    assert main(["live", str(film), "red", "blue", "--poses", "still"]) == 0
-    *_, shown = capsys.readouterr().out.split("\x1b[J")
-    assert len(shown) > 100
-    assert re.match(r"red: .*, (tracking|ambiguous)[^|]* \| blue: .*(tracking|ambiguous)", shown)
-
-
 def test_the_answers_end_with_the_file_however_long_the_detector_needs():
     loop = Loop(Film(count=6), None, Seeing(seconds=1.5), "chair", True)
     answers = list(loop)

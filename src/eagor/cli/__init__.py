@@ -21,6 +21,7 @@ import io
 import os
 import re
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from importlib import import_module
@@ -56,7 +57,6 @@ COMMANDS = (
     "models", "doctor",
 )  # fmt: skip
 SHELLS = ("bash", "zsh", "fish")
-_LISTS = ("--set", "--methods", "--categories", "--queries")  # options that take several values
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -102,7 +102,7 @@ def _run(arguments: list[str]) -> int:
         print(script.getvalue().replace("complete -F", "complete -o default -F"), end="")
         return 0
     try:
-        command = _parse(join_words(arguments))
+        command = _parse(arguments)
     except SystemExit:  # tyro has printed help
         return 0
     command = getattr(command, "action", command)  # `bench run` is an action of `bench`
@@ -112,35 +112,19 @@ def _run(arguments: list[str]) -> int:
     return getattr(sys.modules[kind.__module__], name)(command)
 
 
-def join_words(arguments: list[str]) -> list[str]:
-    """`arguments` in which each of `_LISTS` stands once, with all its values; tyro keeps only the last of several.
+def _parse(arguments: list[str]) -> Any:
+    """The command with its options. Raises `UsageError`, or `SystemExit` after help.
 
     What follows ``--ros-args`` is left as it is.
     """
-    found: list[str] = []
-    values: dict[str, list[str]] = {}
-    into = found
-    for index, word in enumerate(arguments):
-        name, equals, value = word.partition("=")
-        if word in ("--", ROS_ARGS):
-            found.extend(arguments[index:] if word == "--" else ["--", *arguments[index:]])
-            break
-        if name in _LISTS:
-            if name not in values:
-                values[name] = []
-                found.append(name)
-            into = values[name]
-            into.extend([value] if equals else [])
-        else:
-            into = found if word.startswith("-") else into
-            into.append(word)
-    return [part for word in found for part in (word, *values.pop(word, []))]
-
-
-def _parse(arguments: list[str]) -> Any:
-    """The command with its options. Raises `UsageError`, or `SystemExit` after help."""
     import tyro
 
+    end = next((at for at, word in enumerate(arguments) if word in ("--", ROS_ARGS)), len(arguments))
+    counts = Counter(word.partition("=")[0] for word in arguments[:end] if word.startswith("--"))
+    if twice := [name for name in counts if counts[name] > 1 and name not in ("--json", "--debug")]:
+        raise terminal.UsageError(f"{twice[0]} comes twice, and only the last would count; write all after one")
+    if arguments[end:][:1] == [ROS_ARGS]:
+        arguments = [*arguments[:end], "--", *arguments[end:]]
     modules = {name: import_module(f"eagor.cli.{'models' if name == 'doctor' else name}") for name in COMMANDS}
     kinds = (Annotated[getattr(m, n.capitalize()), tyro.conf.subcommand(n)] for n, m in modules.items())
     said = io.StringIO()

@@ -1,14 +1,12 @@
 """``eagor live``: answers from a live camera at a steady rate; ``eagor live replay``: a recorded run again.
 
-With ``--json`` each answer is a line on stdout. On a terminal the newest ones are shown in place, elsewhere once a
-second. What goes wrong, and when it works again, is said on stderr, and at the end the last answers.
+With ``--json`` each answer is a line on stdout, otherwise the newest ones once a second. What goes wrong, and when it
+works again, is said on stderr, and at the end the last answers.
 """
 
 from __future__ import annotations
 
 import math
-import shutil
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -63,8 +61,7 @@ class Live(TrackingOptions):
     """Print one JSON object per line: each answer."""
 
 
-SHOWN = 0.1  # seconds between two status lines on a terminal,
-PRINTED = 1.0  # ... and elsewhere, where each stays
+PRINTED = 1.0  # seconds between two lines
 
 
 def live(options: Live) -> int:
@@ -143,9 +140,8 @@ class _Printer:
         from eagor.live.events import FaultLog
 
         self._options, self._queries, self._looks = options, queries, looks
-        self._in_place = not options.json and sys.stdout.isatty()
         self._newest: dict[str, Answer] = {}
-        self._begun, self._shown, self._rows = math.inf, -math.inf, 1
+        self._begun, self._shown = math.inf, -math.inf
         self._faults = FaultLog()
         self._next: list[float] = []  # where to look next: azimuth and elevation, radians
         self.last: str | None = None
@@ -160,8 +156,6 @@ class _Printer:
             self._begun = min(self._begun, answer.stamp - answer.image_age)
         if first:
             for text, wrong in self._faults.of(answer.faults, answer.stamp):  # what is wrong and was not, or well again
-                if self._in_place:
-                    self._show("")
                 terminal.log(text)
                 self.last = text if wrong else self.last
             toward = self._looks.of(answer)
@@ -176,36 +170,24 @@ class _Printer:
             self._say(answer.stamp)
 
     def _say(self, stamp: float) -> None:
-        """The newest answers, unless they were shown a moment ago."""
+        """The newest answers, unless they were told a moment ago."""
         from eagor.drawing.style import answer_in_words, in_words
 
-        now, apart = (time.monotonic(), SHOWN) if self._in_place else (stamp, PRINTED)
         # Before the first look there is nothing to say: it may be that the detector does not know the words.
         looked = self._options.fast or any(math.isfinite(each.look_age) for each in self._newest.values())
-        if now - self._shown < apart or not (self._in_place or (looked and self._begun < math.inf)):
+        if stamp - self._shown < PRINTED or not looked or self._begun == math.inf:
             return
-        self._shown, parts = now, list[str]()
+        self._shown, parts = stamp, list[str]()
         for query, answer in self._newest.items():
             e = answer.estimate
             cone = "" if e.direction is None else f", {e.certainty}"
             parts.append(f"{query}: {answer_in_words(e)}{cone}, {answer.status_words}")
         if self._next:
             parts.append(f"look next {in_words(*self._next)}")
-        if self._in_place:
-            self._show(" | ".join(parts))
-        else:
-            terminal.say(f"{stamp - self._begun:.2f} s  {' | '.join(parts)}")
-
-    def _show(self, text: str) -> None:
-        """Write over what was shown last, however many rows of the terminal it took."""
-        up = f"\x1b[{self._rows - 1}A" if self._rows > 1 else ""
-        print(f"\r{up}\x1b[J{terminal.plain(text)}", end="", flush=True)
-        self._rows = max(1, math.ceil(len(text) / shutil.get_terminal_size().columns))
+        terminal.say(f"{stamp - self._begun:.2f} s  {' | '.join(parts)}")
 
     def close(self) -> None:
-        """End the status line, and say the last answers."""
-        if self._in_place and self._newest:
-            print(flush=True)
+        """Say the last answers."""
         for query, answer in {} if self._options.json else self._newest.items():
             terminal.log(in_words(answer.estimate, query, answer.stamp - min(self._begun, answer.stamp)))
 
