@@ -77,7 +77,8 @@ def event_from(content: bytes) -> Event | LoopSettings:
         )
     try:
         if name == PoseReceived.__name__:
-            values["pose"] = Pose(*(np.array(part) if isinstance(part, list) else part for part in values["pose"]))
+            stamp, turn, position, spread = values["pose"]
+            values["pose"] = Pose(stamp, np.array(turn), position and np.array(position), spread)
         return KINDS[name](**values)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"an event of the recording cannot be read: {error!r}") from error
