@@ -174,8 +174,10 @@ def test_the_answers_end_with_the_file_however_long_the_detector_needs():
 
 
 def test_seconds_count_from_when_the_detector_is_loaded(film, monkeypatch, capsys):
-    opened = Loop(Film(count=50), None, LoadedSlowly(), "red", True)
-    monkeypatch.setattr("eagor.live.loop.Loop", lambda *words, **more: opened)
+    def opened(*words, **more):
+        return Loop(Film(count=50), None, LoadedSlowly(), "red", True, words[-1])
+
+    monkeypatch.setattr("eagor.live.loop.Loop", opened)
     assert main(["live", str(film), "red", "--perception", "colour", "--seconds", "0.6", "--json"]) == 0
     found = lines(capsys)
     assert found[-1]["stamp"] - found[0]["stamp"] > 2.0

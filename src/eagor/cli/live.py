@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,7 +22,7 @@ from eagor.cli.answers import in_words
 from eagor.cli.options import Axes, Flag, TrackingOptions, bare, refuse
 
 if TYPE_CHECKING:
-    from eagor.live.events import Answer, NextLooks
+    from eagor.live.events import Answer, Event
     from eagor.live.loop import Sink
 
 
@@ -68,7 +69,6 @@ def live(options: Live) -> int:
     """Run the command; returns its exit code."""
     if options.words[:1] == ("replay",):
         return _replay(options)
-    from eagor.live.events import NextLooks
     from eagor.live.loop import Loop
     from eagor.live.threads import already_open
     from eagor.sources.camera_sources import open_source
@@ -84,8 +84,8 @@ def live(options: Live) -> int:
     opens = partial(open_source, source, latency=options.latency, rows=rows, **checks.lens_of(options))
     if source.startswith("ros:"):  # its publishers may not be there yet
         terminal.log(f"waiting for pictures on {source}")
-    camera, looks = opens(), NextLooks()
-    sinks: list[Sink] = []
+    camera, told, until = opens(), _Printer(options, queries), math.inf
+    sinks: list[Sink] = [told]
     try:
         if options.rerun is not None:
             from eagor.live.rerun import RerunLog
@@ -95,7 +95,7 @@ def live(options: Live) -> int:
         poses = poses_for(options.poses, camera, axes=options.axes, **dds)
         loop = Loop(
             already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast,
-            [looks, *sinks], config=config, rate=options.rate, patience=options.patience, record=options.record,
+            sinks, config=config, rate=options.rate, patience=options.patience, record=options.record,
             pictures=options.pictures, mask=mask,
         )  # fmt: skip
     except BaseException:
@@ -105,20 +105,17 @@ def live(options: Live) -> int:
     terminal.log(
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
     )
-    told, until = _Printer(options, queries, looks), math.inf
 
     def answered(answer: Answer) -> None:
         nonlocal until
         if until == math.inf and options.seconds is not None and loop.knows_classes is not None:  # it is loaded
             until = time.monotonic() + options.seconds
-        told.add(answer)
         if time.monotonic() >= until and answer.query == queries[-1]:
             loop.stop()
 
     try:
         loop.run(answered)
     finally:
-        told.close()
         for sink in sinks:
             if problem := getattr(sink, "problem", None):
                 terminal.warning(problem)
@@ -134,17 +131,25 @@ def live(options: Live) -> int:
 
 
 class _Printer:
-    """What is printed: lines of JSON, or the newest answers; on stderr what goes wrong, once, and the last answers."""
+    """A sink that prints: lines of JSON, or the newest answers; on stderr what goes wrong, once, and the last answers.
 
-    def __init__(self, options: Live, queries: Sequence[str], looks: NextLooks) -> None:
-        from eagor.live.events import FaultLog
+    `last`: what went wrong last.
+    """
 
-        self._options, self._queries, self._looks = options, queries, looks
+    def __init__(self, options: Live, queries: Sequence[str]) -> None:
+        from eagor.live.events import FaultLog, NextLooks
+
+        self._options, self._queries, self._looks, self._faults = options, queries, NextLooks(), FaultLog()
         self._newest: dict[str, Answer] = {}
         self._begun, self._shown = math.inf, -math.inf
-        self._faults = FaultLog()
         self._next: list[float] = []  # where to look next: azimuth and elevation, radians
         self.last: str | None = None
+
+    def take(self, event: Event, answers: Sequence[Answer]) -> None:
+        """An event of the loop, and the answers to it."""
+        self._looks.take(event, answers)
+        for answer in answers:
+            self.add(answer)
 
     def add(self, answer: Answer) -> None:
         """One answer."""
@@ -194,7 +199,6 @@ class _Printer:
 
 def _replay(options: Live) -> int:
     """``eagor live replay DIR``."""
-    from eagor.live.events import NextLooks
     from eagor.live.recording import Replay
 
     if len(options.words) != 2:
@@ -202,13 +206,10 @@ def _replay(options: Live) -> int:
     folder = options.words[1]
     again = f"eagor track {folder} QUERY --perception {options.perception}"
     refuse(options, ["perception"], f"{options.perception}: replay gives the answers of then; for another: {again}")
-    replay = Replay(Path(folder))
-    told, answers = _Printer(options, replay.settings.queries, NextLooks()), 0
-    try:
+    replay, answers = Replay(Path(folder)), 0
+    with closing(_Printer(options, replay.settings.queries)) as told:
         for answers, answer in enumerate(replay, 1):  # noqa: B007
             told.add(answer)
-    finally:
-        told.close()
     if not answers:
         raise terminal.RunError(f"{folder} holds no answers: the run was ended before the first")
     return terminal.OK
