@@ -171,19 +171,16 @@ def bench_list(options: BenchList) -> int:
 
 
 def _tasks() -> dict[str, Any]:
-    """The tasks by name; of one that cannot be loaded the error. Those of other packages are tried elsewhere first."""
-    from eagor import plugins
+    """The tasks by name; of one that cannot be loaded the error."""
+    from eagor.cli.models import READY, tried
     from eagor.lab.tasks import task as tasks
 
-    broken = {point.name: text for point, text in plugins.faults(plugins.brought(tasks.GROUP, tasks.BUILT_IN)).items()}
-    found: dict[str, Any] = {}
+    found, states = dict[str, Any](), tried(tasks)
     for name in tasks.known():
         try:
-            if why := broken.get(name):
-                raise EagorError(f"cannot be imported ({why})")
-            found[name] = tasks.load(name)
-        except Exception as error:  # a broken plugin may raise anything
-            found[name] = error if isinstance(error, EagorError) else EagorError(repr(error))
+            found[name] = tasks.load(name) if states[name] == READY else EagorError(states[name])
+        except EagorError as error:
+            found[name] = error
     return found
 
 

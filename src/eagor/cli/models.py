@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import platform
 import shutil
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Annotated, Any
 
@@ -143,39 +142,42 @@ def doctor(options: Doctor) -> int:
     return terminal.FAILED if missing else terminal.OK
 
 
+def tried(part: Any) -> dict[str, str]:
+    """Perceptions, worlds or tasks by name: "ready", or what is wrong. Those of others are tried elsewhere first."""
+    from eagor import plugins
+
+    theirs = plugins.brought(part.GROUP, part.BUILT_IN)
+    faults, states = plugins.faults(theirs), dict[str, str]()
+    for name, point in sorted(part.known().items()):
+        try:
+            why = faults.get(point) if point in theirs else point.load() and None
+            states[name] = f"cannot be imported ({why})" if why else READY
+        except MissingExtraError as error:
+            states[name] = str(error)
+        except Exception as error:  # a broken installation may raise anything
+            states[name] = f"cannot be imported ({type(error).__name__}: {error})"
+    return states
+
+
 def _plugins() -> tuple[dict[str, dict[str, str]], list[str]]:
-    """Perceptions, worlds and tasks by name: "ready", or what is wrong; and what is left out, a line each."""
+    """Perceptions, worlds and tasks as they were `tried`, by kind; and what is left out, a line each."""
     from eagor import perception, plugins
     from eagor.lab import worlds
     from eagor.lab.tasks import task
     from eagor.perception.coco import wanted
 
-    parts = (perception, worlds, task)
-    theirs = [point for part in parts for point in plugins.brought(part.GROUP, part.BUILT_IN)]
-    faults = plugins.faults(theirs)  # tried in other processes
     states: dict[str, dict[str, str]] = {}
     left_out: list[str] = []
-    for part in parts:
-        kind, known = part.GROUP.removeprefix("eagor."), part.known()
-        states[kind] = {name: _state(known[name], known[name] in theirs, faults) for name in sorted(known)}
-        left_out += [line for point in known.values() for line in plugins.left_out(point, kind[:-1])]
+    for part in (perception, worlds, task):
+        kind = part.GROUP.removeprefix("eagor.")
+        states[kind] = tried(part)
+        left_out += [line for point in part.known().values() for line in plugins.left_out(point, kind[:-1])]
     own = {name: "; ".join(_missing(extra)) for name, extra in WANTS.items()}
     own["coco"] = "; then ".join(wanted())
     states["perceptions"] |= {name: lacks for name, lacks in own.items() if lacks}
     if find_spec("habitat_sim") is None:
         states["worlds"]["habitat"] = "Habitat-Sim, from its conda channel aihabitat or from source"
     return states, left_out
-
-
-def _state(point: EntryPoint, theirs: bool, faults: Mapping[EntryPoint, str]) -> str:
-    """Whether `point` can be imported, or why not; plugins were tried in another process."""
-    try:
-        why = faults.get(point) if theirs else point.load() and None
-    except MissingExtraError as error:
-        return str(error)
-    except Exception as error:  # a broken installation may raise anything
-        why = f"{type(error).__name__}: {error}"
-    return f"cannot be imported ({why})" if why else READY
 
 
 def _missing(extra: str) -> list[str]:
