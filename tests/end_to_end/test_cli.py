@@ -22,9 +22,10 @@ from PIL import Image
 from eagor._extras import how_to_install
 from eagor.cli import main, models
 from eagor.cli.answers import SHORT
-from eagor.cli.models import how_to_find
+from eagor.cli.checks import perception_for
 from eagor.conventions import wxyz_from_rotation
 from eagor.drawing.style import distance_in_words, in_words
+from eagor.errors import QueryError
 from eagor.lab.agents.methods import NAMES
 from eagor.lab.eval import calibration
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
@@ -360,16 +361,18 @@ def test_without_a_detector_a_query_says_how_to_get_the_one_that_knows_it(room, 
 
 def test_a_detector_that_does_not_know_the_query_is_not_recommended(room, no_model):
     line = refused("locate", room, "door")
-    assert "the small one for everyday things (eagor models get coco) does not know it either" in line
+    assert "no detector for 'door' is installed, and coco would not do: the query 'door' names none of" in line
     assert "--perception google/owlv2-base-patch16-ensemble; or a model on a server" in line
 
 
 def test_packages_that_are_missing_come_first(monkeypatch, tmp_path):
     monkeypatch.setenv("EAGOR_CACHE", str(tmp_path))
     monkeypatch.setattr(coco, "find_spec", lambda name: None)
-    assert f"everyday things: {how_to_install('photos')}; then eagor models get coco" in how_to_find("chair")
+    with pytest.raises(QueryError, match=re.escape(f"things: {how_to_install('photos')}; then eagor models get coco")):
+        perception_for(["chair"], None)
     monkeypatch.setattr(query_words, "find_spec", lambda name: None)
-    assert f"For any words: {how_to_install('vlm')}; then --perception google/owlv2" in how_to_find("door")
+    with pytest.raises(QueryError, match=re.escape(f"{how_to_install('vlm')}; then --perception google/owlv2")):
+        perception_for(["door"], None)
 
 
 @pytest.mark.parametrize("query", ["red chair", "olive oil", "golden retriever", "ice cream", "the white board marker"])

@@ -125,15 +125,22 @@ def perception_for(queries: Sequence[str], spec: str | None) -> str:
     "something red", "a red thing") is answered by ``colour``. Raises `QueryError` where ``coco`` cannot run here, or
     there is no one answer for all; of what ``coco`` does not know it says so itself, and what does.
     """
-    from eagor.cli.models import how_to_find
     from eagor.perception.coco import CLASSES, wanted
-    from eagor.perception.words import is_bare_colour
+    from eagor.perception.words import by_colour_alone, is_bare_colour, meant
 
     if spec is not None:
         return spec
     nouns = [query for query in queries if not is_bare_colour(query, CLASSES)]
-    if nouns and wanted():
-        raise QueryError(how_to_find(nouns[0]))
+    if nouns and (steps := wanted()):
+        none = f"no detector for {nouns[0]!r} is installed"
+        try:
+            meant(nouns[0], CLASSES, described=True)
+        except QueryError as error:  # which says what knows it
+            raise QueryError(f"{none}, and coco would not do: {error}") from None
+        raise QueryError(
+            f"{none}. To get a small one for everyday things: {'; then '.join(steps)}. Or a detector of your own is "
+            "--perception onnx:MODEL.onnx, my.py:FUNCTION or replay:FILE.jsonl" + by_colour_alone(nouns[0], CLASSES)
+        )
     if 0 < len(nouns) < len(queries):
         raise QueryError(
             "coco and colour would each answer some of the queries; name one with --perception. Is it one thing? "

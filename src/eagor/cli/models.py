@@ -67,26 +67,6 @@ def _coco() -> dict[str, Any]:
     return {"name": "coco", "state": state(), "path": str(model_file()), **ABOUT, "wanted": wanted()}
 
 
-def how_to_find(query: str) -> str:
-    """Why `query` cannot be answered, and what to type: the small detector if it knows `query`, else other models."""
-    from eagor.perception.coco import CLASSES, wanted
-    from eagor.perception.words import by_colour_alone, for_any_words, meant
-
-    own = "a detector of your own is --perception onnx:MODEL.onnx, my.py:FUNCTION or replay:FILE.jsonl"
-    own += by_colour_alone(query, CLASSES)
-    try:
-        meant(query, CLASSES, described=True)
-    except QueryError:
-        return (
-            f"no detector for {query!r} is installed, and the small one for everyday things (eagor models get coco) "
-            f"does not know it either. For any words: {for_any_words()}. And {own}"
-        )
-    return (
-        f"no detector for {query!r} is installed. To get a small one for everyday things: {'; then '.join(wanted())}. "
-        f"Or {own}"
-    )
-
-
 # --- ``eagor doctor`` -------------------------------------------------------------------------------------------------
 
 PACKAGES = ("numpy", "scipy", "array-api-compat", "pillow", "matplotlib", "tyro", "rich", "msgspec")
