@@ -101,9 +101,8 @@ class Recorder:
         self._bag = BagWriter(Path(path), at_risk=FLUSHED)
         self._last = 0.0  # bags know no time before 1970
         self._waiting = 0  # pictures
-        self._queue: SimpleQueue[tuple[Event | LoopSettings, Sequence[Answer]] | None] = SimpleQueue()
-        self._queue.put((settings, ()))
-        self._thread = threading.Thread(target=self._serve, name="eagor recording", daemon=True)
+        self._queue: SimpleQueue[tuple[Event, Sequence[Answer]] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._serve, args=[settings], name="eagor recording", daemon=True)
         self._thread.start()
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
@@ -117,8 +116,8 @@ class Recorder:
         self._queue.put(None)
         self._thread.join()
 
-    def _serve(self) -> None:
-        settings: Any = None
+    def _serve(self, settings: LoopSettings) -> None:
+        begun = False
         try:
             while True:
                 try:
@@ -129,13 +128,9 @@ class Recorder:
                 if entry is None:
                     break
                 event, answers = entry
-                if isinstance(event, LoopSettings):
-                    settings = event
-                    continue
-                if settings is not None:  # first of all, at the time of the first event
-                    self._put(event.arrival, settings)
-                    settings = None
-                self._put(event.arrival, event)
+                for each in (event,) if begun else (settings, event):  # all at the time of the first event
+                    self._put(event.arrival, each)
+                begun = True
                 self._for_others(event, answers)
             self._bag.close()
         except (EagorError, OSError) as error:
