@@ -22,7 +22,7 @@ from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.places import APARTMENT, load_place
 from eagor.lab.envs.rules import Camera
 from eagor.lab.eval import episodes as parts
-from eagor.lab.eval.page import Cell, Pictures, Row, Section, Table, Text, address_of, cell, page
+from eagor.lab.eval.page import Cell, Picture, Row, Section, Table, Text, address_of, cell, page
 from eagor.lab.eval.results import OURS
 from eagor.lab.tasks.sim.play import Runner, Step
 from eagor.metrics import angular_error_deg
@@ -159,9 +159,9 @@ def write_report(search: Search, folder: Path) -> Path:
     for name, picture in drawn.items():
         save_image(picture, folder / f"{name}.png")
     words = "Four panoramas with our belief as heat, our estimate, the answer of the look alone, and the truth"
-    beliefs = Pictures([(address_of(drawn["beliefs"]), words)], "wide")
+    beliefs = Picture(address_of(drawn["beliefs"]), words)
     words = "Direction error over time of our tracker and of the newest look alone, on a logarithmic axis"
-    errors = Pictures([(address_of(drawn["errors"]), words)], "wide")
+    errors = Picture(address_of(drawn["errors"]), words)
     lead = Text(
         f"A camera walks through {APARTMENT} {search.spec.seed} and looks for it. Heat is what our tracker believes, "
         f"and the white line holds 90 % of that. {' '.join(found['summary'])}"
