@@ -333,7 +333,7 @@ def test_without_the_token_nothing_is_shown():
         assert served.http.get("/api/state", params={"token": token}).status_code == 200
         with connect(f"{address.replace('http', 'ws')}ws?token={token}"):
             pass
-        wait_for(lambda: children(served.process.pid))
+        assert served.http.get("/api/runs", params={"token": token}).status_code == 200  # a process of its own tells
         started = children(served.process.pid)
         served.process.terminate()
         wait_for(lambda: not any(Path(f"/proc/{each}/cmdline").exists() for each in started))  # nothing is left
