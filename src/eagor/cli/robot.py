@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from tyro.conf import arg
 
@@ -83,29 +83,16 @@ def robot_check(options: RobotCheck) -> int:
     domain = default_domain() if options.domain is None else options.domain
     with Participant(domain, options.interface) as link:
         report = check_robot(link, options.seconds)
-    problems = report["problems"]
-    lines = [*terminal.facts(_heard(report)), *(f"problem: {problem}" for problem in problems)]
+    facts, problems = {name: value for name, value in report.items() if name != "problems"}, report["problems"]
+    if "clock" in report:
+        clock, (median, late) = report["clock"], report["lateness"]
+        way = "ahead of" if clock > 0 else "behind"
+        facts["clock"] = f"{abs(clock):.3f} s {way} this machine's, or less by the time that messages take"
+        facts["lateness"] = f"of states: median {1000 * median:.1f} ms, one in a hundred {1000 * late:.1f} ms"
+    lines = [*terminal.facts(facts), *(f"problem: {problem}" for problem in problems)]
     lines.append("it cannot be used like this" if problems else "a Go2 that can be used")
     terminal.give(options.json, report | {"usable": not problems}, *lines)
     return terminal.FAILED if problems else terminal.OK
-
-
-def _heard(report: dict[str, Any]) -> dict[str, Any]:
-    """The report in words; only what was heard."""
-    found = {"topics": [*report["topics"]], "cameras": report["cameras"] or "none on DDS"}
-    found["messages per second"] = [f"{topic} {rate:g}" for topic, rate in report["rates"].items()]
-    found["firmware"] = report.get("firmware", "not heard")
-    if "mode" in report:
-        found["robot"] = report["mode"] + (f", error {report['error_code']}" if report["error_code"] else "")
-        clock, (median, late) = report["clock"], report["lateness"]
-        way = "ahead of" if clock > 0 else "behind"
-        found["its clock"] = f"{abs(clock):.3f} s {way} this machine's, or less by the time that messages take"
-        found["lateness of states"] = f"median {1000 * median:.1f} ms, one in a hundred {1000 * late:.1f} ms"
-    if "battery" in report:
-        found["battery"] = f"{report['battery']} %, {report['volts']:.1f} V"
-    if "answer" in report:
-        found["walking service"] = f"version {report['sport_version']}, answers in {1000 * report['answer']:.1f} ms"
-    return found | {"commands of others": report["commands"]}
 
 
 def robot_sim(options: RobotSim) -> int:
