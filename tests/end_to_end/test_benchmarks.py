@@ -140,8 +140,11 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
     [
         (("run", "chess"), "hstar-hos"),
         (("run", "hstar-hos"), "--data"),
-        (("run", "navigation", "--data", "somewhere"), "takes no --data"),
-        (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--episodes", "2"), "takes no --episodes"),
+        (("run", "navigation", "--data", "somewhere"), "--data is no option of navigation"),
+        (
+            ("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--episodes", "2"),
+            "--episodes is no option of hstar-hos",
+        ),
         (("run", "hstar-hos", "--data", "x", "--agent", "oracle", "--shard", "2"), "I/N"),
     ],
 )

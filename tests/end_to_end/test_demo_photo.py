@@ -14,7 +14,6 @@ from eagor.cli.terminal import RunError, UsageError
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.perception import load
 from eagor.perception.views import Detector
-from eagor.sources.panorama import turn
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 
 RED_BALL = bearing(Room().balls[0], EYE, np.eye(3))[0]
@@ -28,17 +27,9 @@ def photo(tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="module")
-def played(photo):
-    image = np.asarray(Image.open(photo))
-    return demo_photo.play(image, load("colour"), "colour", "red ball")
-
-
 def test_the_camera_turns_all_around_and_tumbles():
-    poses = demo_photo.poses()
+    poses = [pose.world_R_body for pose in demo_photo.poses()]
     assert len(poses) == demo_photo.LOOKS
-    for pose in poses:
-        np.testing.assert_allclose(pose @ pose.T, np.eye(3), atol=1e-12)
     tilts = [math.degrees(math.acos(min(1.0, pose[2, 2]))) for pose in poses]
     assert max(tilts[: demo_photo.LEVEL - 1]) < 1e-6
     assert max(tilts) > demo_photo.TILT - 5
@@ -48,57 +39,25 @@ def test_the_camera_turns_all_around_and_tumbles():
         assert abs(seen[-1] - seen[0]) > math.tau
 
 
-def test_what_is_seen_is_the_photograph_turned(played, photo):
-    for index in (0, 5, 15):
-        wanted = turn(np.asarray(Image.open(photo)), played.poses[index].T)
-        assert np.abs(played.panorama(index).astype(int) - wanted).mean() < 1
-
-
-def test_it_is_followed_in_the_frame_of_the_photograph(played):
-    assert math.degrees(angular_distance(played.answer, RED_BALL)) < 3
-    errors = np.degrees(angular_distance(played.directions, RED_BALL))
-    assert errors.shape == (demo_photo.LOOKS,)
-    assert errors[3:].max() < 6
-    assert played.crossings >= 1
-
-
-def test_the_command_leaves_a_report(photo, played, tmp_path, capsys):
+def test_it_is_followed_in_the_frame_of_the_photograph_and_leaves_a_report(photo, tmp_path, capsys):
     words = ["demo", "--photo", str(photo), "--query", "red ball", "--out", str(tmp_path), "--perception", "colour"]
     assert main([*words, "--json"]) == 0
     out, err = capsys.readouterr()
     assert err == ""
     found = json.loads(out)
     assert (found["perception"], found["query"], found["looks"]) == ("colour", "red ball", demo_photo.LOOKS)
-    there = direction(math.radians(found["azimuth_deg"]), math.radians(found["elevation_deg"]))
-    assert math.degrees(angular_distance(there, RED_BALL)) < 3
-    assert [math.radians(found["places"][0]["azimuth_deg"])] == pytest.approx([played.places[0][0]], abs=1e-6)
+    for place in (found, found["places"][0]):
+        there = direction(math.radians(place["azimuth_deg"]), math.radians(place["elevation_deg"]))
+        assert math.degrees(angular_distance(there, RED_BALL)) < 3
+    assert found["seam_crossings"] >= 1
+    said = " ".join(found["summary"])
+    assert "degrees to the right, 2" in said
+    assert "Nobody has measured where it is" in said
     page = Path(found["report"]).read_text(encoding="utf-8")
-    assert "<h1>Where is the red ball?</h1>" in page
-    assert "room &amp; co.png" in page
+    for text in ("red ball", "room &amp; co.png", "Nobody has measured where it is"):
+        assert text in page
     assert not re.search(r"""(src|href)=["'](?!data:|#)""", page), "one file, which needs nothing else"
-    assert page.count("data:image/jpeg;base64,") == len(list(tmp_path.glob("look-*.jpg"))) > 1
-
-
-def test_the_text_says_that_there_is_no_truth(played):
-    text = " ".join(demo_photo.summary(played))
-    assert "Nobody has measured where it is" in text
-    assert "degrees to the right, 2" in text  # where the ball is
-
-
-def test_several_places_are_named(played, monkeypatch):
-    monkeypatch.setitem(vars(played.estimates[-1]), "status", "ambiguous")
-    monkeypatch.setattr(demo_photo.Looks, "places", [(-0.5, 0.0, 0.6), (1.0, 0.0, 0.3)])
-    said = demo_photo.summary(played)[0]
-    assert "in one of 2 places, or in several of them: 29 degrees to the right" in said
-    assert "57 degrees to the left" in said
-    assert "(30 %)" in said
-
-
-def test_moments_for_pictures_are_few_and_in_order(played):
-    chosen = demo_photo.highlights(played)
-    assert [index for index, _ in chosen] == sorted({index for index, _ in chosen})
-    assert len(chosen) <= 6
-    assert (chosen[0], chosen[-1][0]) == ((0, "the first"), demo_photo.LOOKS - 1)
+    assert page.count("data:image/jpeg;base64,") > demo_photo.LOOKS
 
 
 class Knows:
@@ -118,6 +77,13 @@ class Knows:
         return [*cups, box], [0.3, 0.3, self.score], ["cup", "cup", "ball"]
 
 
+class Pages:
+    """Takes what a page takes."""
+
+    def add(self, *_, **__):
+        pass
+
+
 def test_without_a_query_the_surest_class_in_one_place_is_taken():
     """Cups are found in two places, the ball in one, whatever they score."""
     room = painted_room(128, 256)
@@ -129,15 +95,17 @@ def test_without_a_query_the_surest_class_in_one_place_is_taken():
         demo_photo.best_query(load("colour"), room)
 
 
+def test_several_places_are_named():
+    twice = painted_room(128, 256)
+    twice[58:70, 60:72] = twice[58:70, 180:192] = (220, 20, 20)
+    found = demo_photo.play(twice, load("colour"), "red", Pages(), lambda: None)
+    said = demo_photo.as_json(found, "mine", "a.png")["summary"][0]
+    assert re.search(r"the red is in one of 3 places, or in several of them: .*degrees to the right \(\d+ %\); ", said)
+
+
 def test_a_thing_that_is_never_seen_ends_the_run():
-    with pytest.raises(RunError, match="saw no 'ball' in any of 24 looks"):
-        demo_photo.play(painted_room(128, 256), Detector(Knows(0), size=64), "mine", "ball")
-
-
-def test_a_large_photograph_is_shrunk():
-    rows = demo_photo.rows_for(Detector(Knows()), np.zeros((4096, 8192, 3), np.uint8))
-    assert rows <= demo_photo.MOST_ROWS
-    assert demo_photo.rows_for(Detector(Knows()), np.zeros((200, 400, 3), np.uint8)) == 200
+    with pytest.raises(RunError, match="no 'ball' to see in any of 24 looks"):
+        demo_photo.play(painted_room(128, 256), Detector(Knows(0), size=64), "ball", Pages(), lambda: None)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from PIL import Image
 
 import eagor
 from eagor import plugins
-from eagor.cli import _parse, join_words
+from eagor.cli import _parse
 from eagor.cli.demo_apartment import STUDY, STUDY_COMMAND
 from eagor.lab.worlds.painted import painted_room
 from eagor.sources.rigs import read_rig
@@ -226,7 +226,7 @@ def test_a_command_can_be_typed(words):
     """Options exist and take what is given; scripts and targets of make are there. Nothing is run."""
     program, *arguments = words
     if program == "eagor":
-        assert _parse(join_words(arguments)) is not None
+        assert _parse(arguments) is not None
     elif program == "python":
         assert (ROOT / arguments[0]).is_file()
     elif program == "make":

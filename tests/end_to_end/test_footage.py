@@ -193,7 +193,9 @@ def test_a_cut_begins_the_belief_anew_and_is_said(tmp_path, answers, eagor):
         assert error_deg(entry, pose.T @ there) < 4
     page = tmp_path / "page.html"
     assert eagor("track", path, "red", "--rate", RATE, "--start", 1, "--end", 2, "--page", page)[0] == 0
-    assert "the belief starts anew there" in page.read_text(encoding="utf-8")
+    assert "cut.mp4 at 1.50 s does not fit to the frames before it: the belief starts anew." in page.read_text(
+        encoding="utf-8"
+    )
 
 
 # --- which frames -----------------------------------------------------------------------------------------------------

@@ -120,10 +120,10 @@ def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told(monkeypatc
 
 @pytest.mark.parametrize(("words", "said"), [
     ("check --interface lo --domain 233", "wanted a whole number from 0 to 232"),
-    ("check --interface lo --seconds 0.1", "--seconds 0.1: wanted 0.5 to 600"),
+    ("check --interface lo --seconds 0", "--seconds 0; wanted seconds above 0"),
     ("sim --interface wlan77 --camera none", "there is no network interface 'wlan77'"),
     ("sim --target elephant", "names nothing known here"), ("sim --rows 33", "rows = 33; wanted an even number"),
-    ("sim --speed 9", "--speed 9: wanted 0 to 3"),
+    ("sim --speed 9", "--speed 9; wanted 0 to 3"),
 ])  # fmt: skip
 def test_wrong_usage_is_one_line(words, said):
     done = eagor("robot", *words.split())

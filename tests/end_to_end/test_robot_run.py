@@ -103,7 +103,7 @@ def test_a_walk_that_is_ended_says_so_and_leaves_no_process(how, everyone):
 @pytest.mark.parametrize(("words", "said"), [
     (["red chair"], "a robot needs a camera"),
     (["red chair", "--source", "x.mp4", "--arm", "--deadman", "none"], "--deadman none is only for simulated robots"),
-    (["red chair", "--sim", "--interface", "eth0"], "--sim brings its own camera and network"),
+    (["red chair", "--sim", "--interface", "eth0"], "--interface is for a real robot: --sim brings its own"),
     (["red chair", "--sim", "--distance", "0"], "distance = 0.0"),
     (["red chair", "--sim", "--mount", "0", "0", "40"], "--mount 0 0 40; wanted metres"),
     (["red chair", "--sim", "--latency", "1"], "never moves by pictures older than 0.5 s"),

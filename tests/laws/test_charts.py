@@ -68,19 +68,3 @@ def test_methods_that_are_nearly_right_can_be_told_apart_beside_one_that_is_lost
     assert at["close"][1, 1] - at["ours"][1, 1] > 0.15
     assert all(0 <= height <= 1 for places in at.values() for height in places[:, 1])
     assert [line.get_ydata()[-1] for line in axes.lines if line.get_label() == "ours"] == [still.LEAST]
-
-
-def test_a_map_holds_the_whole_way_and_metres_are_metres(sheets):
-    path, target = np.array([[1.0, 1.0], [2.0, 5.0], [3.0, 2.0]]), np.array([4, 4, 1])
-    picture = still.draw_map(np.zeros((80, 80), bool), np.ones((80, 80), bool), (0, 8, 0, 8), path, target, "a")
-    assert picture.width == 1200
-    (sheet,) = sheets
-    (axes,) = sheet.axes
-    assert axes.get_title(loc="left") == "a"
-    assert any(np.array_equal(line.get_xydata(), path) for line in axes.lines)
-    (low, high), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    for places in (path, target[None, :2]):
-        assert ((places > (low, bottom)) & (places < (high, top))).all()
-    box = axes.get_window_extent()
-    assert box.width / (high - low) == pytest.approx(box.height / (top - bottom), rel=0.01), "metres are metres"
-    assert {text.get_text() for text in sheet.legends[0].get_texts()} == {"start", "where it ended", "target"}

@@ -13,7 +13,7 @@ from PIL import Image
 from processes import little_room
 
 from eagor._files import write_atomic
-from eagor.cli.answers import Lines
+from eagor.cli.answers import appended
 from eagor.errors import StorageError
 from eagor.lab.eval import log
 from eagor.lab.worlds.painted import painted_room
@@ -109,13 +109,13 @@ def test_what_was_there_stays_where_the_new_one_has_no_room(tmp_path, monkeypatc
 
 def test_lines_are_made_with_the_first_and_stay_whole(tmp_path):
     path = tmp_path / "lines.txt"
-    with Lines(path) as lines:
+    with appended(path) as add:
         assert not path.exists()
-        lines.add("a\n")
-        lines.add("half a letter: \ud800\n")
+        add("a\n")
+        add("half a letter: \ud800\n")
     assert path.read_text() == "a\nhalf a letter: \\ud800\n"
-    with Lines(tmp_path / "nowhere" / "x") as lines, pytest.raises(StorageError, match="2 bytes"):
-        lines.add("a\n")
+    with appended(tmp_path / "nowhere" / "x") as add, pytest.raises(StorageError, match="2 bytes"):
+        add("a\n")
 
 
 def test_a_file_in_place_of_the_folder_and_a_folder_of_another_run_are_refused(told, whole, tmp_path):

@@ -68,10 +68,10 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
         (("bench", "info", "folder"), "as hstar-hos, hstar-hps: "),
         (("calibrate", "--perception", "truth", "--rows", "-4"), "--rows -4"),
         (("calibrate", "--perception", "truth", "--episodes", "4"), "wanted 5 or more"),
-        (("calibrate", "--perception", "truth", "--take", "4"), "--take 4 is for eagor calibrate heads"),
+        (("calibrate", "--perception", "truth", "--take", "4"), "--take is for eagor calibrate heads"),
         (
             ("calibrate", "heads", "--perception", "folder", "--trials", "9"),
-            "--trials 9 is for eagor calibrate responses",
+            "--trials is for eagor calibrate responses",
         ),
         (("calibrate", "--perception", "truth", "--out", "folder"), "--out folder"),
         (("calibrate", "--perception", "truth", "--out", "a.png/x.json"), "cannot be written"),

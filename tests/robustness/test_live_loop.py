@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 import warnings
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -139,19 +138,6 @@ def test_a_camera_that_is_unplugged_comes_back():
     assert len(opened) == 3
 
 
-@pytest.mark.slow
-def test_a_source_object_that_ends_is_read_again():
-    class Passing(Unplugged):
-        def __iter__(self):
-            try:
-                yield from super().__iter__()
-            finally:
-                self.pulled.clear()
-
-    camera = Passing()
-    followed(loop_of(camera, Seeing()), well, pulled(camera), says("/dev/video7 is gone"), well)
-
-
 def test_a_stream_that_stalls_is_said_and_opened_again(monkeypatch):
     monkeypatch.setattr(looping, "STALLED", 3.0)
     opened, first = [], Stalled()
@@ -201,23 +187,6 @@ def test_a_cameras_clock_that_jumps_is_said_and_followed():
     loop = loop_of(Camera(stamps=lambda stamp: stamp + ahead[0]), Seeing())
     answers = followed(loop, well, jump, says("the clock of the camera jumped forward by 3600."), well)
     assert all(answer.image_age > -0.1 for answer in answers)
-
-
-@pytest.mark.slow
-def test_this_machines_clock_that_is_set_is_said(monkeypatch):
-    shift = [0.0]
-    real = time.time
-    monkeypatch.setattr(time, "time", lambda: real() + shift[0])
-
-    def set_once(answer):
-        shift[0] = -500.0
-        return True
-
-    loop = loop_of(Camera(), Seeing(), poses=Odometry())
-    answers = followed(
-        loop, well, set_once, says("set back by 500."), says("the clock of the odometry jumped back"), well
-    )
-    assert all(b.stamp >= a.stamp for a, b in pairwise(answers))
 
 
 def test_poses_that_stop_are_said():

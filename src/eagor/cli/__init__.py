@@ -21,9 +21,11 @@ import io
 import os
 import re
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from typing import Any
+from importlib import import_module
+from typing import Annotated, Any, Union
 
 # Our matrices are small: threads in the matrix library cost far more than they gain (several times the time of the demo
 # on shared cores). The library reads this when NumPy is first imported; a value that is set already counts.
@@ -34,7 +36,7 @@ if not sys.stderr.isatty():  # read by transformers: no progress bars without a 
 
 from eagor._version import __version__
 from eagor.cli import terminal
-from eagor.cli.checks import LIMITS, checked_number
+from eagor.cli.checks import check_numbers
 from eagor.errors import AnswerError, EagorError, ServerError, StorageError, WorkError
 from eagor.plugins import readable_lists
 
@@ -50,8 +52,11 @@ Exit codes: 0 success, 1 the run failed, 2 usage or input, 3 finished but some c
 
 _NO_FAULT_OF_THE_INPUT = (terminal.RunError, ServerError, AnswerError, StorageError, WorkError)
 COMPLETION, ROS_ARGS = "--tyro-print-completion", "--ros-args"
+COMMANDS = (
+    "locate", "look", "track", "live", "ros", "robot", "demo", "studio", "bench", "export", "calibrate", "camera",
+    "models", "doctor",
+)  # fmt: skip
 SHELLS = ("bash", "zsh", "fish")
-_LISTS = ("--set", "--methods", "--categories", "--queries")  # options that take several values
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -97,54 +102,36 @@ def _run(arguments: list[str]) -> int:
         print(script.getvalue().replace("complete -F", "complete -o default -F"), end="")
         return 0
     try:
-        command = _parse(join_words(arguments))
+        command = _parse(arguments)
     except SystemExit:  # tyro has printed help
         return 0
     command = getattr(command, "action", command)  # `bench run` is an action of `bench`
-    for name in LIMITS:
-        if isinstance(value := getattr(command, name, None), int | float):
-            checked_number(value, f"--{name}")
+    check_numbers(command)
     kind = type(command)
-    name = getattr(kind, "runs", None) or re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind.__name__).lower()
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind.__name__).lower()
     return getattr(sys.modules[kind.__module__], name)(command)
 
 
-def join_words(arguments: list[str]) -> list[str]:
-    """`arguments` in which each of `_LISTS` stands once, with all its values; tyro keeps only the last of several.
+def _parse(arguments: list[str]) -> Any:
+    """The command with its options. Raises `UsageError`, or `SystemExit` after help.
 
     What follows ``--ros-args`` is left as it is.
     """
-    found: list[str] = []
-    values: dict[str, list[str]] = {}
-    into = found
-    for index, word in enumerate(arguments):
-        name, equals, value = word.partition("=")
-        if word in ("--", ROS_ARGS):
-            found.extend(arguments[index:] if word == "--" else ["--", *arguments[index:]])
-            break
-        if name in _LISTS:
-            if name not in values:
-                values[name] = []
-                found.append(name)
-            into = values[name]
-            into.extend([value] if equals else [])
-        else:
-            into = found if word.startswith("-") else into
-            into.append(word)
-    return [part for word in found for part in (word, *values.pop(word, []))]
-
-
-def _parse(arguments: list[str]) -> Any:
-    """The command with its options. Raises `UsageError`, or `SystemExit` after help."""
     import tyro
 
-    from eagor.cli.commands import Command
-
+    end = next((at for at, word in enumerate(arguments) if word in ("--", ROS_ARGS)), len(arguments))
+    counts = Counter(word.partition("=")[0] for word in arguments[:end] if word.startswith("--"))
+    if twice := [name for name in counts if counts[name] > 1 and name not in ("--json", "--debug")]:
+        raise terminal.UsageError(f"{twice[0]} comes twice, and only the last would count; write all after one")
+    if arguments[end:][:1] == [ROS_ARGS]:
+        arguments = [*arguments[:end], "--", *arguments[end:]]
+    modules = {name: import_module(f"eagor.cli.{'models' if name == 'doctor' else name}") for name in COMMANDS}
+    kinds = (Annotated[getattr(m, n.capitalize()), tyro.conf.subcommand(n)] for n, m in modules.items())
     said = io.StringIO()
     try:
         with redirect_stderr(said):
             return tyro.cli(
-                Command,  # type: ignore[arg-type]
+                Union[tuple(kinds)],  # type: ignore[arg-type]  # noqa: UP007
                 prog="eagor",
                 description=DESCRIPTION,
                 args=arguments,

@@ -11,14 +11,14 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor._files import append_all, redacted, write_atomic
 from eagor.cli import terminal
-from eagor.cli.options import Answering, Footage, given
+from eagor.cli.options import Answering, Common, Footage, refuse
 from eagor.cli.terminal import UsageError
 from eagor.errors import StorageError
 
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 # --- on the terminal: at most 120 columns wide also with every method side by side ----------------------------------
 
+ALONE = "{:>10}{:>9}{:>11}{:>10}{:>14}{:>7}  {:9}  {}"
+COMPARED = "{:>9}{:>8}{:>6}{:>6} {:9}{}  {}"  # distance and number of candidates are left out
 # A rival's column shows azimuth/elevation in whole degrees, "-180/-90" at most; longer names are shortened to fit.
 CELL = len("-180/-90")
 SHORT = {
@@ -46,29 +48,24 @@ def header(rivals: Sequence[str] = (), several: bool = False) -> str:
 
     `rivals` are the other methods to compare with; of `several` queries each line has its own.
     """
-    last = "  query" if several else ""
+    last = "query" if several else ""
     if not rivals:
-        ours = f"{'stamp':>10}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'distance 90%':>14}{'modes':>7}"
-        return f"{ours}  {'status':{9 if several else 0}}{last}"
-    ours = f"{'stamp':>9}{'azimuth':>8}{'elev':>6}{'cone':>6} {'status':9}"
-    return (ours + "".join(f" {SHORT.get(name, name)[:CELL]:>{CELL}}" for name in rivals)).rstrip() + last
+        names = "stamp", "azimuth", "elevation", "cone 90%", "distance 90%", "modes", "status"
+        return ALONE.format(*names, last).rstrip()
+    beside = "".join(f" {SHORT.get(name, name)[:CELL]:>{CELL}}" for name in rivals)
+    return COMPARED.format("stamp", "azimuth", "elev", "cone", "status", beside, last).rstrip()
 
 
 def line(frame: Followed, begins: float = 0.0, several: bool = False) -> str:
-    """One frame as a line under `header`, its stamp counted from `begins`. "-" is what is not known.
-
-    With other methods the distance and the number of candidates are left out.
-    """
+    """One frame as a line under `header`, its stamp counted from `begins`. "-" is what is not known."""
     from eagor.drawing.style import far_in_words
 
-    e, stamp, last = frame.estimate, frame.stamp - begins, f"  {frame.query}" if several else ""
-    azimuth, elevation, cone = _signed(e)
+    e, last = frame.estimate, frame.query if several else ""
+    ours = f"{frame.stamp - begins:.3f}", *_signed(e)
     if not frame.others:
-        ours = f"{stamp:10.3f}{azimuth:>9}{elevation:>11}{cone:>10}{far_in_words(e) or '-':>14}{len(e.modes):>7}"
-        return f"{ours}  {e.status:{9 if several else 0}}{last}"
+        return ALONE.format(*ours, far_in_words(e) or "-", len(e.modes), e.status, last).rstrip()
     cells = ("-" if each is None else "{:+.0f}/{:+.0f}".format(*_angles(each)) for each in frame.others.values())
-    ours = f"{stamp:9.3f}{azimuth:>8}{elevation:>6}{cone:>6} {e.status:9}"
-    return ours + "".join(f" {cell:>{CELL}}" for cell in cells) + last
+    return COMPARED.format(*ours, e.status, "".join(f" {cell:>{CELL}}" for cell in cells), last).rstrip()
 
 
 def in_words(e: Estimate, query: str, seconds: float) -> str:
@@ -99,7 +96,6 @@ COLUMNS = (
     "frame", "stamp", "azimuth_deg", "elevation_deg", "credible_angle_deg", "presence", "distance_m", "distance_spread",
     "status", "looked_for",
 )  # fmt: skip
-SUFFIXES = (".csv", ".jsonl")
 
 Entry = Mapping[str, Any]
 
@@ -108,44 +104,37 @@ def entry_of(result: Followed, modes: int) -> dict[str, Any]:
     """A frame for ``--json`` and for files, with at most so many candidates."""
     entry = {"query": result.query, "frame": result.frame, **result.estimate.as_dict(modes), "stamp": result.stamp}
     entry["looks"] = len(result.evidence)
-    if result.lost:
-        entry["lost"] = True
-    if result.problem is not None:
-        entry["problem"] = result.problem
-    names = ("azimuth_deg", "elevation_deg")
-    others = {
-        name: {key: round(angle, 4) for key, angle in zip(names, _angles(direction), strict=True)}
-        for name, direction in result.others.items()
-    }
-    return entry | ({"methods": others} if others else {})
+    more = {"lost": result.lost or None, "problem": result.problem}
+    more["methods"] = {
+        name: dict(zip(("azimuth_deg", "elevation_deg"), (round(angle, 4) for angle in _angles(each)), strict=True))
+        for name, each in result.others.items()
+    } or None
+    return entry | {name: value for name, value in more.items() if value is not None}
 
 
-class Lines:
-    """A text file that grows by whole lines. The first line creates the file."""
+@contextmanager
+def appended(path: Path) -> Iterator[Callable[[str], None]]:
+    """A text file that grows by whole lines, which the yielded function takes. The first creates the file.
 
-    def __init__(self, path: Path) -> None:
-        self.path, self._file = path, -1
+    It raises `StorageError` if they cannot be written; the file is then as it was before.
+    """
+    with ExitStack() as stack:
+        files: list[int] = []
 
-    def add(self, text: str) -> None:
-        """Append `text`. Raises `StorageError` if it cannot be written; the file is then as it was before."""
-        data = redacted(text).encode("utf-8", "backslashreplace")
-        try:
-            if self._file < 0:
-                self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-            append_all(self._file, data)
-        except OSError as error:
-            raise StorageError(
-                f"{self.path} takes no more ({error.strerror or error}); {len(data)} bytes are needed. What was "
-                "written before is intact. Make room, or name another place, then start again"
-            ) from error
+        def add(text: str) -> None:
+            data = redacted(text).encode("utf-8", "backslashreplace")
+            try:
+                if not files:
+                    files.append(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644))
+                    stack.callback(os.close, files[0])
+                append_all(files[0], data)
+            except OSError as error:
+                raise StorageError(
+                    f"{path} takes no more ({error.strerror or error}); {len(data)} bytes are needed. What was "
+                    "written before is intact. Make room, or name another place, then start again"
+                ) from error
 
-    def __enter__(self) -> Lines:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        yield add
 
 
 @contextmanager
@@ -156,23 +145,21 @@ def table(path: Path, rivals: Sequence[str] = ()) -> Iterator[Callable[[Entry], 
     `UsageError` before the first answer if the file cannot be written. In CSV, `modes` is the number of candidates.
     """
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise UsageError(f"--out {path}: wanted a file name that ends in .csv or .jsonl")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"--out {path}: there is no folder {path.absolute().parent}; make it first")
-    angles = [f"{name}_{angle}_deg" for name in rivals for angle in ("azimuth", "elevation")]
-    columns = [*COLUMNS, "modes", "problem", *angles]
-    with Lines(path) as file:
-        head = [columns]
+    columns = [*COLUMNS, "modes", "problem"]
+    columns += [f"{name}_{angle}_deg" for name in rivals for angle in ("azimuth", "elevation")]
+    head = [columns]
+    with appended(path) as add:
 
         def write(entry: Entry) -> None:
             if suffix == ".jsonl":
-                file.add(json.dumps(entry) + "\n")
+                add(json.dumps(entry) + "\n")
                 return
             flat = {**entry, "modes": len(entry["modes"]), "problem": entry.get("problem", "")}
             for name, found in entry.get("methods", {}).items():
                 flat |= {f"{name}_{angle}": value for angle, value in found.items()}
-            file.add(as_csv([*head, [flat.get(name) for name in columns]]))
+            add(as_csv([*head, [flat.get(name) for name in columns]]))
             head.clear()
 
         yield write
@@ -226,11 +213,7 @@ def save_image(picture: Image.Image, path: Path) -> None:
     write_atomic(path, buffer.getvalue())
 
 
-# --- from a file of looks ---------------------------------------------------------------------------------------------
-
-# A file of looks has poses, times and the answers of a detector, and no pictures.
-_OF_PICTURES = ("video", "fps", "page", "pictures", "rerun")
-_OF_ONE = ("out", "compare")
+# --- from a file of looks: it has poses, times and the answers of a detector, and no pictures ------------------------
 
 
 def recorded(options: Footage, places: Sequence[Path]) -> RecordedLooks | None:
@@ -242,15 +225,12 @@ def recorded(options: Footage, places: Sequence[Path]) -> RecordedLooks | None:
         return None
     from eagor.perception.replay import RecordedLooks, ReplayPerception
 
-    looks = RecordedLooks(ReplayPerception(places[0]))
-    common = {"json", "debug"}
-    if wrong := given(options, ["perception", *(each.name for each in fields(Footage) if each.name not in common)]):
-        raise UsageError(f"--{wrong[0].replace('_', '-')} is for footage; {places[0]} has its looks and poses")
-    if wrong := given(options, _OF_PICTURES):
-        raise UsageError(
-            f"--{wrong[0]} needs pictures, and {places[0]} holds none; draw over the footage with the same answers: "
-            f"eagor track {looks.about.of} QUERY --perception replay:{places[0]} --{wrong[0]} ..."
-        )
+    looks, common = RecordedLooks(ReplayPerception(file := places[0])), {each.name for each in fields(Common)}
+    of_footage = ["perception", *(each.name for each in fields(Footage) if each.name not in common)]
+    refuse(options, of_footage, f"is for footage; {file} has its looks and poses")
+    over = f"eagor track {looks.about.of} QUERY --perception replay:{file}"
+    why = f"needs pictures, and {file} holds none; draw over the footage with the same answers: {over}"
+    refuse(options, ("video", "fps", "page", "pictures", "rerun"), why)
     return looks
 
 
@@ -259,22 +239,19 @@ def list_seen(options: Answering, looks: RecordedLooks, config: TrackerConfig) -
     from eagor.cli.checks import mask_of
     from eagor.perception.replay import NEAR, summarise_objects
 
-    if wrong := given(options, _OF_ONE):
-        raise UsageError(f"--{wrong[0]} is for one question: eagor track {looks.replay.name} QUERY --{wrong[0]}")
+    refuse(options, ("out", "compare"), f"is for one question: eagor track {looks.replay.name} QUERY")
     about, queries, mask = looks.about, looks.asked_for(), mask_of(options.mask)
     with terminal.progress("adding up", len(queries), shown=not options.json) as advance:
         found = summarise_objects(looks, config, [mask] if mask else [], advance)
-    near, things = round(math.degrees(NEAR)), []
-    lines = [f"{'thing':<16}{'azimuth':>9}{'elevation':>11}{'cone 90%':>10}{'sure':>7}{'presence':>10}{'looks':>9}"
-             f"{'last seen':>11}  status"]  # fmt: skip
+    form, things = "{:<16}{:>9}{:>11}{:>10}{:>7}{:>10}{:>9}{:>11}  {}", []
+    heads = "thing", "azimuth", "elevation", "cone 90%", "sure", "presence", "looks", "last seen", "status"
+    lines = [form.format(*heads)]
     for each in found:
         e, counts = each.estimate, {"seen_in": each.looks, "looks": each.among, "last_seen": each.last}
-        things.append({"query": each.query, **e.as_dict(options.modes, near), **counts})
-        azimuth, elevation, cone = _signed(e)
-        lines.append(
-            f"{each.query:<16}{azimuth:>9}{elevation:>11}{cone:>10}{100 * each.sure:>5.0f} %{100 * e.presence:>8.0f} %"
-            f"{f'{each.looks}/{each.among}':>9}{each.last - about.begins:>11.2f}  {e.status}"
-        )
+        things.append({"query": each.query, **e.as_dict(options.modes, round(math.degrees(NEAR))), **counts})
+        sure, present = f"{100 * each.sure:.0f} %", f"{100 * e.presence:.0f} %"
+        share, last = f"{each.looks}/{each.among}", f"{each.last - about.begins:.2f}"
+        lines.append(form.format(each.query, *_signed(e), sure, present, share, last, e.status))
     if not found:
         lines = [f"{about.perception} saw nothing in {about.of}"]
     else:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.options import Common, Detector, Flag, Rows, Whole, bare, given, grouped, pairs_of
+from eagor.cli.options import Common, Detector, Flag, Rows, Whole, bare, grouped, refuse
 from eagor.errors import EagorError, FormatError
 
 if TYPE_CHECKING:
@@ -30,12 +30,7 @@ class BenchRun(Common):
     task: Annotated[str, Positional, arg(metavar="TASK")]
     """waypoint, navigation, tracking, an installed task, or one with data: hstar-hos, hstar-hps, osr, eagle360"""
     perception: Annotated[str | None, bare("NAME")] = None
-    (
-        "The detector: scout (default of simulated tasks), a small network on the rendered pictures; truth, a noisy "
-        "detector with the ground truth of the simulator or the annotations (truth:ideal has no noise, "
-        "truth:miss=0.5,spread=4 sets it); a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, "
-        "endpoint:MODEL@http://HOST:PORT/v1); or another."
-    )
+    """scout (default of simulated tasks), truth (the true places, with noise), a model, or another detector."""
     data: Annotated[Path | None, bare("DIR")] = None
     """Benchmarks: the folder with the published files."""
     agent: Annotated[str | None, bare("NAME")] = None
@@ -49,33 +44,21 @@ class BenchRun(Common):
     engine: Literal["processes", "threads", "ray"] = "processes"
     """Kind of --workers: processes; threads, for models on servers; ray, for a Ray cluster (RAY_ADDRESS)."""
     methods: Annotated[tuple[str, ...], bare("NAME ...")] = ()
-    (
-        "The methods (default: all eight, and for a vision-language model plain, its own answer); variants such as "
-        "eagor:degree=7,decode=mean; in navigation also oracle."
-    )
+    """The methods (default: all), or variants, such as eagor:degree=7; plain for language models; oracle."""
     episodes: Annotated[int | None, bare("N")] = None
     """Number of episodes; five in each apartment (default: 20)."""
     seed: Annotated[int | None, bare("N")] = None
-    (
-        "The first apartment (default 2000). 0 to 1999 are for development, 2000 to 9999 for results. Benchmarks: seed "
-        "of truth and of random agents (default 0)."
-    )
+    """The first apartment (default 2000; lower ones are for development). Benchmarks: seed of truth and chance."""
     out: Annotated[Path | None, bare("RUN")] = None
     """The folder of the run (default: runs/TASK-PERCEPTION-SEED). Finished episodes in it are not played again."""
     workers: Whole = 1
     """Number of parallel workers."""
     ablations: Flag = False
-    (
-        "Run also variants of our method and of the published one: degree, decode, calibration, shells (in navigation: "
-        "the oracle, which is told the true direction)."
-    )
+    """Run also variants of our method and of the published one (in navigation: the oracle, told the direction)."""
     walking: Flag = False
     """The camera bobs and sways, and the odometry drifts."""
     set: Annotated[tuple[str, ...], bare("RULE=VALUE ...")] = ()
-    (
-        "Rules to change, such as success_distance=0.5 max_steps=200 stop=call latency=2. Benchmarks: other options, "
-        "such as sure=0.8 scoring=strict labels=both."
-    )
+    """Rules to change, such as success_distance=0.5 max_steps=200, or options of benchmarks (see bench list)."""
     world: Annotated[str, arg(metavar="WORLD")] = "apartment"
     """apartment, an installed world, or a GLB file."""
     rows: Rows = None
@@ -83,10 +66,7 @@ class BenchRun(Common):
     """Calibration of our tracker, from `eagor calibrate`."""
     detector: Detector = None
     force: Annotated[bool, bare()] = False
-    (
-        "Accept a calibration that was fitted for another perception, and resume a run although the code, the data or "
-        "the model has changed."
-    )
+    """Accept a calibration of another perception, and resume a run although code, data or model have changed."""
     retry_failed: Flag = False
     """Run failed episodes again."""
 
@@ -111,11 +91,7 @@ class BenchScore(Common):
     """Score predictions from elsewhere, or a run by other rules; nothing is run."""
 
     predictions: Annotated[Path, Positional, arg(metavar="PRED")]
-    (
-        'A JSON lines file with one object per case: its id ("case"; or "doc_id", its number) and the answer '
-        '("submit": [yaw, pitch], "text": the model\'s text, ...), such as the predictions.jsonl of a report. Or the '
-        "folder of a run."
-    )
+    """The folder of a run; or JSON lines, one for each "case" (or "doc_id"), as the predictions.jsonl of a report."""
     task: Annotated[str | None, bare("NAME")] = None
     """The benchmark (default: that of the run)."""
     data: Annotated[Path | None, bare("DIR")] = None
@@ -182,36 +158,29 @@ def bench_list(options: BenchList) -> int:
     from eagor.lab import worlds
 
     found = {name: _described(task) for name, task in _tasks().items()}
-    if options.json:
-        terminal.emit(found)
-        return terminal.OK
     published = {name: entry for name, entry in found.items() if "agents" in entry}
-    print("Simulated, no data needed (eagor bench run TASK)")
-    simulated = {name: entry for name, entry in found.items() if name not in published}
-    terminal.facts({n: e.get("what") or f"not available ({e['unavailable']})" for n, e in simulated.items()}, 4)
-    print(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file")
+    what = {n: e.get("what") or f"not available ({e['unavailable']})" for n, e in found.items() if n not in published}
+    lines = ["Simulated, no data needed (eagor bench run TASK)", *terminal.facts(what, 4)]
+    lines.append(f"  worlds (--world): {', '.join(sorted(worlds.known()))}, or a GLB file")
     for name, entry in published.items():
-        print(f"\n{name}  {entry['title']} (eagor bench run {name} --data DIR)\n  agents")
-        terminal.facts(entry["agents"], 4)
-        print("  options (--set OPTION=VALUE)")
-        terminal.facts({k: f"{v['what']} (default {v['default']})" for k, v in entry["options"].items()}, 4)
-    return terminal.OK
+        options_of = {k: f"{v['what']} (default {v['default']})" for k, v in entry["options"].items()}
+        lines += ["", f"{name}  {entry['title']} (eagor bench run {name} --data DIR)"]
+        lines += ["  agents", *terminal.facts(entry["agents"], 4)]
+        lines += ["  options (--set OPTION=VALUE)", *terminal.facts(options_of, 4)]
+    return terminal.give(options.json, found, *lines)
 
 
 def _tasks() -> dict[str, Any]:
-    """The tasks by name; of one that cannot be loaded the error. Those of other packages are tried elsewhere first."""
-    from eagor import plugins
+    """The tasks by name; of one that cannot be loaded the error."""
+    from eagor.cli.models import READY, tried
     from eagor.lab.tasks import task as tasks
 
-    broken = {point.name: text for point, text in plugins.faults(plugins.brought(tasks.GROUP, tasks.BUILT_IN)).items()}
-    found: dict[str, Any] = {}
+    found, states = dict[str, Any](), tried(tasks)
     for name in tasks.known():
         try:
-            if why := broken.get(name):
-                raise EagorError(f"cannot be imported ({why})")
-            found[name] = tasks.load(name)
-        except Exception as error:  # a broken plugin may raise anything
-            found[name] = error if isinstance(error, EagorError) else EagorError(repr(error))
+            found[name] = tasks.load(name) if states[name] == READY else EagorError(states[name])
+        except EagorError as error:
+            found[name] = error
     return found
 
 
@@ -259,11 +228,8 @@ def bench_info(options: BenchInfo) -> int:
     if not found:
         reasons = "; ".join(f"as {', '.join(names)}: {why}" for why, names in refused.items())
         raise FormatError(f"{data} holds the data of no known task; {reasons or 'name one that has data'}")
-    if options.json:
-        terminal.emit(found)
-    for content in () if options.json else found.values():
-        terminal.facts(content)
-    return terminal.OK
+    lines = (terminal.facts(content) for content in found.values())
+    return terminal.give(options.json, found, *(each for part in lines for each in part))
 
 
 def bench_run(options: BenchRun) -> int:
@@ -276,10 +242,8 @@ def bench_run(options: BenchRun) -> int:
     if not (shard := re.fullmatch(r"(\d+)/(\d+)", options.shard or "1/1")):
         raise terminal.UsageError(f"--shard {options.shard}; wanted I/N, such as 1/4")
     config = configure(task, _values(options, task), pairs_of(options.set))  # wrong ones are said before the run begins
-    samples, settings = (
-        runner.samples_of(task, config, options.limit, (int(shard[1]), int(shard[2]))),
-        settings_of(config),
-    )
+    samples = runner.samples_of(task, config, options.limit, (int(shard[1]), int(shard[2])))
+    settings = settings_of(config)
     who = settings.get("perception") or (settings.get("model") or "").partition("@")[0]
     parts = task.name, settings.get("agent"), short_name(who) if who else "", settings.get("seed", "")
     out = options.out or Path("runs") / "-".join(str(part) for part in parts if part not in ("", None))
@@ -308,8 +272,7 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     fields = task.Config.__struct_fields__
     simulated = "methods" in fields
     more = () if simulated else ("ablations", "walking", "detector")
-    if wrong := given(options, [*(name for name in GIVEN if name not in fields), *more]):
-        raise terminal.UsageError(f"{task.name} takes no --{wrong[0].replace('_', '-')}")
+    refuse(options, [*(name for name in GIVEN if name not in fields), *more], f"is no option of {task.name}")
     values = {name: getattr(options, name) for name in GIVEN if name in fields}
     values |= {name: str(value) for name, value in values.items() if isinstance(value, Path)}
     perception = options.perception or (PERCEPTION if simulated else "")
@@ -333,6 +296,19 @@ def _values(options: BenchRun, task: Task) -> dict[str, Any]:
     return values | {"perception": perception, "methods": methods, "disturbances": disturbances}
 
 
+def pairs_of(pairs: tuple[str, ...]) -> dict[str, str]:
+    """The values of --set by name. Raises `UsageError` unless each is RULE=VALUE, and each rule has one value."""
+    found = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not (key and equals and value):
+            raise terminal.UsageError(f"--set {pair}; wanted RULE=VALUE, such as success_distance=0.5")
+        if key in found and found[key] != value:
+            raise terminal.UsageError(f"--set {key}={found[key]} {pair}: two values of {key}; leave one of them out")
+        found[key] = value
+    return found
+
+
 def bench_score(options: BenchScore) -> int:
     """``eagor bench score``."""
     from eagor.lab.eval.predictions import keep, score_predictions
@@ -353,12 +329,9 @@ def _summarised(run: Run, out: Path | None, as_json: bool, more: dict[str, Any] 
     summary = results.summarise(run)
     if success := report.criterion_of(run):
         summary["success"] = success
-    if as_json:
-        terminal.emit(results.as_json(summary, run) | (more or {}) | ({"out": str(out)} if out else {}))
-    else:
-        terminal.say(*tables.as_text(run, summary))
-        if out:
-            print(f"\nFor pictures and intervals: eagor bench report {out}")
+    more_in = ["", f"For pictures and intervals: eagor bench report {out}"] if out else []
+    found = results.as_json(summary, run) | (more or {}) | ({"out": str(out)} if out else {})
+    terminal.give(as_json, found, *tables.as_text(run, summary), *more_in)
     if not summary["episodes"]:
         terminal.error(f"no {getattr(run.task, 'case', 'case')} could be run" + (f"; {out} says why" if out else ""))
         return terminal.FAILED
@@ -414,8 +387,6 @@ def bench_failures(options: BenchFailures) -> int:
     from eagor.lab.eval import results, tables
     from eagor.lab.tasks.task import sample_of
 
-    if options.limit < 0:
-        raise terminal.UsageError(f"--limit {options.limit}; wanted 0 or more")
     run = results.read(options.run)
     summary, method, layers = results.summarise(run), _method(run, options.method), []
     found = {key: summary[key] for key in ("task", "episodes", "failed", "failures")}

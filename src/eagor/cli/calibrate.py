@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.options import Common, Rows, Whole, bare, given
+from eagor.cli.options import Common, Rows, Whole, bare, given, refuse
 from eagor.errors import EagorError, PoseError
 
 
@@ -25,19 +25,13 @@ class Calibrate(Common):
     replay: Annotated[Path | None, bare("FILE.jsonl")] = None
     """Fit the error model of the detector that wrote this replay file (as `eagor look` does); needs --truth."""
     truth: Annotated[Path | None, bare("FILE.jsonl")] = None
-    (
-        'The true directions for --replay, a line each: {"stamp": 2.0, "query": "chair", "targets": [{"azimuth_deg": '
-        '58, "elevation_deg": -33}]}, of all that are there; an empty list: there is none.'
-    )
+    """The true directions: lines {"stamp", "query", "targets": [{"azimuth_deg", "elevation_deg"}, ...]}; none: []."""
     poses: Annotated[Path | None, bare("CSV")] = None
     """How the camera turned and moved while --replay was seen, as for track: it tells what comes again."""
     out: Annotated[Path | None, bare("FILE.json")] = None
     """File for the result (default: calibration-PERCEPTION.json or heads-MODEL.json)."""
     labels: Annotated[Path | None, bare("FILE.jsonl")] = None
-    (
-        'heads: labelled panoramas of your own, instead of apartments; a line each: {"image": "a.png", "query": '
-        '"chair", "azimuth_deg": 30, "elevation_deg": -12, "radius_deg": 6}, or "box": [x0, y0, x1, y1].'
-    )
+    """heads: lines {"image", "query", "azimuth_deg", "elevation_deg", "radius_deg"}, or "box": [x0, y0, x1, y1]."""
     take: Whole = 3
     """heads: number of heads."""
     episodes: Whole = 60
@@ -62,9 +56,7 @@ def calibrate(options: Calibrate) -> int:
     """Run the command; returns its exit code."""
     kind = "replay" if given(options, TAKES["replay"]) else options.what
     for other, names in TAKES.items():
-        if wrong := given(options, sorted({*names} - {*TAKES[kind]})):
-            value = getattr(options, wrong[0])
-            raise terminal.UsageError(f"--{wrong[0]} {value} is for eagor calibrate {other}")
+        refuse(options, sorted({*names} - {*TAKES[kind]}), f"is for eagor calibrate {other}")
     checks.check_outputs(options, [options.replay, options.truth, options.poses])
     return {"responses": responses, "heads": heads, "replay": replay}[kind](options)
 

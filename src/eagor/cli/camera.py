@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import takewhile
@@ -20,8 +21,6 @@ from eagor.cli.options import Common, Flag, bare, grouped
 if TYPE_CHECKING:
     import numpy as np
 
-    from eagor.sources import Frame
-
 
 @dataclass(frozen=True, kw_only=True)
 class CameraCalibrate(Common):
@@ -32,10 +31,7 @@ class CameraCalibrate(Common):
     """
 
     pictures: Annotated[tuple[str, ...], Positional, arg(metavar="PICTURE ...", help_behavior_hint="(required)")]
-    (
-        "Two or more pictures with both circles, side by side; for a camera that writes one picture per lens, "
-        "FRONT.jpg,BACK.jpg with a comma between. Or one video; --every takes pictures of it."
-    )
+    """Pictures with both circles side by side, or FRONT.jpg,BACK.jpg with one each; or one video (--every)."""
     out: Annotated[Path, arg(metavar="FILE.yaml")] = Path("rig.yaml")
     """File for the lenses; other commands take it as --rig."""
     turned: Flag = False
@@ -88,13 +84,12 @@ IDEAL = 200.0  # degrees across the circles of a camera of which nothing is know
 def camera_calibrate(options: CameraCalibrate) -> int:
     """``eagor camera calibrate``."""
     from eagor.sources.calibration import calibrate as fit
-    from eagor.sources.rigs import write_rig
+    from eagor.sources.rigs import read_rig, write_rig
 
-    out, rig = options.out, checks.rig_of(options.rig)
-    checks.check_outputs(options, [Path(part) for text in options.pictures for part in text.split(",")])
-    moments = [*_pictures(options.pictures[0], 1 / options.every)] if len(options.pictures) == 1 else [
-        next(_pictures(text)) for text in options.pictures
-    ]  # fmt: skip
+    out, rig = options.out, options.rig and read_rig(options.rig)
+    checks.check_outputs(options, [part for text in options.pictures for part in text.split(",")])
+    first, *others = options.pictures
+    moments = [next(_pictures(text)) for text in options.pictures] if others else [*_pictures(first, 1 / options.every)]
     with terminal.progress("looking", 2 * len(moments), shown=not options.json) as advance:
         found = fit(moments, rig=rig, turned=options.turned, on_step=advance)
     gap, before = (round(math.degrees(angle), 4) for angle in (found.gap, found.before))
@@ -126,29 +121,32 @@ def camera_view(options: CameraView) -> int:
 
     from eagor.cameras import dual_fisheye
     from eagor.sources.calibration import overlap_of
+    from eagor.sources.rigs import read_rig
     from eagor.sources.stitching import sizes_of
 
-    checks.check_outputs(options, [Path(part) for part in options.picture.split(",")], picture="", out="picture")
-    rig, pictures = checks.rig_of(options.rig), next(_pictures(options.picture))
-    if rig is None:
-        if len(pictures) > 1:
-            raise terminal.UsageError("several pictures of one moment need --rig FILE.yaml, which says where they look")
+    checks.check_outputs(options, options.picture.split(","), picture="", out="picture")
+    pictures = next(_pictures(options.picture))
+    if options.rig is not None:
+        rig = read_rig(options.rig)
+    elif len(pictures) > 1:
+        raise terminal.UsageError("several pictures of one moment need --rig FILE.yaml, which says where they look")
+    else:
         rig = dual_fisheye(*sizes_of(pictures)[0], math.radians(IDEAL))
         terminal.log(f"no --rig: two ideal lenses of {IDEAL:g} degrees are taken, side by side")
     share, gaps, grey, drawn = overlap_of(rig, pictures)
     median, ninety = np.degrees(np.quantile(gaps, [0.5, 0.9])).round(4).tolist() if len(gaps) else (None, None)
-    told = {"picture": options.picture, "overlap_share": round(share, 5), "points": len(gaps)}
-    lines = [f"overlap      {100 * share:.1f} % of the sphere is seen by two lenses"]
-    if median is None:
-        lines.append("directions   nothing was found that both lenses see")
-    else:
-        lines.append(f"directions   {median:.2f} deg apart (median of {len(gaps)} things; 90 % within {ninety:.2f})")
+    facts = {"overlap": f"{100 * share:.1f} % of the sphere is seen by two lenses"}
+    facts["directions"] = "nothing was found that both lenses see"
+    if median is not None:
+        facts["directions"] = f"{median:.2f} deg apart (median of {len(gaps)} things; 90 % within {ninety:.2f})"
     if grey is not None:
-        lines.append(f"brightness   {grey:.1f} grey levels of 255 apart, on average")
+        facts["brightness"] = f"{grey:.1f} grey levels of 255 apart, on average"
     if options.out is not None:
         save_image(Image.fromarray(drawn), options.out)
-        lines.append(f"Drawn in {options.out}: the panorama, and below it where the lenses differ")
-    terminal.give(options.json, told | {"median_deg": median, "ninety_deg": ninety, "grey_levels": grey}, *lines)
+        facts["drawn"] = f"in {options.out}: the panorama, and below it where the lenses differ"
+    told = {"picture": options.picture, "overlap_share": round(share, 5), "points": len(gaps)}
+    told |= {"median_deg": median, "ninety_deg": ninety, "grey_levels": grey}
+    terminal.give(options.json, told, *terminal.facts(facts))
     if median is not None and median > APART:
         terminal.warning(
             f"the lenses disagree by {median:.1f} degrees: this rig does not fit the camera, or things in the overlap "
@@ -163,33 +161,27 @@ def camera_latency(options: CameraLatency) -> int:
     from eagor.sources.camera_sources import open_source
     from eagor.sources.odometry import open_poses
 
-    source = open_source(options.source, rig=options.rig, rate=options.rate, rows=512)
     poses: Any = partial(open_poses, str(options.poses))  # of a live camera they are read at the end
-    try:
+    with closing(open_source(options.source, rig=options.rig, rate=options.rate, rows=512)) as source:
+        end = math.inf
         if not source.live:
             check_turning([*poses()])  # what is wrong with it is told before the work
         else:
             terminal.log(f"looking for {options.seconds:g} s: turn the camera left and right, briskly")
-        begin = time.monotonic()
+            end = time.monotonic() + options.seconds
         with terminal.progress("looking", None) as advance:
-
-            def wanted(_: Frame) -> bool:
-                advance()
-                return not source.live or time.monotonic() - begin <= options.seconds
-
-            steps = steps_of(takewhile(wanted, source))
-    finally:
-        source.close()
+            steps = steps_of(takewhile(lambda _: advance() or time.monotonic() <= end, source))
     found = latency_between(steps, [*poses()], most=options.most)
     low, high = found.interval
     values = {"latency_s": found.seconds, "low_s": low, "high_s": high, "correlation": found.correlation}
     rounded: dict[str, Any] = {key: round(value, 5) for key, value in values.items()}
-    terminal.give(
-        options.json, rounded | {"steps": found.steps},
-        f"latency      {found.seconds:.3f} s, with 95 % from {low:.3f} to {high:.3f}",
-        f"correlation  {found.correlation:.2f}, over {found.steps} steps from picture to picture",
-        *([f"Other commands take it as --latency {found.seconds:.3f}"] if found.seconds >= 0 else []),
-    )  # fmt: skip
+    facts = {
+        "latency": f"{found.seconds:.3f} s, with 95 % from {low:.3f} to {high:.3f}",
+        "correlation": f"{found.correlation:.2f}, over {found.steps} steps from picture to picture",
+    }
+    if found.seconds >= 0:
+        facts["use"] = f"other commands take it as --latency {found.seconds:.3f}"
+    terminal.give(options.json, rounded | {"steps": found.steps}, *terminal.facts(facts))
     if high < 0:
         terminal.warning("pictures come before odometry: it is odometry that is late, or their clocks differ")
     return terminal.OK

@@ -12,18 +12,16 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from eagor.cli.terminal import UsageError, log, warning
 from eagor.errors import EagorError, QueryError
 
 if TYPE_CHECKING:
-    from eagor.cameras import Rig
-    from eagor.cli.options import Lens
+    from eagor.cli.options import Lens, Looking
     from eagor.evidence import BodyMask, Evidence
     from eagor.perception import Perception
     from eagor.perception.calibrated import Calibrated
-    from eagor.sources.intrinsics import Camera
     from eagor.tracking.config import TrackerConfig
 
 SHARED = ("coco", "onnx")  # perceptions that look at several views at the same time, one core each
@@ -34,22 +32,25 @@ LIMITS = {  # of an option of any command: least, most, and what is wanted
     "drift": (0, 90, "degrees from 0 to 90"), "latency": (0, math.inf, "seconds, 0 or more"), "seconds": SECONDS,
     "patience": SECONDS, "every": SECONDS, "most": SECONDS, "rate": (ABOVE, 1000, f"{RATE}, up to 1000"),
     "fps": (ABOVE, math.inf, RATE), "workers": SOME, "trials": SOME, "take": SOME, "episodes": SOME,
-    "port": (0, 65535, "a port from 0 to 65535"),
+    "speed": (0, 3, "0 to 3 metres per second"), "limit": (0, math.inf, "0 or more"),
+    "floor": (-math.inf, math.inf, "a height in metres"), "port": (0, 65535, "a port from 0 to 65535"),
 }  # fmt: skip
-OUTPUTS = {"out": "file", "picture": "picture", "pictures": "folder", "video": "file", "page": "file", "rerun": "file"}
-
-_Number = TypeVar("_Number", int, float, "int | None", "float | None")
+ENDINGS = {"picture": (".png", ".jpg", ".jpeg", ".webp"), "table": (".csv", ".jsonl"), "looks": (".jsonl",)}
+OUTPUTS = {
+    "out": "file", "picture": "picture", "pictures": "folder", "video": "file", "page": "file", "rerun": "file",
+    "record": "new folder",
+}  # fmt: skip
 
 
 # --- numbers and words ---------------------------------------------------------------------------------------------
 
 
-def checked_number(value: _Number, option: str) -> _Number:
-    """`value` of `option`; None is an option that was left out. Raises `UsageError` outside of `LIMITS`."""
-    least, most, wanted = LIMITS[option.removeprefix("--")]
-    if value is not None and not (least <= value <= most and value < math.inf):
-        raise UsageError(f"{option} {value:g}; wanted {wanted}")
-    return value
+def check_numbers(options: object) -> None:
+    """Raise `UsageError` unless the numbers of a command are within `LIMITS`."""
+    for name, (least, most, wanted) in LIMITS.items():
+        value = getattr(options, name, None)
+        if isinstance(value, int | float) and not (least <= value <= most and abs(value) < math.inf):
+            raise UsageError(f"--{name} {value:g}; wanted {wanted}")
 
 
 def checked_query(query: str) -> str:
@@ -67,24 +68,7 @@ def checked_queries(words: Sequence[str]) -> list[str]:
     return queries
 
 
-# --- places to write to --------------------------------------------------------------------------------------------
-
-
-def checked_out(path: Path, option: str = "--out", *, folder: bool = False) -> Path:
-    """`path` of an output file or `folder`, if it can probably be written; folders above it are made, not here."""
-    there = next(place for place in (path.absolute(), *path.absolute().parents) if os.path.exists(place))
-    fits = there.is_dir() if folder else there.is_dir() != path.exists()
-    if not fits or not os.access(there, os.W_OK):
-        what = "a folder" if folder else "a file in a folder"
-        raise UsageError(f"{option} {path} cannot be written ({there} is in the way); name {what} that can")
-    return path
-
-
-def checked_record(path: Path | None) -> Path | None:
-    """``--record``: a folder that is not there yet."""
-    if path is not None and checked_out(path, "--record", folder=True).exists():
-        raise UsageError(f"--record {path} is there already; name a new folder")
-    return path
+# --- places to read from, and to write to --------------------------------------------------------------------------
 
 
 def places_of(words: Sequence[str], rig: bool) -> list[Path]:
@@ -108,10 +92,10 @@ def frames_and_queries(words: Sequence[str]) -> tuple[Sequence[str], list[str]]:
     return words[:first], checked_queries(words[first:])
 
 
-def check_outputs(options: object, inputs: Sequence[Path | None] = (), **kinds: str) -> None:
-    """Raise `UsageError` if an output of the command cannot be written, or is one of its `inputs`.
+def check_outputs(options: object, inputs: Sequence[str | Path | None] = (), **kinds: str) -> None:
+    """Raise `UsageError` if an output of the command can hardly be written, or is one of its `inputs`.
 
-    `kinds` of outputs, where they are not those of `OUTPUTS`: file, picture, folder.
+    `kinds` of outputs, where they are not those of `OUTPUTS`. Folders above them will be made, not here.
     """
     read = [os.path.realpath(path) for path in inputs if path is not None]
     for name, kind in (OUTPUTS | kinds).items():
@@ -119,9 +103,16 @@ def check_outputs(options: object, inputs: Sequence[Path | None] = (), **kinds: 
             continue
         if os.path.realpath(path) in read:
             raise UsageError(f"--{name} {path} is an input; name another place to write to")
-        if kind == "picture" and path.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
-            raise UsageError(f"--{name} {path}: wanted a file name that ends in .png, .jpg or .webp")
-        checked_out(path, f"--{name}", folder=kind == "folder")
+        if path.suffix.lower() not in (endings := ENDINGS.get(kind, (path.suffix.lower(),))):
+            raise UsageError(f"--{name} {path}: wanted a file name that ends in {' or '.join(endings)}")
+        folder = kind.endswith("folder")
+        there = next(place for place in (path.absolute(), *path.absolute().parents) if os.path.exists(place))
+        fits = there.is_dir() if folder else there.is_dir() != path.exists()
+        if not fits or not os.access(there, os.W_OK):
+            what = "a folder" if folder else "a file in a folder"
+            raise UsageError(f"--{name} {path} cannot be written ({there} is in the way); name {what} that can")
+        if kind == "new folder" and path.exists():
+            raise UsageError(f"--{name} {path} is there already; name a new folder")
 
 
 # --- perceptions and the tracker's settings ------------------------------------------------------------------------
@@ -134,15 +125,22 @@ def perception_for(queries: Sequence[str], spec: str | None) -> str:
     "something red", "a red thing") is answered by ``colour``. Raises `QueryError` where ``coco`` cannot run here, or
     there is no one answer for all; of what ``coco`` does not know it says so itself, and what does.
     """
-    from eagor.cli.models import how_to_find
     from eagor.perception.coco import CLASSES, wanted
-    from eagor.perception.vocabulary import is_bare_colour
+    from eagor.perception.vocabulary import by_colour_alone, is_bare_colour, match_class
 
     if spec is not None:
         return spec
     nouns = [query for query in queries if not is_bare_colour(query, CLASSES)]
-    if nouns and wanted():
-        raise QueryError(how_to_find(nouns[0]))
+    if nouns and (steps := wanted()):
+        none = f"no detector for {nouns[0]!r} is installed"
+        try:
+            match_class(nouns[0], CLASSES, described=True)
+        except QueryError as error:  # which says what knows it
+            raise QueryError(f"{none}, and coco would not do: {error}") from None
+        raise QueryError(
+            f"{none}. To get a small one for everyday things: {'; then '.join(steps)}. Or a detector of your own is "
+            "--perception onnx:MODEL.onnx, my.py:FUNCTION or replay:FILE.jsonl" + by_colour_alone(nouns[0], CLASSES)
+        )
     if 0 < len(nouns) < len(queries):
         raise QueryError(
             "coco and colour would each answer some of the queries; name one with --perception. Is it one thing? "
@@ -186,21 +184,17 @@ def check_looks(perception: str) -> None:
         )
 
 
-def tracker_config(
-    perception: str, /, *, degree: int = 15, calibration: Path | None = None, detector: str | None = None,
-    force: bool = False, static: bool = False, drift: float | None = None, **_: Any,
-) -> TrackerConfig:  # fmt: skip
-    """The tracker's configuration for these options of a command; what is `static` is so, whatever was fitted.
-
-    The floor is left out: the poses have to be above it.
-    """
+def tracker_config(perception: str, options: Looking) -> TrackerConfig:
+    """The tracker's configuration for the options of a command; with --static nothing moves, whatever was fitted."""
     from eagor.tracking.config import MotionModel, TrackerConfig
 
-    config = TrackerConfig(degree=degree)
-    if (found := calibrated(perception, calibration, detector, force)) is not None:
+    given = vars(options)
+    config = TrackerConfig(degree=options.degree, floor_height=given.get("floor"))
+    if (found := calibrated(perception, options.calibration, options.detector, options.force)) is not None:
         config = config.fitted(found.calibration, found.detector, found.forgetting)
-    config = config if drift is None else replace(config, drift=math.radians(drift))
-    return replace(config, target_motion=MotionModel.still()) if static else config
+    if (drift := given.get("drift")) is not None:
+        config = replace(config, drift=math.radians(drift))
+    return replace(config, target_motion=MotionModel.still()) if given.get("static") else config
 
 
 def calibrated(perception: str, calibration: Path | None, detector: str | None, force: bool) -> Calibrated | None:
@@ -235,31 +229,21 @@ def mask_of(path: Path | None) -> BodyMask | None:
     return None if path is None else read_mask(path)
 
 
-def rig_of(path: Path | None) -> Rig | None:
-    """``--rig``. Raises `FormatError`."""
+def lens_of(options: Lens, info: str | None = None) -> dict[str, Any]:
+    """What took the pictures, as `eagor.open_source` takes it; `info`: the topic of a CameraInfo. Raises `EagorError`.
+
+    Only one of the options may tell the lens.
+    """
+    from eagor.sources.intrinsics import camera_of
     from eagor.sources.rigs import read_rig
 
-    return None if path is None else read_rig(path)
-
-
-def ordinary(
-    hfov: float | None, path: Path | None, rig: Path | None, info: str | None = None, eyes: str | None = None
-) -> Camera:
-    """``--hfov``, ``--camera`` and ``--eyes``, beside others that tell the lens. Raises `EagorError`."""
-    from eagor.sources.intrinsics import camera_of
-
+    rig, hfov, path, eyes = options.rig, options.hfov, options.camera, options.eyes
     if rig is not None and not (hfov is None and path is None and eyes is None):
         raise UsageError(f"--rig {rig} has the lenses of its pictures; leave out --hfov, --camera and --eyes")
     if info is not None and (others := [each for each in (rig, path, hfov) if each is not None]):
         both = f"--camera-info {info} and {others[0]}"
         raise UsageError(f"{both}: both tell the lens of the pictures; wanted one of them")
-    return camera_of(hfov, path, eyes)
-
-
-def lens_of(options: Lens, info: str | None = None) -> dict[str, Any]:
-    """What took the pictures, as `eagor.open_source` takes it. Raises as `ordinary` and `rig_of`."""
-    lens = ordinary(options.hfov, options.camera, options.rig, info, options.eyes)
-    return {"camera": lens, "rig": rig_of(options.rig)}
+    return {"camera": camera_of(hfov, path, eyes), "rig": None if rig is None else read_rig(rig)}
 
 
 def warn_of_detector(detector: str | None, looks: Sequence[Evidence]) -> None:

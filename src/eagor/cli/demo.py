@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.options import Common, Name, Whole, bare, given
+from eagor.cli.options import Common, Name, Whole, bare, refuse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,42 +29,37 @@ class Demo(Common):
     episode: Whole = 1
     """Search in this apartment, 0 to 4."""
     perception: Name = "auto"
-    (
-        "The detector: auto (in the apartment scout, a small network on the rendered pictures; with --photo as for "
-        "locate), truth (a noisy detector with the simulator's ground truth), or another perception."
-    )
+    """The detector: auto (scout; with --photo as for locate), truth (the true places, with noise), or another."""
 
 
 def demo(options: Demo) -> int:
     """Run the command; returns its exit code."""
-    if options.photo is not None:
-        return _photo(options, options.photo)
-    if options.query is not None:
-        raise terminal.UsageError("--query is for --photo PICTURE; in the apartment the search is chosen by --episode")
-    from eagor.cli import demo_apartment
-    from eagor.lab.envs.episodes import PER_PLACE
-    from eagor.lab.envs.places import SEEDS
-
-    if not 0 <= options.seed < SEEDS:
-        raise terminal.UsageError(f"--seed {options.seed}; wanted an apartment, 0 to {SEEDS - 1}")
-    if not 0 <= options.episode < PER_PLACE:
-        raise terminal.UsageError(f"--episode {options.episode}; wanted 0 to {PER_PLACE - 1}")
     checks.check_outputs(options, out="folder")
-    perception = "scout" if options.perception == "auto" else options.perception
-    checks.check_looks(perception)
-    search = demo_apartment.play(options.seed, options.episode, perception, say=not options.json)
-    found = demo_apartment.as_json(search) | {"report": str(demo_apartment.write_report(search, options.out))}
-    table = [*demo_apartment.as_text(search), "", demo_apartment.STUDY_IN_WORDS]
-    return _told(options, found, demo_apartment.summary(search), table)
+    if options.photo is not None:
+        found, report = _photo(options, options.photo)
+        table = list[str]()
+    else:
+        refuse(options, ["query"], "is for --photo PICTURE; in the apartment the search is chosen by --episode")
+        from eagor.cli import demo_apartment
+        from eagor.lab.envs.episodes import PER_PLACE
+        from eagor.lab.envs.places import SEEDS
+
+        for name, number, count in ("seed", options.seed, SEEDS), ("episode", options.episode, PER_PLACE):
+            if not 0 <= number < count:
+                raise terminal.UsageError(f"--{name} {number}; wanted 0 to {count - 1}")
+        perception = "scout" if options.perception == "auto" else options.perception
+        checks.check_looks(perception)
+        search = demo_apartment.play(options.seed, options.episode, perception, say=not options.json)
+        found, report = demo_apartment.as_json(search), demo_apartment.write_report(search, options.out)
+        table = [*demo_apartment.errors_table(search).lines(120), demo_apartment.STUDY_IN_WORDS, ""]
+    ending = f"The report with pictures: {report}"
+    return terminal.give(options.json, found | {"report": str(report)}, "", *table, *found["summary"], "", ending)
 
 
-def _photo(options: Demo, path: Path) -> int:
-    from eagor.perception import short_name
+def _photo(options: Demo, path: Path) -> tuple[dict[str, Any], Path]:
     from eagor.sources.camera_sources import FrameCheck, ShapeError
 
-    if mistaken := given(options, ("seed", "episode")):
-        raise terminal.UsageError(f"--{mistaken[0]} chooses an apartment; leave it out with --photo")
-    checks.check_outputs(options, out="folder")
+    refuse(options, ("seed", "episode"), "chooses an apartment; leave it out with --photo")
     spec = options.perception
     if spec == "auto":  # without a query the detector chooses one, so it has to be one that knows things
         spec = "coco" if options.query is None else checks.perception_for([checks.checked_query(options.query)], None)
@@ -75,19 +70,15 @@ def _photo(options: Demo, path: Path) -> int:
         raise ShapeError(f"{re.split('[;.] ', str(error))[0]}; wanted a whole panorama: pad it to 2:1 first") from None
     perception = checks.make_perception(spec)
     from eagor.cli import demo_photo
+    from eagor.drawing import BeliefPage
+    from eagor.perception import short_name
 
-    query = options.query or demo_photo.best_query(perception, image)
+    query, looks = options.query or demo_photo.best_query(perception, image), demo_photo.LOOKS
     if not options.json:
-        what = f"A camera turns in {path.name} and looks {demo_photo.LOOKS} times"
-        print(f"{what} for the {query}, with the perception {short_name(spec)}.", flush=True)
-    with terminal.progress("looking", demo_photo.LOOKS, shown=not options.json) as advance:
-        played = demo_photo.play(image, perception, spec, query, advance)
-    report = demo_photo.write_report(played, spec, path.name, options.out)
-    found = demo_photo.as_json(played, spec, path.name) | {"report": str(report)}
-    return _told(options, found, [], demo_photo.summary(played))
-
-
-def _told(options: Demo, found: dict[str, str], above: list[str], below: list[str]) -> int:
-    return terminal.give(
-        options.json, found, "", *above, "", *below, "", f"The report with pictures: {found['report']}"
-    )
+        what = f"A camera turns in {path.name} and looks {looks} times for the {query}"
+        terminal.say(f"{what}, with the perception {short_name(spec)}.")
+    used = {"photograph": path.name, "perception": spec, "truth": demo_photo.NO_TRUTH}
+    page = BeliefPage(options.out / "report.html", query=query, used=used)
+    with terminal.progress("looking", looks, shown=not options.json) as advance, page:
+        played = demo_photo.play(image, perception, query, page, advance)
+    return demo_photo.as_json(played, spec, path.name), page.path

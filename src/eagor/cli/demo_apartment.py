@@ -6,7 +6,6 @@ The looks of the walk go to every method, so that all answer the same question. 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,13 +16,13 @@ from eagor._files import write_atomic
 from eagor.cli import terminal
 from eagor.cli.answers import save_image
 from eagor.conventions import rotation_from_wxyz
-from eagor.drawing import draw_errors, draw_map, draw_strip
+from eagor.drawing import draw_errors, draw_strip
 from eagor.lab.agents.methods import DESCRIPTIONS, EVERY, PLAIN, TrackerEstimator
 from eagor.lab.envs.episodes import EpisodeSpec
-from eagor.lab.envs.places import APARTMENT, Place, load_place
-from eagor.lab.envs.rules import Camera, NavigationRules
+from eagor.lab.envs.places import APARTMENT, load_place
+from eagor.lab.envs.rules import Camera
 from eagor.lab.eval import episodes as parts
-from eagor.lab.eval.page import Cell, Pictures, Row, Section, Table, Text, address_of, page
+from eagor.lab.eval.page import Cell, Picture, Row, Section, Table, Text, address_of, cell, page
 from eagor.lab.eval.results import OURS
 from eagor.lab.tasks.sim.rollout import Runner, Step
 from eagor.metrics import angular_error_deg
@@ -61,7 +60,6 @@ class Search:
     """
 
     spec: EpisodeSpec
-    rules: NavigationRules
     record: dict[str, Any]
     estimates: list[Estimate]
     answers: dict[str, np.ndarray]
@@ -69,118 +67,83 @@ class Search:
     perception: str
 
     @property
-    def thing(self) -> str:
-        """The query."""
-        return self.record["episode"]["query"]
-
-    @property
     def walk(self) -> dict[str, Any]:
         """The metrics and the trace of the walk."""
         return self.record["methods"][OURS]
 
     @property
-    def visible(self) -> list[bool]:
-        """Whether the thing is in sight, step by step."""
-        return self.walk["trace"]["visible"]
-
-    @property
     def hidden(self) -> list[tuple[int, int]]:
-        """The stretches, first and last step, in which it is out of sight."""
-        edges = np.flatnonzero(np.diff([True, *self.visible, True]))
+        """The stretches, first and last step, in which the thing is out of sight."""
+        edges = np.flatnonzero(np.diff([True, *self.walk["trace"]["visible"], True]))
         return [(int(begin), int(end) - 1) for begin, end in edges.reshape(-1, 2)]
 
-    @property
-    def means(self) -> dict[str, dict[str, float | None]]:
-        """Each method's mean error, degrees, in each of `PARTS`; None where the walk has no such step."""
-        here = np.array(self.visible)
+    def means(self, name: str) -> dict[str, float | None]:
+        """A method's mean error, degrees, in each of `PARTS`; None where the walk has no such step."""
+        here = np.array(self.walk["trace"]["visible"])
         since = np.logical_or.accumulate(here)
         chosen = {parts.SEEN: since, parts.IN_SIGHT: here, parts.HIDDEN: since & ~here}
-        return {
-            name: {part: float(errors[steps].mean()) if steps.any() else None for part, steps in chosen.items()}
-            for name, errors in self.errors.items()
-        }
+        return {part: float(self.errors[name][steps].mean()) if steps.any() else None for part, steps in chosen.items()}
 
 
 def play(seed: int, index: int, perception: str, say: bool = False) -> Search:
     """Walk through one episode of navigation with our tracker, and give its looks to every method."""
-    spec, config = EpisodeSpec("navigation", APARTMENT, seed, index, index), {"task": "navigation"}
-    runner, steps, estimates = Runner(config | {"perception": perception}), list[Step](), list[Estimate]()
+    spec = EpisodeSpec("navigation", APARTMENT, seed, index, index)
+    runner, steps = Runner({"task": "navigation", "perception": perception}), list[Step]()
+    estimates, answers = list[Estimate](), dict[str, np.ndarray]()
     if say:
         print(f"Building {APARTMENT} {seed}, and walking in search of something ...", flush=True)
 
     def keep(seen: Step) -> None:
         steps.append(seen)
-        if isinstance(seen.method, TrackerEstimator):
-            estimates.append(seen.method.estimate)
+        assert isinstance(seen.method, TrackerEstimator)
+        estimates.append(seen.method.estimate)
 
     with terminal.progress("searching", len(EVERY), shown=say) as advance:
         record = runner.run_episode(spec, [OURS], keep)
-        advance()
-        trace, truths = record["methods"][OURS]["trace"], np.array([seen.truth for seen in steps])
-        azimuth, elevation = (np.radians(trace[f"{part}_deg"]) for part in ("azimuth", "elevation"))
-        answers = {OURS: direction(azimuth, elevation)}
+        trace = record["methods"][OURS]["trace"]
         for name in EVERY:
-            if name != OURS:
+            if name == OURS:
+                answers[name] = direction(*(np.radians(trace[key]) for key in ("azimuth_deg", "elevation_deg")))
+            else:
                 method = runner.method(name, spec)
                 answers[name] = np.array([seen.answered_by(method) for seen in steps])
-                advance()
+            advance()
+    truths = np.array([seen.truth for seen in steps])
     errors = {name: np.asarray(angular_error_deg(found, truths)) for name, found in answers.items()}
-    return Search(spec, runner.rules, record, estimates, answers, errors, perception)
+    return Search(spec, record, estimates, answers, errors, perception)
 
 
 # --- in words and numbers ---------------------------------------------------------------------------------------------
 
 
-def as_text(search: Search) -> list[str]:
+def errors_table(search: Search) -> Table:
     """The errors of this walk, and those of the study."""
-    means = search.means
-    rows = {f"{SPOKEN[name]}, here": [_degrees(means[name][part]) for part in PARTS] for name in (PLAIN, OURS)}
-    rows = {"mean error": PARTS.values(), **rows} | {name: map(_interval, cells) for name, cells in STUDY.items()}
-    lines = [f"{name:28}" + "".join(f"{cell:>24}" for cell in cells) for name, cells in rows.items()]
-    note = "here: this walk; the others: 200 searches, with 95 % intervals (in the repository: "
-    return [*lines, f"{note}{STUDY_COMMAND})"]
+    rows = [Row(f"{SPOKEN[name]}, here", [*map(cell, search.means(name).values())]) for name in (PLAIN, OURS)]
+    rows += [Row(name, [cell(mean, ends) for mean, *ends in figures]) for name, figures in STUDY.items()]
+    note = f"here: this walk; the others: 200 searches, with 95 % intervals, perception scout. Repeat: {STUDY_COMMAND}"
+    return Table("Mean error in degrees", ("", *PARTS.values()), rows, [note])
 
 
 def as_json(search: Search) -> dict[str, Any]:
-    """The result for ``--json``."""
-    return {
-        "query": search.thing, "scene": search.record["episode"]["scene"], "seed": search.spec.seed,
-        "episode": search.spec.index, "perception": search.perception, "walk": search.walk["metrics"],
-        "visible": search.visible,
-        "errors_deg": {name: found.round(3).tolist() for name, found in search.errors.items()},
-        "means_deg": search.means,
-        "what": {name: DESCRIPTIONS.get(name, SPOKEN[PLAIN]) for name in search.errors},
-        "summary": summary(search),
-    }  # fmt: skip
-
-
-def summary(search: Search) -> list[str]:
-    """The walk in sentences, generated from the numbers."""
-    metrics, seconds = search.walk["metrics"], Camera().seconds
-    ended = "found" if metrics["success"] else "did not find"
-    away = sum(not seen for seen in search.visible)
-    lines = [
-        f"The camera {ended} the {search.thing} in {metrics['steps']} steps ({metrics['steps'] * seconds:.0f} s). It "
-        f"was out of sight in {away} of {len(search.visible)} looks."
+    """The result for ``--json``; its summary is the walk in sentences, generated from the numbers."""
+    episode, visible = search.record["episode"], search.walk["trace"]["visible"]
+    query, metrics = episode["query"], search.walk["metrics"]
+    steps, ended = metrics["steps"], "found" if metrics["success"] else "did not find"
+    summary = [
+        f"The camera {ended} the {query} in {steps} steps ({steps * Camera().seconds:.0f} s). It was out of sight in "
+        f"{len(visible) - sum(visible)} of {len(visible)} looks."
     ]
-    ours, alone = ({part: _degrees(mean) for part, mean in search.means[name].items()} for name in (OURS, PLAIN))
-    if ours[parts.HIDDEN] != NONE:
-        away, said = ours[parts.HIDDEN], alone[parts.HIDDEN]
-        lines.append(f"While it was hidden again, {SPOKEN[OURS]} was off by {away}, {SPOKEN[PLAIN]} by {said}.")
-    if ours[parts.IN_SIGHT] != NONE:
-        lines.append(f"In sight: {ours[parts.IN_SIGHT]} and {alone[parts.IN_SIGHT]}.")
-    return lines
-
-
-NONE = "-"
-
-
-def _degrees(value: float | None) -> str:
-    return NONE if value is None else f"{value:.1f}°"
-
-
-def _interval(cell: tuple[float, float, float]) -> str:
-    return "{:.1f}° ({:.1f} to {:.1f})".format(*cell)
+    ours, alone = search.means(OURS), search.means(PLAIN)
+    for part, when in (parts.HIDDEN, "While it was hidden again"), (parts.IN_SIGHT, "In sight"):
+        if ours[part] is not None:
+            off = f"{SPOKEN[OURS]} was off by {ours[part]:.1f}°, {SPOKEN[PLAIN]} by {alone[part]:.1f}°"
+            summary.append(f"{when} {off}.")
+    return {
+        "query": query, "scene": episode["scene"], "seed": search.spec.seed, "episode": search.spec.index,
+        "perception": search.perception, "walk": metrics, "visible": visible,
+        "errors_deg": {name: found.round(3).tolist() for name, found in search.errors.items()},
+        "means_deg": {name: search.means(name) for name in search.errors}, "summary": summary,
+    }  # fmt: skip
 
 
 # --- the report -------------------------------------------------------------------------------------------------------
@@ -188,83 +151,61 @@ def _interval(cell: tuple[float, float, float]) -> str:
 
 def write_report(search: Search, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
-    place, seconds = load_place(search.spec.world, search.spec.seed, Camera().radius), Camera().seconds
-    times = [step * seconds for step in range(len(search.visible))]
+    found, seconds = as_json(search), Camera().seconds
+    times = [step * seconds for step in range(len(search.estimates))]
     shaded = [(times[begin], times[end], "out of sight") for begin, end in search.hidden]
     curves = {SPOKEN[name]: search.errors[name].tolist() for name in (OURS, PLAIN)}
+    drawn = {"beliefs": _strip(search), "errors": draw_errors(times, curves, shaded)}
+    for name, picture in drawn.items():
+        save_image(picture, folder / f"{name}.png")
     words = "Four panoramas with our belief as heat, our estimate, the answer of the look alone, and the truth"
-    beliefs = _kept(_strip(search, place), folder / "beliefs.png", words)
+    beliefs = Picture(address_of(drawn["beliefs"]), words)
     words = "Direction error over time of our tracker and of the newest look alone, on a logarithmic axis"
-    errors = _kept(draw_errors(times, curves, shaded), folder / "errors.png", words)
-    words = "Floor plan with the way of the camera from the start to where it ended"
-    above = _kept(_map(search, place), folder / "map.png", words)
-    means, heads, rows = search.means, ("mean error", *PARTS.values()), list[Row]()
-    for name in EVERY:
-        cells = [*(_degrees(means[name][part]) for part in PARTS), DESCRIPTIONS.get(name) or NEWEST]
-        rows.append(Row(name, _cells(cells), "text ours" if name == OURS else "text"))
-    ours = SPOKEN[OURS]
-    study = [Row(name, _cells(map(_interval, cells)), "ours" * (name == ours)) for name, cells in STUDY.items()]
+    errors = Picture(address_of(drawn["errors"]), words)
     lead = Text(
         f"A camera walks through {APARTMENT} {search.spec.seed} and looks for it. Heat is what our tracker believes, "
-        f"and the white line holds 90 % of that. {' '.join(summary(search))}"
+        f"and the white line holds 90 % of that. {' '.join(found['summary'])}"
     )
-    way = Text(
-        f"Each step goes {Camera().step} m, sliding along walls; the search is over within "
-        f"{search.rules.success_distance} m (of walking) of the {search.thing}, or after {search.rules.max_steps} "
-        "steps. Our tracker steers, without a map: it walks by the floor that its looks have shown. All methods get "
-        f"its looks, through the perception {search.perception}.", "note",
-    )  # fmt: skip
-    repeat = Text(f"The perception is scout, and intervals are of 95 %. Repeat it: {STUDY_COMMAND}", "note")
-    walk = Table("Every method on this walk", (*heads, "what it is"), rows)
-    more = Section("The way from above, and every method on the same looks", [above, way, walk])
+    heads, rows = ("mean error in degrees", *PARTS.values(), "what it is"), list[Row]()
+    for name in EVERY:
+        rows.append(
+            Row(name, [*map(cell, search.means(name).values()), Cell(DESCRIPTIONS.get(name) or NEWEST)], "text")
+        )
+    steered = (
+        f"Our tracker steers, without a map; all methods get its looks, through the perception {search.perception}"
+    )
+    walk = Table("Every method on the same looks", heads, rows, [steered])
     sections = [
-        Section("Is that luck?", [Text(STUDY_IN_WORDS), Table("200 searches", heads, study), repeat], "luck"),
-        Section("The error on this walk", [errors, more], "error"),
+        Section("Is that luck?", [Text(STUDY_IN_WORDS), errors_table(search)], "luck"),
+        Section("The error on this walk", [errors, Section(walk.title, [walk])], "error"),
     ]
-    return write_atomic(folder / "report.html", page(f"Where is the {search.thing}?", [lead, beliefs], sections))
+    return write_atomic(folder / "report.html", page(f"Where is the {found['query']}?", [lead, beliefs], sections))
 
 
-def _kept(picture: Image, path: Path, words: str) -> Pictures:
-    """A picture of the page, which is written as a file as well."""
-    save_image(picture, path)
-    return Pictures([(address_of(picture), words)], "wide")
-
-
-def _cells(cells: Iterable[str]) -> list[Cell]:
-    return [*map(Cell, cells)]
-
-
-def _strip(search: Search, place: Place) -> Image:
+def _strip(search: Search) -> Image:
     """What the camera saw at four moments, what we believed, and what that look alone says."""
+    place = load_place(search.spec.world, search.spec.seed, Camera().radius)
     trace, panels = search.walk["trace"], []
-    for index, what in _moments(search):
-        pose = np.array(trace["pose"][index])
-        seen = place.renderer.panorama(pose[:3], rotation_from_wxyz(pose[3:]), PICTURE_ROWS, range=False, ids=False)
-        true = direction(*(math.radians(trace[f"true_{part}_deg"][index]) for part in ("azimuth", "elevation")))
+    for index, what in moments(search):
+        position, pose = np.split(np.array(trace["pose"][index]), [3])
+        seen = place.renderer.panorama(position, rotation_from_wxyz(pose), PICTURE_ROWS, range=False, ids=False)
+        truth = direction(*(math.radians(trace[f"true_{part}_deg"][index]) for part in ("azimuth", "elevation")))
         ours, alone = (search.errors[name][index] for name in (OURS, PLAIN))
         title = f"{index * Camera().seconds:g} s, {what}: ours off by {ours:.0f}°, the look by {alone:.0f}°"
-        others = {SPOKEN[PLAIN]: search.answers[PLAIN][index]}
-        shown = {"panorama": seen.rgb, "belief": search.estimates[index], "modes": (), "truth": true}
-        panels.append(shown | {"others": others, "title": title})
+        shown = {"panorama": seen.rgb, "belief": search.estimates[index], "modes": (), "truth": truth}
+        panels.append(shown | {"others": {SPOKEN[PLAIN]: search.answers[PLAIN][index]}, "title": title})
     return draw_strip(panels)
 
 
-def _moments(search: Search) -> list[tuple[int, str]]:
+def moments(search: Search) -> list[tuple[int, str]]:
     """At most four moments for pictures, in order of time: chosen by what is in sight, not by who is right."""
+    visible = search.walk["trace"]["visible"]
     chosen = {0: "the first look"}
-    if seen := [index for index, here in enumerate(search.visible) if here]:
-        chosen.setdefault(seen[0], "in sight for the first time")
-        if again := [(begin, end) for begin, end in search.hidden if begin > seen[0]]:
-            begin, end = max(again, key=lambda stretch: stretch[1] - stretch[0])
-            chosen.setdefault((begin + end) // 2, "hidden again")
-    chosen.setdefault(len(search.visible) - 1, "the last look")
+    if any(visible):
+        first = visible.index(True)
+        chosen.setdefault(first, "in sight for the first time")
+        if again := [(end - begin, begin) for begin, end in search.hidden if begin > first]:
+            longest, begin = max(again, key=lambda stretch: stretch[0])
+            chosen.setdefault(begin + longest // 2, "hidden again")
+    chosen.setdefault(len(visible) - 1, "the last look")
     return sorted(chosen.items())
-
-
-def _map(search: Search, place: Place) -> Image:
-    ground, (x, y) = place.ground, place.ground.origin
-    rows, cols = ground.free.shape
-    target = place.scene.instances[search.record["episode"]["targets"][0]].centre
-    extent = (float(x), float(x + cols * ground.cell), float(y), float(y + rows * ground.cell))
-    way = np.array(search.walk["trace"]["pose"])[:, :2]
-    return draw_map(ground.structure, ground.free, extent, way, target, "the way of the camera")

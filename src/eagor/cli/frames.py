@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eagor.cli import checks, terminal
-from eagor.cli.options import Footage, given
+from eagor.cli.options import Footage, refuse
 from eagor.errors import ImageError
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def open_stream(
 
     bag = len(places) == 1 and is_bag(places[0])
     moves = bag or is_video(places, options.rig is not None)
-    poses = _checked(options, places, bag, moves)
+    _check(options, places, bag, moves)
     looks = (options.rate or RATE) if moves else None
     rate = max(looks, shown or 0) if looks else options.rate
     words = [f"{places[0]}?topic={options.image_topic}"] if options.image_topic else places
@@ -65,27 +65,28 @@ def open_stream(
     source = open_footage(words, **how, rate=rate, say=terminal.log)
     if source.video is not None:
         say_of_video(places[0].name, source.video)
-    found = open_poses(poses, source, axes=options.axes, say=terminal.log)
-    told = poses_in_words(found)
+    text = options.poses if options.odom_topic is None else f"ros:{options.odom_topic}"
+    poses = open_poses(text, source, axes=options.axes, say=terminal.log)
+    told = poses_in_words(poses)
     if looks and rate and rate < BY_SIGHT and source.ordinary and "pictures themselves" in told:
         rate = BY_SIGHT
         source = open_footage(words, **how, rate=rate, say=lambda text: None)
-    if (camera := source.bag) is not None:
-        terminal.log(f"{camera.count} pictures of {camera.topic}; {looks:g} looks per second (--rate), {told}")
-        terminal.log(f"the table's stamps are seconds from {camera.begins:.3f}; --out and --json have the full ones")
-        return FrameStream(source, found, told, None, looks, rate, None, camera.begins)
+    count = span = None
     if (video := source.video) is not None:
-        looks = looks or RATE
-        terminal.log(f"{min(looks, video.frame_rate or looks):g} looks per second (--rate {looks:g}), {told}")
-        end = options.end or video.duration
-        return FrameStream(source, found, told, video.count, looks, rate, None if end is None else end - options.start)
-    images = source.images  # with the times that a file of poses tells
-    assert images is not None
-    count, stamps = len(images.paths), images.stamps
-    if not stamps:
-        terminal.log(f"{terminal.many(count, 'image')}, taken at {images.rate:g} per second (--rate), {told}")
-        return FrameStream(source, found, told, count, None, images.rate, (count - 1) / images.rate)
-    return FrameStream(source, found, told, count, span=stamps[-1] - stamps[0])
+        count, end = video.count, options.end or video.duration
+        span = None if end is None else end - options.start
+        most = looks or RATE
+        terminal.log(f"{min(most, video.frame_rate or most):g} looks per second (--rate {most:g}), {told}")
+    elif source.bag is not None:
+        terminal.log(f"{source.bag.count} pictures of {source.bag.topic}; {looks:g} looks per second (--rate), {told}")
+        terminal.log(f"the table's stamps are seconds from {source.begins:.3f}; --out and --json have the full ones")
+    elif (images := source.images) is not None:  # with the times that a file of poses tells, or the rate
+        count, stamps = len(images.paths), images.stamps
+        rate = None if stamps else images.rate
+        span = stamps[-1] - stamps[0] if stamps else (count - 1) / images.rate
+        if rate is not None:
+            terminal.log(f"{terminal.many(count, 'image')}, taken at {rate:g} per second (--rate), {told}")
+    return FrameStream(source, poses, told, count, looks, rate, span, source.begins)
 
 
 def say_of_video(name: str, video: Any) -> None:
@@ -95,25 +96,21 @@ def say_of_video(name: str, video: Any) -> None:
         terminal.log(f"{name}: {fact}")
 
 
-def _checked(options: Footage, places: Sequence[Path], bag: bool, moves: bool) -> str:
-    """The text of the poses. Raises `UsageError` for options that do not belong together."""
-    poses = options.poses
-    if poses not in WORDS and not os.path.exists(poses):
+def _check(options: Footage, places: Sequence[Path], bag: bool, moves: bool) -> None:
+    """Raise `UsageError` for options that do not belong together."""
+    poses, given_poses = options.poses, options.poses not in WORDS
+    if given_poses and not os.path.exists(poses):
         raise terminal.UsageError(f"there is no file {poses}; --poses takes {', '.join(WORDS)} or a CSV file")
-    if options.axes != "auto" and poses in WORDS:
-        raise terminal.UsageError(f"--axes {options.axes} is for a file of poses; give one with --poses")
-    if not bag and given(options, ("image_topic", "odom_topic", "camera_info")):
-        topics = "--image-topic, --odom-topic and --camera-info"
-        raise terminal.UsageError(f"{topics} are for a ROS 2 bag; {places[0]} is none")
-    if not moves and (wrong := given(options, ("start", "end", "fps"))):
-        raise terminal.UsageError(f"--{wrong[0]} is for a video; these are images")
-    if not moves and poses not in WORDS and options.rate is not None:
-        raise terminal.UsageError(f"--rate {options.rate:g}: {poses} tells when the images were taken")
-    if options.odom_topic is None:
-        return poses
-    if poses != "auto":
-        raise terminal.UsageError(f"--poses {poses} and --odom-topic: wanted one of them")
-    return f"ros:{options.odom_topic}"
+    if not given_poses:
+        refuse(options, ["axes"], f"{options.axes} is for a file of poses; give one with --poses")
+    if not bag:
+        refuse(options, ("image_topic", "odom_topic", "camera_info"), f"is for a ROS 2 bag; {places[0]} is none")
+    if not moves:
+        refuse(options, ("start", "end", "fps"), "is for a video; these are images")
+        if given_poses:
+            refuse(options, ["rate"], f"is not wanted: {poses} tells when the images were taken")
+    if options.odom_topic is not None:
+        refuse(options, ["poses"], f"{poses} and --odom-topic: wanted one of them")
 
 
 class Tally:
@@ -133,19 +130,19 @@ class Tally:
             terminal.warning(f"{name} is left out: {problem}")
             self.bad, self._unread = self.bad + 1, self._unread + (not read)
 
-    def end(self, left_out: Sequence[str]) -> bool:
-        """Say what is missing; returns whether anything is. Raises `RunError` if no frame came."""
+    def end(self, left_out: Sequence[str]) -> int:
+        """Say what is missing; returns the exit code. Raises `RunError` if no frame came."""
         for text in [*left_out, *([f"the frames end early: {self.broken}"] if self.broken else [])]:
             terminal.warning(text)
         if not self.frames:
             raise terminal.RunError("there was no frame to look at")
-        return bool(self.bad or self.broken or left_out)
+        return terminal.INCOMPLETE if self.bad or self.broken or left_out else terminal.OK
 
     def check(self) -> None:
         """Raise `RunError` if all frames were bad, `ImageError` if none could be read: the input is wrong."""
-        if 0 < self.bad < self.frames:
-            terminal.log(f"{self.bad} of {self.frames} frames were left out")
         if self.bad == self.frames:
             error, what = (ImageError, "read") if self._unread == self.frames else (terminal.RunError, "used")
             all_of_them = f"none of the {self.frames} frames could be {what}; the reasons are above"
             raise error(all_of_them if self.bad > 1 else f"the only frame could not be {what}; the reason is above")
+        if self.bad:
+            terminal.log(f"{self.bad} of {self.frames} frames were left out")

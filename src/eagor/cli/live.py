@@ -1,17 +1,16 @@
 """``eagor live``: answers from a live camera at a steady rate; ``eagor live replay``: a recorded run again.
 
-With ``--json`` each answer is a line on stdout. On a terminal the newest ones are shown in place, elsewhere once a
-second. What goes wrong, and when it works again, is said on stderr, and at the end the last answers.
+With ``--json`` each answer is a line on stdout, otherwise the newest ones once a second. What goes wrong, and when it
+works again, is said on stderr, and at the end the last answers.
 """
 
 from __future__ import annotations
 
 import math
-import shutil
-import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -20,10 +19,11 @@ from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
 from eagor.cli.answers import in_words
-from eagor.cli.options import Axes, Flag, TrackingOptions, bare
+from eagor.cli.options import Axes, Flag, TrackingOptions, bare, refuse
 
 if TYPE_CHECKING:
-    from eagor.live.events import Answer, NextLooks
+    from eagor.live.events import Answer, Event
+    from eagor.live.loop import Sink
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,18 +34,9 @@ class Live(TrackingOptions):
     """
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE QUERY ...", help_behavior_hint="(required)")]
-    (
-        "A camera (/dev/video0, rtsp://HOST/PATH, http://..., udp://..., ros:/image_topic, - or pipe:rgb24:1920x960 "
-        "for standard input), a video, a folder, or a ROS 2 bag (BAG?topic=/image); then what to look for, each in "
-        "quotes. Or: replay DIR."
-    )
+    """A camera (/dev/video0, rtsp://..., ros:/topic, -), video, folder or bag, then what to look for; or replay DIR"""
     poses: Annotated[str, arg(metavar="SOURCE")] = "auto"
-    (
-        "How the camera turns and moves. auto: by a bag's odometry, a video's IMU, else the pictures (rotation only); "
-        "level: the same for a camera that keeps its pictures level; still: it stands; ros:/odom: a ROS 2 topic, also "
-        "of a bag; go2: the robot's odometry (go2:slow, go2:lidar: of other topics); CSV: a file, as for track, for a "
-        "recorded source."
-    )
+    """How the camera turns and moves: as for track, or ros:/odom, a ROS 2 topic; go2 (go2:slow, go2:lidar), a robot."""
     axes: Axes = "auto"
     rate: Annotated[float, arg(metavar="HZ")] = 20.0
     """Answers per second."""
@@ -71,15 +62,13 @@ class Live(TrackingOptions):
     """Print one JSON object per line: each answer."""
 
 
-SHOWN = 0.1  # seconds between two status lines on a terminal,
-PRINTED = 1.0  # ... and elsewhere, where each stays
+PRINTED = 1.0  # seconds between two lines
 
 
 def live(options: Live) -> int:
     """Run the command; returns its exit code."""
     if options.words[:1] == ("replay",):
         return _replay(options)
-    from eagor.live.events import NextLooks
     from eagor.live.loop import Loop
     from eagor.live.threads import already_open
     from eagor.sources.camera_sources import open_source
@@ -88,51 +77,48 @@ def live(options: Live) -> int:
     if len(options.words) < 2:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted SOURCE, then one or more QUERY")
     source, queries = options.words[0], checks.checked_queries(options.words[1:])
-    checks.checked_record(options.record)
     checks.check_outputs(options)
     spec = checks.perception_for(queries, options.perception)
-    config = replace(checks.tracker_config(spec, **vars(options)), floor_height=options.floor)
-    mask, rows = checks.mask_of(options.mask), checks.rows_for(spec, options.rows)
+    config, mask = checks.tracker_config(spec, options), checks.mask_of(options.mask)
+    rows = checks.rows_for(spec, options.rows)
     opens = partial(open_source, source, latency=options.latency, rows=rows, **checks.lens_of(options))
     if source.startswith("ros:"):  # its publishers may not be there yet
         terminal.log(f"waiting for pictures on {source}")
-    camera, looks, log = opens(), NextLooks(), None
+    camera, told, until = opens(), _Printer(options, queries), math.inf
+    sinks: list[Sink] = [told]
     try:
         if options.rerun is not None:
             from eagor.live.rerun import RerunLog
 
-            log = RerunLog(options.rerun, f"{', '.join(queries)}: {source}", realtime=True)
+            sinks.append(RerunLog(options.rerun, f"{', '.join(queries)}: {source}", realtime=True))
         dds = {"domain": options.domain, "interface": options.interface}
         poses = poses_for(options.poses, camera, axes=options.axes, **dds)
         loop = Loop(
             already_open(camera, opens) if camera.live else camera, poses, spec, queries, not options.fast,
-            [looks, *([log] if log else [])], config=config, rate=options.rate, patience=options.patience,
-            record=options.record, pictures=options.pictures, mask=mask,
+            sinks, config=config, rate=options.rate, patience=options.patience, record=options.record,
+            pictures=options.pictures, mask=mask,
         )  # fmt: skip
     except BaseException:
-        camera.close()
-        if log is not None:
-            log.close()
+        for each in (camera, *sinks):
+            each.close()
         raise
     terminal.log(
         f"{'live' if camera.live else 'recorded'}: {source}, seen by {spec}, {options.rate:g} answers a second"
     )
-    told, until = _Printer(options, queries, looks), math.inf
 
     def answered(answer: Answer) -> None:
         nonlocal until
         if until == math.inf and options.seconds is not None and loop.knows_classes is not None:  # it is loaded
             until = time.monotonic() + options.seconds
-        told.add(answer)
         if time.monotonic() >= until and answer.query == queries[-1]:
             loop.stop()
 
     try:
         loop.run(answered)
     finally:
-        told.close()
-        if log is not None and log.problem is not None:
-            terminal.warning(log.problem)
+        for sink in sinks:
+            if problem := getattr(sink, "problem", None):
+                terminal.warning(problem)
         counts = loop.counts
         terminal.log(
             f"{counts.frames} pictures, {counts.looks} looks, {counts.poses} poses, {counts.answers} answers"
@@ -145,18 +131,25 @@ def live(options: Live) -> int:
 
 
 class _Printer:
-    """What is printed: lines of JSON, or the newest answers; on stderr what goes wrong, once, and the last answers."""
+    """A sink that prints: lines of JSON, or the newest answers; on stderr what goes wrong, once, and the last answers.
 
-    def __init__(self, options: Live, queries: Sequence[str], looks: NextLooks | None = None) -> None:
-        from eagor.live.events import FaultLog
+    `last`: what went wrong last.
+    """
 
-        self._options, self._queries, self._looks = options, queries, looks
-        self._in_place = not options.json and sys.stdout.isatty()
+    def __init__(self, options: Live, queries: Sequence[str]) -> None:
+        from eagor.live.events import FaultLog, NextLooks
+
+        self._options, self._queries, self._looks, self._faults = options, queries, NextLooks(), FaultLog()
         self._newest: dict[str, Answer] = {}
-        self._begun, self._shown, self._rows = math.inf, -math.inf, 1
-        self._faults = FaultLog()
-        self._next: tuple[float, float] | None = None  # where to look next: azimuth and elevation, radians
+        self._begun, self._shown = math.inf, -math.inf
+        self._next: list[float] = []  # where to look next: azimuth and elevation, radians
         self.last: str | None = None
+
+    def take(self, event: Event, answers: Sequence[Answer]) -> None:
+        """An event of the loop, and the answers to it."""
+        self._looks.take(event, answers)
+        for answer in answers:
+            self.add(answer)
 
     def add(self, answer: Answer) -> None:
         """One answer."""
@@ -168,55 +161,38 @@ class _Printer:
             self._begun = min(self._begun, answer.stamp - answer.image_age)
         if first:
             for text, wrong in self._faults.of(answer.faults, answer.stamp):  # what is wrong and was not, or well again
-                if self._in_place:
-                    self._show("")
                 terminal.log(text)
                 self.last = text if wrong else self.last
-            toward = None if self._looks is None else self._looks.of(answer)
-            self._next = None
-            if toward is not None:
-                azimuth, elevation = azimuth_elevation(toward)
-                self._next = float(azimuth), float(elevation)
+            toward = self._looks.of(answer)
+            self._next = [] if toward is None else [*map(float, azimuth_elevation(toward))]
         if options.json:
             found = answer.as_dict(options.modes)
-            if first and self._next is not None:
-                azimuth, elevation = (round(math.degrees(angle), 6) for angle in self._next)
-                found["next_look"] = {"azimuth_deg": azimuth, "elevation_deg": elevation}
+            if first and self._next:
+                angles = (round(math.degrees(angle), 6) for angle in self._next)
+                found["next_look"] = dict(zip(("azimuth_deg", "elevation_deg"), angles, strict=True))
             terminal.emit(found)
         elif answer.query == self._queries[-1]:
             self._say(answer.stamp)
 
     def _say(self, stamp: float) -> None:
-        """The newest answers, unless they were shown a moment ago."""
+        """The newest answers, unless they were told a moment ago."""
         from eagor.drawing.style import answer_in_words, in_words
 
-        now, apart = (time.monotonic(), SHOWN) if self._in_place else (stamp, PRINTED)
         # Before the first look there is nothing to say: it may be that the detector does not know the words.
         looked = self._options.fast or any(math.isfinite(each.look_age) for each in self._newest.values())
-        if now - self._shown < apart or not (self._in_place or (looked and self._begun < math.inf)):
+        if stamp - self._shown < PRINTED or not looked or self._begun == math.inf:
             return
-        self._shown, parts = now, list[str]()
+        self._shown, parts = stamp, list[str]()
         for query, answer in self._newest.items():
             e = answer.estimate
             cone = "" if e.direction is None else f", {e.certainty}"
             parts.append(f"{query}: {answer_in_words(e)}{cone}, {answer.status_words}")
-        if self._next is not None:
+        if self._next:
             parts.append(f"look next {in_words(*self._next)}")
-        if self._in_place:
-            self._show(" | ".join(parts))
-        else:
-            terminal.say(f"{stamp - self._begun:.2f} s  {' | '.join(parts)}")
-
-    def _show(self, text: str) -> None:
-        """Write over what was shown last, however many rows of the terminal it took."""
-        up = f"\x1b[{self._rows - 1}A" if self._rows > 1 else ""
-        print(f"\r{up}\x1b[J{terminal.plain(text)}", end="", flush=True)
-        self._rows = max(1, math.ceil(len(text) / shutil.get_terminal_size().columns))
+        terminal.say(f"{stamp - self._begun:.2f} s  {' | '.join(parts)}")
 
     def close(self) -> None:
-        """End the status line, and say the last answers."""
-        if self._in_place and self._newest:
-            print(flush=True)
+        """Say the last answers."""
         for query, answer in {} if self._options.json else self._newest.items():
             terminal.log(in_words(answer.estimate, query, answer.stamp - min(self._begun, answer.stamp)))
 
@@ -228,18 +204,12 @@ def _replay(options: Live) -> int:
     if len(options.words) != 2:
         raise terminal.UsageError("wanted the folder of one recording: eagor live replay DIR")
     folder = options.words[1]
-    if options.perception is not None:
-        raise terminal.UsageError(
-            f"replay gives the answers of then; for another detector: eagor track {folder} QUERY "
-            f"--perception {options.perception}"
-        )
-    replay = Replay(Path(folder))
-    told, answers = _Printer(options, replay.settings.queries), 0
-    try:
+    again = f"eagor track {folder} QUERY --perception {options.perception}"
+    refuse(options, ["perception"], f"{options.perception}: replay gives the answers of then; for another: {again}")
+    replay, answers = Replay(Path(folder)), 0
+    with closing(_Printer(options, replay.settings.queries)) as told:
         for answers, answer in enumerate(replay, 1):  # noqa: B007
             told.add(answer)
-    finally:
-        told.close()
     if not answers:
         raise terminal.RunError(f"{folder} holds no answers: the run was ended before the first")
     return terminal.OK

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,10 +25,7 @@ class Locate(Answering):
     """Find the direction of an object in one picture: a panorama, or one of an ordinary camera."""
 
     file: Annotated[str, Positional, arg(metavar="PICTURE")]
-    (
-        "An equirectangular image, an ordinary picture (--hfov, --camera), or a video; its centre is forward. Of a rig "
-        "with several cameras FRONT,BACK: a picture or a video of each."
-    )
+    """A panorama, an ordinary picture (--hfov, --camera), or a video; its centre is forward. Of a rig FRONT,BACK."""
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to look for, in words."""
     stamp: Annotated[float | None, bare("SECONDS")] = None
@@ -57,25 +54,23 @@ def locate(options: Locate) -> int:
     query, floor = checks.checked_query(options.query), options.floor
     spec = checks.perception_for([query], options.perception)
     places = checks.places_of([options.file], options.rig is not None)
-    checks.check_outputs(options, places)
-    if floor is not None and not (math.isfinite(floor) and floor < 0):
+    checks.check_outputs(options, places, out="table")
+    if floor is not None and floor >= 0:
         raise terminal.UsageError(
             f"--floor {floor:g}: the camera of locate is at height 0; wanted a floor below it, such as -1.3"
         )
-    config = replace(checks.tracker_config(spec, **vars(options)), floor_height=floor)
+    config = checks.tracker_config(spec, options)
     with answers.table(options.out) if options.out else nullcontext() as write:
         perception, stamp = checks.make_perception(spec, busy=True), options.stamp
         if isinstance(perception, ReplayPerception):  # a replay answers at its own times
             first = next((record.stamp for record in perception.records if record.answers(query)), 0.0)
             perception.looks(query, stamp := first if stamp is None else stamp)  # raises where it has none
         picture, stamp = _picture(options, places, rows_of(perception)), stamp or 0.0
-        name = ", ".join(place.name for place in places)
-        poses, results = None, list[Followed]()
-        if floor is not None or picture.level_R_body is not None:  # heights are counted from the camera
-            turn = np.eye(3) if picture.level_R_body is None else picture.level_R_body
-            poses = GivenPoses([Pose(stamp, turn, None if floor is None else np.zeros(3))])
-        mask, sinks = checks.mask_of(options.mask), [ByFrame(results.append)]
+        name, results = ", ".join(place.name for place in places), list[Followed]()
+        turn = np.eye(3) if picture.level_R_body is None else picture.level_R_body
+        poses = GivenPoses([Pose(stamp, turn, None if floor is None else np.zeros(3))])  # heights are from the camera
         source = Footage(lambda: iter([(stamp, name, lambda: picture)]))
+        mask, sinks = checks.mask_of(options.mask), [ByFrame(results.append)]
         for _ in Loop(source, poses, perception, query, sinks=sinks, config=config, mask=mask):
             pass
         (result,) = results
@@ -91,10 +86,8 @@ def locate(options: Locate) -> int:
     checks.say_of_replay(perception, query, len(result.evidence))
     if options.json:  # with the source that the looks name (model, pixels, tokens, milliseconds), if any
         source = next((evidence.source for evidence in result.evidence if evidence.source is not None), None)
-        terminal.emit(found | ({} if source is None else {"source": dict(source)}))
-    else:
-        _print(options, name, spec, result.estimate)
-    return terminal.OK
+        found |= {} if source is None else {"source": dict(source)}
+    return terminal.give(options.json, found, *_in_words(options, name, spec, result.estimate))
 
 
 def _picture(options: Locate, places: Sequence[Path], rows: int) -> Picture:
@@ -116,34 +109,34 @@ def _picture(options: Locate, places: Sequence[Path], rows: int) -> Picture:
     return check.look(found, first.name, video.builder, video.hint)
 
 
-def _print(options: Locate, name: str, spec: str, estimate: Estimate) -> None:
+def _in_words(options: Locate, name: str, spec: str, e: Estimate) -> list[str]:
     from eagor.drawing.style import answer_in_words, far_in_words, in_words, signed, status_in_words
     from eagor.perception import short_name
 
-    lines = {
-        "status": f"{estimate.status}: {status_in_words(estimate.status, estimate.presence)}",
-        "direction": answer_in_words(estimate).removeprefix("direction "),
+    facts = {
+        "status": f"{e.status}: {status_in_words(e.status, e.presence)}",
+        "direction": answer_in_words(e).removeprefix("direction "),
     }
-    known = estimate.direction is not None
+    known, listed = e.direction is not None, []
     if known:
-        several = estimate.status == "ambiguous" and len(estimate.modes) > 1
+        several = e.status == "ambiguous" and len(e.modes) > 1
         why = "it reaches from one candidate to others" if several else "looks that agree narrow it"
-        cone = math.degrees(estimate.credible_angle)
-        lines["azimuth"] = f"{signed(estimate.azimuth)} deg (positive to the left)"
-        lines["elevation"] = f"{signed(estimate.elevation)} deg"
-        lines["credible angle"] = f"{cone:.1f} deg (a cone about it that holds 90 %; {why})"
+        facts["azimuth"] = f"{signed(e.azimuth)} deg (positive to the left)"
+        facts["elevation"] = f"{signed(e.elevation)} deg"
+        cone = math.degrees(e.credible_angle)
+        facts["credible angle"] = f"{cone:.1f} deg (a cone about it that holds 90 %; {why})"
     if options.floor is not None:
-        lines["distance"] = f"{far_in_words(estimate) or '-'} (90 %, if it stands on the floor)"
-    lines["presence"] = f"{100 * estimate.presence:.0f} %"
+        facts["distance"] = f"{far_in_words(e) or '-'} (90 %, if it stands on the floor)"
+    facts["presence"] = f"{100 * e.presence:.0f} %"
     if known:
-        near = f"{100 * estimate.within(math.radians(NEAR)):.0f} %"
-        lines["how sure"] = f"{near} (that it is here, and within {NEAR} degrees of that direction)"
-        lines["candidates"] = "azimuth elevation  weight (probability that it is thereabouts, if it is here)"
-    terminal.say(f"{options.query}, in {name}, as {short_name(spec)} sees it")
-    terminal.say(*(f"  {what:15} {text}" for what, text in lines.items()))
-    if known:
-        shown = [(mode.weight, mode.azimuth, mode.elevation) for mode in estimate.modes[: options.modes]]
-        for weight, *angles in shown:
-            azimuth, elevation = map(signed, angles)
-            terminal.say(f"{'':18}{azimuth:>7} {elevation:>9}{100 * weight:6.0f} %  {in_words(*angles)}")
-        terminal.say(f"{'':35}{100 * max(0.0, 1 - sum(each[0] for each in shown)):6.0f} %  elsewhere")
+        near = f"{100 * e.within(math.radians(NEAR)):.0f} %"
+        facts["how sure"] = f"{near} (that it is here, and within {NEAR} degrees of that direction)"
+        facts["candidates"] = "azimuth elevation  weight (probability that it is thereabouts, if it is here)"
+        for mode in (shown := e.modes[: options.modes]):
+            azimuth, elevation = signed(mode.azimuth), signed(mode.elevation)
+            words = in_words(mode.azimuth, mode.elevation)
+            listed.append(f"{'':18}{azimuth:>7} {elevation:>9}{100 * mode.weight:6.0f} %  {words}")
+        rest = max(0.0, 1 - sum(mode.weight for mode in shown))
+        listed.append(f"{'':35}{100 * rest:6.0f} %  elsewhere")
+    head = f"{options.query}, in {name}, as {short_name(spec)} sees it"
+    return [head, *(f"  {what:15} {text}" for what, text in facts.items()), *listed]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from eagor.cli import checks, terminal
-from eagor.cli.answers import Lines
+from eagor.cli.answers import appended
 from eagor.cli.frames import Tally, open_stream
 from eagor.cli.options import Footage
 from eagor.errors import ImageError, PoseError
@@ -45,19 +45,17 @@ def look(options: Look) -> int:
 
     queries = checks.checked_queries(options.queries)
     places = checks.places_of(options.words, options.rig is not None)
-    if options.out.suffix.lower() != ".jsonl":
-        raise terminal.UsageError(f"--out {options.out}: wanted a file name that ends in .jsonl")
-    checks.check_outputs(options, [*places, Path(options.poses)])
+    checks.check_outputs(options, [*places, options.poses], out="looks")
     views = _views(options, queries)
     stream = open_stream(options, places, views)
     of = ", ".join(place.name for place in places[:3]) + (" and more" if len(places) > 3 else "")
     tally, last, labels = Tally(), 0.0, Counter[str]()
-    with Lines(options.out) as file, terminal.progress("looking", stream.count, shown=not options.json) as advance:
+    with appended(options.out) as add, terminal.progress("looking", stream.count, shown=not options.json) as advance:
         head = [first_line(of, options.perception, views, stream.told, stream.begins)]
         frames = PosedFrames(stream.source, stream.poses, stream.looks, terminal.log)
         try:
             for posed, entries in detection_lines(prefetched(frames), views, queries, ValidMasks(say=terminal.log)):
-                file.add("".join(f"{line}\n" for line in [*head, *map(json.dumps, entries)]))
+                add("".join(f"{line}\n" for line in [*head, *map(json.dumps, entries)]))
                 head.clear()
                 if not posed.looked:
                     continue
@@ -75,7 +73,7 @@ def look(options: Look) -> int:
             if looks := tally.frames - tally.bad:
                 terminal.log(f"kept: {options.out}, {terminal.many(looks, 'look')} to {last - stream.begins:.2f} s")
             raise
-    incomplete = tally.end(frames.left_out)
+    code = tally.end(frames.left_out)
     tally.check()
     looks = tally.frames - tally.bad
     told = {"of": of, "perception": options.perception, "poses": stream.told, "looks": looks, "left_out": tally.bad}
@@ -87,7 +85,7 @@ def look(options: Look) -> int:
         f"what there is:  eagor track {options.out}",
         f'where it is:    eagor track {options.out} "{example}"',
     )  # fmt: skip
-    return terminal.INCOMPLETE if incomplete else terminal.OK
+    return code
 
 
 def _views(options: Look, queries: list[str]) -> Detector:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import platform
 import shutil
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Annotated, Any
 
@@ -41,10 +40,8 @@ def models_list(options: ModelsList) -> int:
     from eagor.perception import coco
 
     steps = "".join(f"; before it can run: {step}" for step in coco.wanted())
-    terminal.give(options.json, {"models": [_coco()]}, f"coco: {coco.state()} at {coco.model_file()}{steps}")
-    if not options.json:
-        terminal.facts(coco.ABOUT, 2)
-    return terminal.OK
+    where = f"coco: {coco.state()} at {coco.model_file()}{steps}"
+    return terminal.give(options.json, {"models": [_coco()]}, where, *terminal.facts(coco.ABOUT, 2))
 
 
 def models_get(options: ModelsGet) -> int:
@@ -68,26 +65,6 @@ def _coco() -> dict[str, Any]:
     from eagor.perception.coco import ABOUT, model_file, state, wanted
 
     return {"name": "coco", "state": state(), "path": str(model_file()), **ABOUT, "wanted": wanted()}
-
-
-def how_to_find(query: str) -> str:
-    """Why `query` cannot be answered, and what to type: the small detector if it knows `query`, else other models."""
-    from eagor.perception.coco import CLASSES, wanted
-    from eagor.perception.vocabulary import by_colour_alone, for_any_words, match_class
-
-    own = "a detector of your own is --perception onnx:MODEL.onnx, my.py:FUNCTION or replay:FILE.jsonl"
-    own += by_colour_alone(query, CLASSES)
-    try:
-        match_class(query, CLASSES, described=True)
-    except QueryError:
-        return (
-            f"no detector for {query!r} is installed, and the small one for everyday things (eagor models get coco) "
-            f"does not know it either. For any words: {for_any_words()}. And {own}"
-        )
-    return (
-        f"no detector for {query!r} is installed. To get a small one for everyday things: {'; then '.join(wanted())}. "
-        f"Or {own}"
-    )
 
 
 # --- ``eagor doctor`` -------------------------------------------------------------------------------------------------
@@ -132,56 +109,55 @@ def doctor(options: Doctor) -> int:
     wants = {f"{kind[:-1]} {name}": why for kind, each in states.items() for name, why in each.items() if why != READY}
     for extra, lacks in lacking.items():
         (wants if lacks else works)[f"extra {extra}"] = ": ".join([USES[extra], *lacks])
-    if options.json:
-        found = {"packages": packages, **states, "extras": lacking, "left_out": left_out, "healthy": not missing}
-        terminal.emit(about | found)
-        return terminal.FAILED if missing else terminal.OK
-    terminal.say("eagor {eagor}, Python {python} on {platform}".format(**about))
-    terminal.say("with " + ", ".join(f"{name} {number}" for name, number in packages.items() if number), "")
-    terminal.say("These work now:")
-    terminal.facts(works, 2)
-    terminal.say("", "These need something first:")
-    terminal.facts(wants or {"nothing": ""}, 2)
-    for line in left_out:
-        terminal.say(f"left out: {line}")
+    found = {"packages": packages, **states, "extras": lacking, "left_out": left_out, "healthy": not missing}
+    terminal.give(
+        options.json, about | found, "eagor {eagor}, Python {python} on {platform}".format(**about),
+        "with " + ", ".join(f"{name} {number}" for name, number in packages.items() if number), "",
+        "These work now:", *terminal.facts(works, 2), "",
+        "These need something first:", *terminal.facts(wants or {"nothing": ""}, 2),
+        *(f"left out: {line}" for line in left_out),
+    )  # fmt: skip
     if missing:
         terminal.error(f"eagor itself lacks {', '.join(missing)}; install it again with pip")
     return terminal.FAILED if missing else terminal.OK
 
 
+def tried(part: Any) -> dict[str, str]:
+    """Perceptions, worlds or tasks by name: "ready", or what is wrong. Those of others are tried elsewhere first."""
+    from eagor import plugins
+
+    theirs = plugins.brought(part.GROUP, part.BUILT_IN)
+    faults, states = plugins.faults(theirs), dict[str, str]()
+    for name, point in sorted(part.known().items()):
+        try:
+            why = faults.get(point) if point in theirs else point.load() and None
+            states[name] = f"cannot be imported ({why})" if why else READY
+        except MissingExtraError as error:
+            states[name] = str(error)
+        except Exception as error:  # a broken installation may raise anything
+            states[name] = f"cannot be imported ({type(error).__name__}: {error})"
+    return states
+
+
 def _plugins() -> tuple[dict[str, dict[str, str]], list[str]]:
-    """Perceptions, worlds and tasks by name: "ready", or what is wrong; and what is left out, a line each."""
+    """Perceptions, worlds and tasks as they were `tried`, by kind; and what is left out, a line each."""
     from eagor import perception, plugins
     from eagor.lab import worlds
     from eagor.lab.tasks import task
     from eagor.perception.coco import wanted
 
-    parts = (perception, worlds, task)
-    theirs = [point for part in parts for point in plugins.brought(part.GROUP, part.BUILT_IN)]
-    faults = plugins.faults(theirs)  # tried in other processes
     states: dict[str, dict[str, str]] = {}
     left_out: list[str] = []
-    for part in parts:
-        kind, known = part.GROUP.removeprefix("eagor."), part.known()
-        states[kind] = {name: _state(known[name], known[name] in theirs, faults) for name in sorted(known)}
-        left_out += [line for point in known.values() for line in plugins.left_out(point, kind[:-1])]
+    for part in (perception, worlds, task):
+        kind = part.GROUP.removeprefix("eagor.")
+        states[kind] = tried(part)
+        left_out += [line for point in part.known().values() for line in plugins.left_out(point, kind[:-1])]
     own = {name: "; ".join(_missing(extra)) for name, extra in WANTS.items()}
     own["coco"] = "; then ".join(wanted())
     states["perceptions"] |= {name: lacks for name, lacks in own.items() if lacks}
     if find_spec("habitat_sim") is None:
         states["worlds"]["habitat"] = "Habitat-Sim, from its conda channel aihabitat or from source"
     return states, left_out
-
-
-def _state(point: EntryPoint, theirs: bool, faults: Mapping[EntryPoint, str]) -> str:
-    """Whether `point` can be imported, or why not; plugins were tried in another process."""
-    try:
-        why = faults.get(point) if theirs else point.load() and None
-    except MissingExtraError as error:
-        return str(error)
-    except Exception as error:  # a broken installation may raise anything
-        why = f"{type(error).__name__}: {error}"
-    return f"cannot be imported ({why})" if why else READY
 
 
 def _missing(extra: str) -> list[str]:

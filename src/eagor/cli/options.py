@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
 from tyro.conf import arg, subcommand
 
-from eagor.errors import EagorError
+from eagor.cli.terminal import UsageError
 
 
 def bare(metavar: str | None = None, help: str | None = None) -> Any:
@@ -28,15 +28,11 @@ Rows = Annotated[
 Detector = Annotated[
     str | None,
     bare(
-        "habit=A+B,spread=DEG,...",
-        "Error model of the detector. habit=A+B: beta distribution of the share of looks in which a thing is found; "
-        "detection_probability=P instead: the same share for all. false_alarms_per_look=N: those that do not come "
-        "again (learnt if omitted or ?). look_alikes=N: places all around that are taken for the thing again and "
-        "again, look_alike_habit=A+B as above. kept_for=SECONDS, kept_within=METRES: after which places lose their "
-        "habits. spread=DEG: error that differs in each look, offset=DEG: error that stays at a place; "
-        "spread_of_size=S, offset_of_size=S: what a box adds to them, as a share of the deviation of its area. "
-        "parts=P: share of the boxes on a thing that show only a part of it. prior_correct=P: share of all boxes that "
-        "are right, by which scores are read.",
+        "spread=DEG,...",
+        "Error model of the detector (how-to/detector-errors): habit=A+B or detection_probability=P, "
+        "false_alarms_per_look=N, look_alikes=N, look_alike_habit=A+B, kept_for=SECONDS, kept_within=METRES, "
+        "spread=DEG (differs in each look), offset=DEG (stays at a place), spread_of_size=S, offset_of_size=S, "
+        "parts=P, prior_correct=P.",
     ),
 ]
 Axes = Annotated[
@@ -53,16 +49,7 @@ Static = Annotated[
 ]
 Eyes = Annotated[
     Literal["mono", "left-right", "right-left", "top-bottom", "bottom-top", "vr180", "vr180-top-bottom"] | None,
-    bare(
-        "LAYOUT",
-        "Two eyes in a panorama's picture (3D 360, VR180; default: as its file says; alike halves are refused): "
-        "left-right or top-bottom (the left eye's first), right-left, bottom-top, vr180 (half spheres side by side), "
-        "vr180-top-bottom; mono: one.",
-    ),
-]
-Mask = Annotated[
-    Path | None,
-    bare("FILE.png", "What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."),
+    bare("LAYOUT"),
 ]
 Force = Annotated[
     bool,
@@ -92,36 +79,39 @@ class Lens(Common):
     camera: Annotated[Path | None, bare("FILE")] = None
     """An ordinary camera: its calibration by ROS, OpenCV, Kalibr or COLMAP, or a rig with one lens."""
     eyes: Eyes = None
+    """Two eyes: left-right, top-bottom (left eye first), right-left, bottom-top, vr180, vr180-top-bottom; mono: one."""
     rig: Annotated[Path | None, bare("FILE.yaml")] = None
     """Lenses, for pictures that are not stitched: their circles (eagor camera calibrate), or ordinary cameras."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answering(Lens):
-    """Options of the commands that answer where something is: who looks, and how the looks are added up."""
+class Looking(Lens):
+    """Options of the commands that look for something: who looks, and how the looks are added up."""
 
     perception: Annotated[str | None, bare("NAME")] = None
     (
-        "The detector (default: coco, or colour for a bare colour such as 'red'): colour (the colour that the query "
-        "names; colour:rows=512 for things of 1 degree), coco (a small network for everyday things, `eagor models get "
-        "coco`), replay:FILE.jsonl (output of any detector), onnx:MODEL.onnx (a detector's file, options after ?), "
-        "my.py:FUNCTION (a function of yours), a model (FOLDER, Qwen/Qwen2.5-VL-7B-Instruct, "
-        "endpoint:MODEL@http://HOST:PORT/v1, options after ?), or an installed one; `eagor doctor` lists them."
-    )
-    modes: Annotated[int, arg(metavar="K")] = 10
-    """Maximum number of candidate directions in the output."""
-    floor: Annotated[float | None, bare("Z")] = None
-    (
-        "Height of the floor in the world of the poses, metres. Objects stand on it, so distances are known sooner. In "
-        "locate the camera is at height 0: a floor 1.3 m below it is at -1.3."
+        "The detector (default: coco, or colour for a bare colour such as 'red'): colour (colour:rows=512 for things "
+        "of 1 degree), coco, replay:FILE.jsonl, onnx:MODEL.onnx, my.py:FUNCTION, a model (FOLDER, a hub name, "
+        "endpoint:MODEL@http://HOST:PORT/v1; options after ?), or an installed one: `eagor doctor` lists them."
     )
     degree: Whole = 15
     """Degree of the spherical harmonics, 1 to 63; the resolution is about 180 / N degrees."""
     calibration: Annotated[Path | None, bare("FILE.json")] = None
     """Calibration of the perception and of forgetting, from `eagor calibrate`."""
     detector: Detector = None
-    mask: Mask = None
+    mask: Annotated[Path | None, bare("FILE.png")] = None
+    """What the camera never sees (tripod, robot's back): black there, white elsewhere, 2:1."""
     force: Force = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answering(Looking):
+    """Options of the commands that answer in a table or a file."""
+
+    modes: Annotated[int, arg(metavar="K")] = 10
+    """Maximum number of candidate directions in the output."""
+    floor: Annotated[float | None, bare("Z")] = None
+    """Height of the floor in the world of the poses, metres: tells distances sooner. The camera of locate is at 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,18 +131,14 @@ class Footage(Lens):
 
     poses: Annotated[str, arg(metavar="CSV|auto|level|still")] = "auto"
     (
-        "How the camera turned and moved. auto: from the bag's odometry, the video's IMU, or else from the pictures "
-        "themselves (rotation only). level: from pictures that the camera keeps level; only the heading turns. still: "
-        "it stands. CSV: a file with the columns stamp,qw,qx,qy,qz (world_R_body) or stamp,yaw_deg,pitch_deg,roll_deg "
-        "(yaw left, pitch nose DOWN); also x,y,z (metres) and frame (file name). Or a trajectory of TUM, EuRoC, COLMAP "
-        "(images.txt) or nerfstudio (transforms.json)."
+        "How the camera turned and moved. auto: by a bag's odometry, a video's IMU, else the pictures (rotation only); "
+        "level: the same, only the heading turns; still: it stands. CSV: a file with stamp,qw,qx,qy,qz (world_R_body) "
+        "or stamp,yaw_deg,pitch_deg,roll_deg (yaw left, nose DOWN), also x,y,z and frame (file name); or a trajectory "
+        "of TUM, EuRoC, COLMAP (images.txt) or nerfstudio (transforms.json)."
     )
     axes: Axes = "auto"
     rate: Annotated[float | None, bare("HZ")] = None
-    (
-        "Looks per second of a video or bag (default: 2). For images with --poses auto or level: how many per second "
-        "were taken (default: 1)."
-    )
+    """Looks per second of a video or bag (default: 2); of images without times, how many were taken (default: 1)."""
     start: Annotated[float, arg(metavar="SECONDS")] = 0.0
     """Where to begin in a video or bag."""
     end: Annotated[float | None, bare("SECONDS")] = None
@@ -160,10 +146,7 @@ class Footage(Lens):
     image_topic: Annotated[str | None, bare("TOPIC")] = None
     """The pictures of a bag (default: the only topic of Images or CompressedImages)."""
     camera_info: Annotated[str | None, bare("TOPIC")] = None
-    (
-        "An ordinary camera: the CameraInfo of its pictures (default: camera_info beside them, if they are not 2:1); "
-        "of several cameras, with commas between."
-    )
+    """An ordinary camera in a bag: its CameraInfo (default: beside its pictures); of several with commas."""
     odom_topic: Annotated[str | None, bare("TOPIC")] = None
     """The odometry of a bag: Odometry, PoseStamped, Imu, or /tf (default: the only one of the first of these kinds)."""
     force: Force = False
@@ -179,20 +162,13 @@ def grouped(name: str, text: str, *commands: type) -> Any:
     return made
 
 
-def given(options: Common, names: Sequence[str]) -> list[str]:
+def given(options: Common, names: Iterable[str]) -> list[str]:
     """Those of `names`, of options that the command has, that differ from their default."""
     defaults = {field.name: field.default for field in fields(options)}
     return [name for name in names if name in defaults and getattr(options, name) != defaults[name]]
 
 
-def pairs_of(pairs: tuple[str, ...]) -> dict[str, str]:
-    """The values of --set by name. Raises `EagorError` unless each is RULE=VALUE, and each rule has one value."""
-    found = {}
-    for pair in pairs:
-        key, equals, value = pair.partition("=")
-        if not (key and equals and value):
-            raise EagorError(f"--set {pair}; wanted RULE=VALUE, such as success_distance=0.5")
-        if key in found and found[key] != value:
-            raise EagorError(f"--set {key}={found[key]} {pair}: two values of {key}; leave one of them out")
-        found[key] = value
-    return found
+def refuse(options: Common, names: Iterable[str], why: str) -> None:
+    """Raise `UsageError` if one of these options is given: its name, and `why` not."""
+    if wrong := given(options, names):
+        raise UsageError(f"--{wrong[0].replace('_', '-')} {why}")

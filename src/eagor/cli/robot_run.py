@@ -8,22 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from eagor.cli import terminal
-from eagor.cli.checks import (
-    check_looks,
-    checked_number,
-    checked_query,
-    checked_record,
-    mask_of,
-    perception_for,
-    rows_for,
-    tracker_config,
-)
-from eagor.cli.options import Common, Detector, Flag, Force, Mask, Name, Static, Whole, bare
+from eagor.cli import checks, terminal
+from eagor.cli.options import Flag, Looking, Name, Static, Whole, bare, refuse
 from eagor.errors import DeviceError
 
 if TYPE_CHECKING:
@@ -34,14 +24,12 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotRun(Common):
+class RobotRun(Looking):
     """Walk a Unitree Go2 to an object. Without --arm nothing is commanded: a dry run says what it would do.
 
     Before the first --arm try it with --sim, a simulated robot, then without --arm. Clear five metres around the robot
     and have its remote control in your hand: L2+B makes it limp. It sees no stairs, glass, cables or people: you do.
     """
-
-    runs: ClassVar[str] = "robot_run"
 
     query: Annotated[str, Positional, arg(metavar="QUERY")]
     """What to walk to, in words."""
@@ -50,10 +38,7 @@ class RobotRun(Common):
     arm: Flag = False
     """Let the robot move. Somebody has to hold the dead-man switch."""
     deadman: Annotated[Literal["remote", "none"] | None, bare("SWITCH")] = None
-    (
-        "What is held while it may move: remote (L1 of the robot's remote control; B stops for good, start releases "
-        "that), none (only for simulated robots). Default: remote; with --sim none."
-    )
+    """Held while it may move: remote (L1 of its remote control; the default), none (--sim, simulated robots)."""
     source: Annotated[str | None, bare("SOURCE")] = None
     """The camera, as for `eagor live`: /dev/video0, rtsp://HOST/PATH, ros:/image_topic, ...; with --sim its own."""
     interface: Annotated[str | None, bare("NAME")] = None
@@ -76,14 +61,10 @@ class RobotRun(Common):
     """Go on when it has arrived: follow the thing if it moves (default: end 2 s after it has arrived)."""
     record: Annotated[Path | None, bare("DIR")] = None
     """A new folder for a bag of all that happens: pictures, poses, answers (as for `eagor live`)."""
-    perception: Annotated[str | None, bare("NAME")] = None
-    """The detector: colour, coco, onnx:MODEL.onnx, my.py:FUNCTION, a model, or an installed one."""
     patience: Annotated[float, arg(metavar="SECONDS")] = 10.0
     """Time that one look may take; then the detector is ended and started anew."""
     latency: Annotated[float, arg(metavar="SECONDS")] = 0.15
     """Time from capture to arrival of the camera's pictures."""
-    rig: Annotated[Path | None, bare("FILE.yaml")] = None
-    """The lenses, if the pictures are those of fisheye or ordinary lenses."""
     rows: Annotated[int | None, bare("N")] = None
     """Rows of the pictures at most."""
     mount: Annotated[tuple[float, float, float], arg(metavar="X Y Z")] = (0.0, 0.0, 0.4)
@@ -96,14 +77,7 @@ class RobotRun(Common):
     """--sim: where it starts, metres, and its heading (default: somewhere with a free way to the object)."""
     world: Name = "apartment"
     """--sim: apartment, an installed world, or a GLB file."""
-    degree: Whole = 15
-    """Degree of the spherical harmonics, 1 to 63."""
-    calibration: Annotated[Path | None, bare("FILE.json")] = None
-    """Calibration of the perception and of forgetting, from `eagor calibrate`."""
-    detector: Detector = None
     static: Static = False
-    mask: Mask = None
-    force: Force = False
 
 
 ROS, INTERFACE = "ros:", "lo"
@@ -147,51 +121,49 @@ class Summary:
     errors: list[float] = field(default_factory=list)
     mark: tuple[float, float] | None = None
 
-    def add(self, step: Step, seconds: float, place: Place) -> None:
+    def add(self, step: Step, seconds: float, robot: Rehearsal | None) -> None:
         """One answer, `seconds` after the start."""
         import numpy as np
 
-        estimate, xy = step.answer.estimate, step.view.xy
-        self.doing, self.words, self.seconds, self.stops = (
-            step.command.doing, step.command.words, seconds, step.state.stops,
-        )  # fmt: skip
+        from eagor.sphere import angular_distance
+
+        command, estimate, xy = step.command, step.answer.estimate, step.view.xy
+        self.doing, self.words, self.seconds, self.stops = command.doing, command.words, seconds, step.state.stops
         if xy is not None and (self.mark is None or math.dist(xy, self.mark) >= SWAY):
             self.metres += 0.0 if self.mark is None else math.dist(xy, self.mark)
             self.mark = xy
-        robot, known = place.robot, estimate.direction is not None and estimate.status == "tracking"
-        if robot is not None and robot.truth is not None and known and len(robot.targets):
+        toward = estimate.direction if estimate.status == "tracking" else None
+        if robot is not None and robot.truth is not None and toward is not None and len(robot.targets):
             at, world_R_body = robot.truth
-            ways = (robot.targets - at) / np.linalg.norm(robot.targets - at, axis=1, keepdims=True)
-            angles = np.arccos(np.clip(ways @ (world_R_body @ estimate.direction), -1, 1))
-            self.errors.append(math.degrees(float(angles.min())))
+            angles = angular_distance(robot.targets - at, world_R_body @ toward)
+            self.errors.append(math.degrees(float(np.min(angles))))
 
     def tell(self, query: str, as_json: bool) -> None:
         """Say it on stdout."""
         from statistics import median
 
-        if as_json:
-            found = {"query": query, "ended": self.ended, "doing": self.doing, "words": self.words}
-            found |= {"seconds": self.seconds, "metres": self.metres, "stops": self.stops}
-            terminal.emit(found | {"median_error_deg": median(self.errors) if self.errors else None})
-        else:
-            print(f"{self.ended}: {self.words}; {self.metres:.2f} m in {self.seconds:.1f} s")
+        found = {"query": query} | {
+            name: getattr(self, name) for name in ("ended", "doing", "words", "seconds", "metres", "stops")
+        }
+        found["median_error_deg"] = median(self.errors) if self.errors else None
+        words = f"{self.ended}: {self.words}; {self.metres:.2f} m in {self.seconds:.1f} s"
+        terminal.give(as_json, found, words)
 
 
 def robot_run(options: RobotRun) -> int:
-    """Run the command; returns its exit code."""
+    """``eagor robot run``."""
     from eagor.live.loop import Loop
     from eagor.robots import Go2Poses
     from eagor.robots.safety.guard import Guard
     from eagor.robots.safety.walking import Odometer, WalkSettings, steer
 
-    query = checked_query(options.query)
+    query = checks.checked_query(options.query)
     _check(options)
     # In a rendered house the network for such pictures is better than a colour alone.
-    spec = "scout" if options.sim and options.perception is None else perception_for([query], options.perception)
-    check_looks(spec)
-    config = tracker_config(spec, **vars(options))
-    config = replace(config, floor_height=FLOOR)
-    mask = mask_of(options.mask)
+    spec = "scout" if options.sim and options.perception is None else checks.perception_for([query], options.perception)
+    checks.check_looks(spec)
+    config = replace(checks.tracker_config(spec, options), floor_height=FLOOR)
+    mask = checks.mask_of(options.mask)
     deadman = options.deadman or ("none" if options.sim or not options.arm else "remote")
     walking = WalkSettings(distance=options.distance, speed=options.speed, blind=options.blind)
     loops: list[Loop] = []
@@ -205,8 +177,7 @@ def robot_run(options: RobotRun) -> int:
                 avoid=options.avoid, ignored_codes=(0, *options.calm),
             )
         )  # fmt: skip
-        loop: Loop
-        odometer = Odometer(guard, lambda: loop.clock.now())
+        odometer = Odometer(guard, lambda: loops[0].clock.now())
         loop = Loop(
             place.camera, lambda: Go2Poses(place.domain, place.interface, options.odometry, options.mount), spec,
             query, True, [odometer], config=config, rate=RATE, patience=options.patience, mask=mask,
@@ -235,16 +206,16 @@ def _check(options: RobotRun) -> None:
     """Raise `UsageError` for what cannot be, before anything is started."""
     from eagor.robots.safety.limits import Limits
 
-    checked_record(options.record)
+    checks.check_outputs(options)
+    source, oldest = options.source, Limits().image_age
     if options.sim:
-        if options.source is not None or options.interface is not None:
-            raise terminal.UsageError("--sim brings its own camera and network: leave out --source and --interface")
-    elif options.source is None:
+        refuse(options, ("source", "interface"), "is for a real robot: --sim brings its own camera and network")
+    elif source is None:
         raise terminal.UsageError("a robot needs a camera: --source /dev/video0, rtsp://..., ros:/image; or take --sim")
-    elif options.source.startswith(ROS) and "," in options.source and options.rig is None:
+    elif source.startswith(ROS) and "," in source and options.rig is None:
         raise terminal.UsageError(
-            f"--source {options.source} names several cameras; give --rig with their lenses, and where on the "
-            "robot's body these look"
+            f"--source {source} names several cameras; give --rig with their lenses, and where on the robot's body "
+            "these look"
         )
     elif options.deadman == "none" and options.arm and options.interface != INTERFACE:
         raise terminal.UsageError(
@@ -256,9 +227,7 @@ def _check(options: RobotRun) -> None:
             f"--mount {' '.join(f'{each:g}' for each in options.mount)}; wanted metres forward, left and up from the "
             f"body's centre, each at most {REACH:g} either way"
         )
-    checked_number(options.seconds, "--seconds")
-    oldest = Limits().image_age
-    if checked_number(options.latency, "--latency") >= oldest:
+    if options.latency >= oldest:
         raise terminal.UsageError(
             f"--latency {options.latency:g}: the robot never moves by pictures older than {oldest:g} s; wanted seconds "
             "from capture to arrival, less than that"
@@ -268,19 +237,11 @@ def _check(options: RobotRun) -> None:
 @contextmanager
 def _real(options: RobotRun, spec: str) -> Iterator[Place]:
     from eagor.sources.camera_sources import open_source
-    from eagor.sources.rigs import read_rig
 
-    source = options.source
-    assert source is not None
-    rig = None if options.rig is None else read_rig(options.rig)
-    lenses: dict[str, Any] = {"rows": rows_for(spec, options.rows), "rig": rig}
+    source, lenses, rows = options.source or "", checks.lens_of(options), checks.rows_for(spec, options.rows)
 
     def camera() -> CameraSource:
-        if source.startswith(ROS):
-            from eagor.robots.ros import RosCamera
-
-            return RosCamera(source.removeprefix(ROS) or None, latency=options.latency, **lenses)
-        found = open_source(source, latency=options.latency, **lenses)
+        found = open_source(source, latency=options.latency, rows=rows, **lenses)
         if not found.live:
             found.close()
             raise DeviceError(f"--source {source} is a recording; a robot that walks needs a live camera")
@@ -295,7 +256,7 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
     from eagor.robots.go2.house import CAMERA_TOPIC
     from eagor.robots.go2.sim import Rehearsal, SimSettings
 
-    rows = rows_for(spec, options.rows, PICTURE)
+    rows = checks.rows_for(spec, options.rows, PICTURE)
     start = options.start and (*options.start[:2], math.radians(options.start[2]))
     settings = SimSettings(
         options.world, options.seed, query, start=start, rows=rows, rate=PICTURES, latency=options.latency,
@@ -310,12 +271,11 @@ def _simulated(options: RobotRun, query: str, spec: str) -> Iterator[Place]:
 
 def _walk(options: RobotRun, steps: Iterator[Step], summary: Summary, place: Place) -> None:
     """Walk until it is over."""
-    begun, there, said, spoke, lost = time.monotonic(), None, None, -math.inf, False
+    begun, there, said, spoke, lost = time.monotonic(), math.inf, None, -math.inf, False
     longest = options.seconds or (LONGEST if options.sim else math.inf)
     for step in steps:
-        now = time.monotonic()
-        summary.add(step, now - begun, place)
-        mode, command = step.state.mode, step.command
+        now, mode, command = time.monotonic(), step.state.mode, step.command
+        summary.add(step, now - begun, place.robot)
         # Where the gate has no objection, why it stands is what the policy says.
         why = step.state.reasons or (command.words,)
         told = mode, command.doing, why[0].partition(":")[0][:16]  # no numbers, which change all the time
@@ -325,8 +285,8 @@ def _walk(options: RobotRun, steps: Iterator[Step], summary: Summary, place: Pla
         if not lost and (faults := [each.text for each in step.answer.faults if each.part == "recording"]):
             lost = True
             terminal.warning(faults[0])
-        there = (there or now) if command.doing == "arrived" else None
-        if there is not None and now - there >= THERE and not options.stay:
+        there = min(there, now) if command.doing == "arrived" else math.inf
+        if now - there >= THERE and not options.stay:
             summary.ended = "arrived"
             return
         if now - begun >= longest:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from eagor.cli import terminal
-from eagor.cli.checks import ordinary, perception_for, rig_of, rows_for, tracker_config
-from eagor.cli.options import Common
+from eagor.cli import checks, terminal
+from eagor.cli.options import Common, TrackingOptions
 
 if TYPE_CHECKING:
     from eagor.tracking import TrackerConfig
@@ -26,8 +25,6 @@ class Ros(Common):
     `ros2 node info /eagor` lists its topics, `ros2 param describe /eagor NAME` says what a parameter means; where there
     is no `ros2`, eagor.robots.ros.PARAMETERS has them.
     """
-
-    runs: ClassVar[str] = "ros"
 
     arguments: Positional[tuple[str, ...]] = ()
     """--ros-args and what follows it."""
@@ -49,12 +46,11 @@ def setup(values: Mapping[str, Any], queries: Sequence[str]) -> tuple[str, Track
     def told(name: str) -> Any:
         return None if values[name] == "" or values[name] != values[name] else values[name]
 
-    def path(name: str) -> Path | None:
-        return Path(values[name]) if values[name] else None
-
-    perception = perception_for(queries, told("perception"))
-    fitted = {"calibration": path("calibration"), "detector": told("detector")}
-    config = tracker_config(perception, **fitted, static=values["static"])
-    lens, rig = ordinary(told("hfov_deg"), path("intrinsics"), path("rig")), rig_of(path("rig"))
-    lenses = {"rows": rows_for(perception), "rig": rig, "camera": lens}
-    return perception, replace(config, floor_height=told("floor")), lenses
+    calibration, camera, rig = (path and Path(path) for path in map(told, ("calibration", "intrinsics", "rig")))
+    options = TrackingOptions(
+        calibration=calibration, detector=told("detector"), static=values["static"], floor=told("floor"),
+        hfov=told("hfov_deg"), camera=camera, rig=rig,
+    )  # fmt: skip
+    perception = checks.perception_for(queries, told("perception"))
+    lenses = checks.lens_of(options) | {"rows": checks.rows_for(perception)}
+    return perception, checks.tracker_config(perception, options), lenses

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from eagor._extras import require_extra
 from eagor.cli import checks, terminal
-from eagor.cli.options import Flag, Lens, bare, given
+from eagor.cli.options import Flag, Lens, bare, refuse
 from eagor.errors import EagorError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Studio(Lens):
     """Address to listen at. Other machines reach the page only with another one, which needs --token."""
     token: Annotated[str | None, bare("TEXT")] = None
     """What everybody has to know who opens the page (at least 16 letters); auto: one is made and printed."""
-    folder: Annotated[Path, arg(name="runs", metavar="DIR")] = Path("runs")
+    runs: Annotated[Path, arg(metavar="DIR")] = Path("runs")
     """The folder with the runs to choose from; the folder of a run itself works, too."""
     perception: Annotated[str | None, bare("NAME")] = None
     """A further detector to choose, as for locate; --source looks with it (default: as for live)."""
@@ -55,7 +55,7 @@ class Studio(Lens):
 SHORTEST = 16  # letters of a token
 FOR_EXPORT = ("out", "episode")
 FOR_SOURCE = ("query", "poses", "rig", "hfov", "camera", "eyes")
-FOR_SERVING = ("port", "open", "host", "token", "folder", "perception", *FOR_SOURCE, "source")
+FOR_SERVING = ("port", "open", "host", "token", "runs", "perception", *FOR_SOURCE, "source")
 EPISODE = "episode.html"  # beside a report
 
 
@@ -65,24 +65,23 @@ def studio(options: Studio) -> int:
         return export(options)
     if options.words:
         raise terminal.UsageError(f"got {' '.join(options.words)!r}; wanted nothing, or: export RUN")
-    if mistaken := given(options, FOR_EXPORT):
-        raise terminal.UsageError(f"--{mistaken[0]} is for eagor studio export RUN")
-    if options.source is None and (mistaken := given(options, FOR_SOURCE)):
-        raise terminal.UsageError(f"--{mistaken[0]} is for --source SOURCE, which is not given")
+    refuse(options, FOR_EXPORT, "is for eagor studio export RUN")
+    if options.source is None:
+        refuse(options, FOR_SOURCE, "is for --source SOURCE, which is not given")
     require_extra("eagor studio", "studio", "starlette", "uvicorn", "websockets")
     from eagor.studio.messages import Opening
     from eagor.studio.server import is_loopback, serve
     from eagor.studio.sessions import Settings
 
-    token = secrets.token_urlsafe(24) if options.token == "auto" else options.token
+    host, token = options.host, secrets.token_urlsafe(24) if options.token == "auto" else options.token
     if token is not None and (len(token) < SHORTEST or not token.isascii() or not token.isprintable()):
         raise terminal.UsageError(f"--token has {len(token)} letters; wanted {SHORTEST} ASCII letters or more, or auto")
-    if token is None and not is_loopback(options.host):
+    if token is None and not is_loopback(host):
         raise terminal.UsageError(
-            f"--host {options.host} lets other machines in; give a --token that they have to know, or --token auto"
+            f"--host {host} lets other machines in; give a --token that they have to know, or --token auto"
         )
-    if options.folder.exists() and not options.folder.is_dir():
-        raise terminal.UsageError(f"--runs {options.folder} is no folder; name the one that holds your runs")
+    if options.runs.exists() and not options.runs.is_dir():
+        raise terminal.UsageError(f"--runs {options.runs} is no folder; name the one that holds your runs")
     if options.perception is not None:
         checks.make_perception(options.perception)  # raises for what does not exist, before anything is started
     live, source, query = None, options.source, options.query or ""
@@ -90,33 +89,29 @@ def studio(options: Studio) -> int:
         simulated = source.startswith("apartment:")
         if not (query or simulated):
             raise terminal.UsageError(f"--source {source} needs --query: say what to look for at first")
-        lens = checks.lens_of(options)["camera"]
         perception = options.perception or ("scout" if simulated else checks.perception_for([query], None))
-        rig = None if options.rig is None else str(options.rig)
-        live = Opening(source, source, query, perception, poses=options.poses, rig=rig, camera=lens)
+        rig, camera = options.rig and str(options.rig), checks.lens_of(options)["camera"]
+        live = Opening(source, source, query, perception, poses=options.poses, rig=rig, camera=camera)
     try:
-        family = socket.getaddrinfo(options.host, options.port, type=socket.SOCK_STREAM)[0][0]
-        taken = socket.create_server((options.host, options.port), family=family, backlog=128)
+        family = socket.getaddrinfo(host, options.port, type=socket.SOCK_STREAM)[0][0]
+        taken = socket.create_server((host, options.port), family=family, backlog=128)
     except OSError as error:
         raise terminal.UsageError(
-            f"--host {options.host} --port {options.port} cannot be used ({error.strerror or error}); another studio "
-            "may be running there: choose another port, or 0 for any free one"
+            f"--host {host} --port {options.port} cannot be used ({error.strerror or error}); another studio may be "
+            "running there: choose another port, or 0 for any free one"
         ) from error
-    name = f"[{options.host}]" if ":" in options.host else options.host
+    name = f"[{host}]" if ":" in host else host
     address = f"http://{name}:{taken.getsockname()[1]}/" + (f"?token={token}" if token else "")
     terminal.give(options.json, {"address": address}, f"The studio: {address}  (Ctrl-C ends it)")
-    settings = Settings(options.host, token, options.folder, options.perception, live)
-    serve(settings, taken, address if options.open else None)
+    serve(Settings(host, token, options.runs, options.perception, live), taken, address if options.open else None)
     return terminal.OK
 
 
 def export(options: Studio) -> int:
-    """Run the command; returns its exit code."""
+    """``eagor studio export``."""
     if len(options.words) != 2:
         raise terminal.UsageError("wanted the folder of one run: eagor studio export RUN --out page.html")
-    if mistaken := given(options, FOR_SERVING):
-        name = "runs" if mistaken[0] == "folder" else mistaken[0]
-        raise terminal.UsageError(f"--{name} is for the page in the browser; leave it out with export")
+    refuse(options, FOR_SERVING, "is for the page in the browser; leave it out with export")
     folder, out = Path(options.words[1]), options.out
     if not folder.is_dir():
         raise terminal.UsageError(f"there is no folder {folder}; name the folder of a run")
@@ -129,8 +124,7 @@ def export(options: Studio) -> int:
     with terminal.progress("playing the episode again", None) as advance:
         found = again(folder, options.episode, lambda _: advance())
     write(found, out)
-    size = out.stat().st_size
-    title, steps = found.scene["title"], len(found.steps)
+    size, title, steps = out.stat().st_size, found.scene["title"], len(found.steps)
     told = {"page": str(out), "bytes": size, "title": title, "steps": steps}
     return terminal.give(options.json, told, f"{title}, {steps} steps: {out} ({size / 1e6:.1f} MB)")
 

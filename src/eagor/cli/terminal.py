@@ -76,16 +76,14 @@ def many(count: int, what: str) -> str:
     return f"{count} {what}{'s' * (count != 1)}"
 
 
-def facts(pairs: Mapping[str, Any], indent: int = 0) -> None:
-    """Print names and what was found, and what consists of parts below its name, indented."""
+def facts(pairs: Mapping[str, Any], indent: int = 0) -> list[str]:
+    """Lines with names and what was found, and what consists of parts below its name, indented."""
     flat = {name: _words(value) for name, value in pairs.items() if not (isinstance(value, Mapping) and value)}
-    wide = max((len(name) for name in flat), default=0)
+    wide, lines = max(map(len, flat), default=0), list[str]()
     for name, value in pairs.items():
-        if name in flat:
-            say(f"{' ' * indent}{name.ljust(wide)}  {flat[name]}")
-        else:
-            say(f"{' ' * indent}{name}")
-            facts(value, indent + 2)
+        lines.append(" " * indent + (f"{name:{wide}}  {flat[name]}" if name in flat else name))
+        lines += facts(value, indent + 2) if name not in flat else []
+    return lines
 
 
 def _words(value: Any) -> str:

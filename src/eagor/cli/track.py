@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -24,7 +24,6 @@ from eagor.cli.options import Flag, Footage, TrackingOptions, bare
 from eagor.errors import ImageError, PoseError
 
 if TYPE_CHECKING:
-    from eagor.live.events import Answer, Event
     from eagor.live.in_turn import Followed
     from eagor.live.loop import Sink
     from eagor.perception.replay import RecordedLooks
@@ -35,10 +34,7 @@ class Track(Footage, TrackingOptions):
     """Follow objects through a video or a sequence of pictures: panoramas, or of an ordinary camera."""
 
     words: Annotated[tuple[str, ...], Positional, arg(metavar="FRAMES QUERY ...", help_behavior_hint="(required)")]
-    (
-        "A video, a folder of pictures, several image files (sorted by name), or a ROS 2 bag; then what to look for, "
-        "each thing in quotes. Or what eagor look wrote (LOOKS.jsonl); without QUERY, that lists what was seen."
-    )
+    """A video, folder, images or ROS 2 bag, then what to look for. Or LOOKS.jsonl: without QUERY, all is listed."""
     out: Annotated[Path | None, bare("FILE")] = None
     """Write the answers, one line per frame, to FILE.csv or FILE.jsonl."""
     video: Annotated[Path | None, bare("FILE.mp4")] = None
@@ -54,6 +50,7 @@ class Track(Footage, TrackingOptions):
 
 
 FPS = 10.0  # frames per second of a video that is drawn
+ANEW = "does not fit to the frames before it: the belief starts anew"
 
 
 def track(options: Track) -> int:
@@ -70,15 +67,15 @@ def track(options: Track) -> int:
             f"got {' '.join(options.words)!r}; wanted FRAMES (a video, a folder or images), then QUERY"
         )
     spec = checks.perception_for(queries, options.perception) if looks is None else looks.about.perception
-    checks.check_outputs(options, [*places, Path(options.poses)])
-    config = checks.tracker_config(spec, **vars(options))
+    checks.check_outputs(options, [*places, options.poses], out="table")
+    config = checks.tracker_config(spec, options)
     if looks is None:
         perception = checks.make_perception(spec, busy=True)
         stream = open_stream(options, places, perception, None if options.video is None else options.fps or FPS)
     else:
         perception, stream = looks.replay, _of_looks(looks)
     if options.floor is not None:
-        config = replace(config, floor_height=_checked_floor(options.floor, stream))
+        _check_floor(options.floor, stream)
     if not queries:
         assert looks is not None
         return answers.list_seen(options, looks, config)
@@ -100,9 +97,9 @@ def track(options: Track) -> int:
                 print(answers.header(rivals, several), flush=True)
             if result.evidence and not any(looked.values()):
                 checks.warn_of_detector(options.detector, result.evidence)
-            if first and result.lost:
-                terminal.warning(f"{result.frame} does not fit to the frames before it: the belief starts anew")
             if first:
+                if result.lost:
+                    terminal.warning(f"{result.frame} {ANEW}")
                 tally.add(result.frame, result.problem, result.picture is not None)
             looked[result.query] += len(result.evidence)
             if result.told:
@@ -115,7 +112,7 @@ def track(options: Track) -> int:
             if result.query == queries[-1]:
                 advance()
 
-        sinks: list[Sink] = [Notes(), ByFrame(each, partial(estimators, rivals, spec) if rivals else dict)]
+        sinks: list[Sink] = [ByFrame(each, partial(estimators, rivals, spec) if rivals else dict, terminal.log)]
         if options.rerun:
             from eagor.live.rerun import RerunLog
 
@@ -134,7 +131,7 @@ def track(options: Track) -> int:
     for sink in sinks:
         if problem := getattr(sink, "problem", None):
             terminal.warning(problem)
-    incomplete = tally.end([] if loop.frames is None else loop.frames.left_out)
+    code = tally.end([] if loop.frames is None else loop.frames.left_out)
     if options.json:
         what = {"queries": queries} if several else {"query": queries[0]}
         terminal.emit(what | {"perception": spec, "poses": stream.told, "frames": entries, "left_out": tally.bad})
@@ -155,25 +152,7 @@ def track(options: Track) -> int:
         written = [str(path) for path in files.paths if path.exists()]
         if written and not options.json:
             terminal.log(f"written: {', '.join(written)}")
-    return terminal.INCOMPLETE if incomplete else terminal.OK
-
-
-class Notes:
-    """A sink that says what the loop has to say of the footage, once each."""
-
-    def __init__(self) -> None:
-        self._said: set[str] = set()
-
-    def take(self, event: Event, answers: Sequence[Answer]) -> None:
-        """An event of the loop."""
-        from eagor.live.events import Diagnostic
-
-        if isinstance(event, Diagnostic) and event.passing and event.text not in self._said:
-            self._said.add(event.text)
-            terminal.log(event.text)
-
-    def close(self) -> None:
-        """Nothing is held."""
+    return code
 
 
 def estimators(names: Sequence[str], perception: str) -> dict[str, Any]:
@@ -197,8 +176,8 @@ def _of_looks(looks: RecordedLooks) -> FrameStream:
     return FrameStream(looks, None, about.poses, looks.count, None, None, span, about.begins)
 
 
-def _checked_floor(floor: float, stream: FrameStream) -> float:
-    """The floor's height, if every pose with a position is above it; else raises `UsageError`."""
+def _check_floor(floor: float, stream: FrameStream) -> None:
+    """Raise `UsageError` unless the poses have positions, all above the floor."""
     from eagor.sources.odometry import GivenPoses
     from eagor.sources.ros_messages import IMU
     from eagor.sources.ros_sources import BagPoses
@@ -209,13 +188,9 @@ def _checked_floor(floor: float, stream: FrameStream) -> float:
     if math.isinf(lowest) and (not isinstance(stream.poses, BagPoses) or stream.poses.kind == IMU):
         wanted = "needs positions: a file of --poses with the columns x,y,z, or a bag's odometry"
         raise terminal.UsageError(f"--floor {floor:g} {wanted}")
-    if not math.isfinite(floor):
-        raise terminal.UsageError(f"--floor {floor:g}; wanted a height in metres")
     if lowest <= floor:
-        raise terminal.UsageError(
-            f"--floor {floor:g}: the camera comes down to z = {lowest:g} m; wanted a floor below that"
-        )
-    return floor
+        comes = f"the camera comes down to z = {lowest:g} m; wanted a floor below that"
+        raise terminal.UsageError(f"--floor {floor:g}: {comes}")
 
 
 class Files:
@@ -268,5 +243,5 @@ class Files:
                 answers.draw(result, path, self._options.modes, f" at {result.stamp:.2f} s", self._mosaics[query])
         if page := self._pages.get(query):
             if result.lost:
-                page.notes.append(f"{result.frame} does not fit to the frames before it: the belief starts anew there.")
+                page.notes.append(f"{result.frame} {ANEW}.")
             page.add(result.picture, e, name=result.frame, **shown)

@@ -1,4 +1,4 @@
-"""Still pictures: beliefs over panoramas, errors over time, a path on a map."""
+"""Still pictures: beliefs over panoramas, and errors over time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL.Image import Image
 
-__all__ = ["draw_belief", "draw_errors", "draw_map", "draw_strip", "paint_belief"]
+__all__ = ["draw_belief", "draw_errors", "draw_strip", "paint_belief"]
 
 
 def draw_belief(
@@ -122,14 +122,13 @@ def _legend(sheet: Figure) -> None:
             handle.set_markersize(9)
 
 
-# --- errors over time, and a path on a map ----------------------------------------------------------------------------
+# --- errors over time ------------------------------------------------------------------------------------------------
 
 CURVES = (
     "#00838f", "#b26a00", "#c2185b", "#5e35b1", "#d84315", "#558b2f", "#546e7a", "#6d4c41", "#9e9d24", "#1565c0",
 )  # fmt: skip
 LEAST = 0.5  # degrees: less than the width of anything that is looked for
 TICKS = (0.5, 1, 2, 5, 10, 20, 50, 100, 180)
-AROUND = 1.2  # metres of the plan around the path
 
 
 def draw_errors(
@@ -189,51 +188,4 @@ def draw_errors(
         sheet.text(0.77, y, "■", color=colour, fontsize=12, va="center")
         sheet.text(0.79, y, name, color=INK, **how)
         sheet.text(0.985, y, f"{mean:.1f}°" if mean < math.inf else "–", color=INK, ha="right", **how)
-    return image(sheet)
-
-
-def draw_map(
-    walls: np.ndarray,
-    free: np.ndarray,
-    extent: tuple[float, float, float, float],
-    path: np.ndarray,
-    target: np.ndarray,
-    title: str,
-    width: int = 1200,
-) -> Image:
-    """A path on a floor plan from above: x to the right, y up, the part of the plan around the path.
-
-    Args:
-        walls: ``(rows, cols)`` bool, row 0 at the lowest y: cells of the building.
-        free: ``(rows, cols)`` bool: walkable cells; cells that are neither are furniture, or out of reach.
-        extent: x0, x1, y0, y1 of the two rasters, metres.
-        path: positions ``(n, 2)``.
-        target: position of the target ``(2,)`` or ``(3,)``.
-        title: what the path is.
-        width: of the picture in pixels.
-    """
-    from matplotlib import patheffects
-
-    shade = np.full((*walls.shape, 3), (0.87, 0.85, 0.81))
-    shade[free], shade[walls] = 1.0, (0.24, 0.27, 0.33)
-    every = np.concatenate([path, np.reshape(target[:2], (1, 2))])
-    low, high = every.min(axis=0) - AROUND, every.max(axis=0) + AROUND
-    half = np.maximum(high - low, (high - low)[::-1] * (1.5, 1 / 1.5)) / 2  # the part of the plan is 3 by 2
-    (left, bottom), (right, top) = (low + high) / 2 - half, (low + high) / 2 + half
-    wide, tall = width - 58, round((width - 58) / 1.5)
-    sheet = figure(width, tall + 92)
-    axes = sheet.add_axes((44 / width, 66 / (tall + 92), wide / width, tall / (tall + 92)))
-    axes.imshow(shade, origin="lower", extent=extent, interpolation="nearest", zorder=0)
-    axes.set(xlim=(left, right), ylim=(bottom, top))
-    axes.set_title(title, loc="left", fontsize=11, color=INK, weight="bold", pad=5)
-    halo = [patheffects.Stroke(linewidth=5.4, foreground="white"), patheffects.Normal()]
-    axes.plot(*path.T, color=CURVES[0], linewidth=3, zorder=4, path_effects=halo, solid_joinstyle="round")
-    lone: dict[str, Any] = {"linestyle": "none", "zorder": 6}
-    axes.plot(*path[0], "o", color=INK, markersize=8, label="start", **lone)
-    axes.plot(*path[-1], "s", mfc=CURVES[0], mec="white", mew=1.2, markersize=9, label="where it ended", **lone)
-    axes.plot(*target[:2], "*", color="#c8201f", markersize=17, mec="white", mew=1.2, label="target", **lone)
-    plain(axes)
-    axes.set_xlabel("x (m)", color=INK, labelpad=2)
-    axes.set_ylabel("y (m)", color=INK)
-    sheet.legend(loc="lower center", ncols=3, frameon=False, fontsize=10)
     return image(sheet)

@@ -148,14 +148,19 @@ class Followed:
 
 
 class ByFrame:
-    """A sink of a loop in turn: `take` is called for each query at each frame, in their order.
+    """A sink of a loop in turn: `each` is called for each query at each frame, in their order.
 
     `rivals`: makes the methods to compare with (`eagor.lab.agents.methods`), for each query anew, and again where the
-    poses are lost.
+    poses are lost. `say` is told what the loop has to say of the footage, each once.
     """
 
-    def __init__(self, each: Callable[[Followed], object], rivals: Callable[[], Mapping[str, Any]] = dict) -> None:
-        self._each, self._rivals = each, rivals
+    def __init__(
+        self,
+        each: Callable[[Followed], object],
+        rivals: Callable[[], Mapping[str, Any]] = dict,
+        say: Callable[[str], object] = lambda text: None,
+    ) -> None:
+        self._each, self._rivals, self._say, self._said = each, rivals, say, set[str]()
         self._others: dict[str, Mapping[str, Any]] = {}
         self._poses: list[Pose] = []  # the last one that is not later than the frame, and those after it
         self._frame: ImageReceived | None = None
@@ -173,8 +178,12 @@ class ByFrame:
             self._frame, self._problems, self._evidence = event, {}, {}
             while len(self._poses) > 1 and self._poses[1].stamp <= event.stamp:
                 del self._poses[0]
-        elif isinstance(event, Diagnostic) and event.part == "perception" and event.text:
-            self._problems[event.about] = event.text
+        elif isinstance(event, Diagnostic):
+            if event.passing and event.text not in self._said:
+                self._said.add(event.text)
+                self._say(event.text)
+            elif event.part == "perception" and event.text:
+                self._problems[event.about] = event.text
         elif isinstance(event, ObservationReceived):
             self._evidence[event.query] = event.looks
         for answer in answers:

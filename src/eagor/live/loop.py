@@ -47,7 +47,6 @@ __all__ = ["LOADING", "Counts", "Loop", "Sink"]
 
 RATE = 20.0  # answers per second
 STALLED = 10.0  # seconds without a picture after which a stream is opened again
-SLIPPED = 0.1  # seconds by which this machine's clock is set before it is worth a word
 LONGEST_LATE = 60.0  # seconds: evidence may come so late, if the perception has the patience
 ON_DEMAND = 0.2  # seconds between pictures while the perception is busy
 LEAVING = 5.0  # seconds that threads have to come back from a device
@@ -215,7 +214,7 @@ class Loop:
         self._over, self._ended = False, -math.inf  # whether a recording has, and when its last picture came
         self._fatal: EagorError | None = None
         self._refused: set[str] = set()
-        self._slip, self._now = 0.0, -math.inf
+        self._now = -math.inf
         self._problems: dict[Part, str | None] = {}  # what the camera and the odometry say of themselves
         self._frozen = FrozenCamera(self.core.orientation)
 
@@ -341,7 +340,7 @@ class Loop:
         self._events.put(Diagnostic(self.clock.now(), part, text, about, passing))
 
     def _look_after(self) -> None:
-        """What nobody else notices: a stream that stalls, this machine's clock being set."""
+        """What nobody else notices: a stream that stalls, a source that says what is wrong with it."""
         now = self.clock.now()
         if self.live and now - self._last_frame > STALLED:
             self._last_frame = now
@@ -350,12 +349,6 @@ class Loop:
             if (problem := getattr(reader.source, "problem", None)) != self._problems.get(reader.name):
                 self._problems[reader.name] = problem
                 self._trouble(reader.name, problem or "", "itself")
-        slip = self.clock.slip()
-        if abs(slip - self._slip) > SLIPPED:
-            way = "forward" if slip > self._slip else "back"
-            text = f"this machine's clock was set {way} by {abs(slip - self._slip):.2f} s; the loop's goes on as it was"
-            self._slip = slip
-            self._trouble("clock", text, passing=True)
 
     # --- in the threads ---
 

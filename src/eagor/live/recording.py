@@ -47,7 +47,7 @@ FLUSHED = 0.5  # seconds between two flushes: as much may be lost
 WAITING = 16  # pictures that may wait to be written; further ones are left out
 QUALITY = 92  # of JPEG
 BODY = "base_link"  # REP-105
-VERSION = 7  # of the events
+VERSION = 8  # of the events
 KINDS: dict[str, type] = {kind.__name__: kind for kind in (*get_args(Event), LoopSettings)}
 
 Pictures = Literal["jpeg", "png", "none"]
@@ -57,7 +57,8 @@ def event_in_bytes(event: Event | LoopSettings) -> bytes:
     """An event without its picture, or the settings of the core, exactly: bytes of `eagor.tracking.checkpoint`."""
     values = {each.name: getattr(event, each.name) for each in fields(event) if each.name != "picture"}
     if isinstance(event, PoseReceived):
-        values["pose"] = [getattr(event.pose, each.name) for each in fields(Pose)]
+        parts = (getattr(event.pose, each.name) for each in fields(Pose))
+        values["pose"] = [part.tolist() if isinstance(part, np.ndarray) else part for part in parts]  # a third of it
     try:
         return packed((VERSION, type(event).__name__, values))
     except FormatError:  # what a look says of its source may be anything
@@ -76,7 +77,8 @@ def event_from(content: bytes) -> Event | LoopSettings:
         )
     try:
         if name == PoseReceived.__name__:
-            values["pose"] = Pose(*values["pose"])
+            stamp, turn, position, spread = values["pose"]
+            values["pose"] = Pose(stamp, np.array(turn), position and np.array(position), spread)
         return KINDS[name](**values)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"an event of the recording cannot be read: {error!r}") from error
@@ -99,9 +101,8 @@ class Recorder:
         self._bag = BagWriter(Path(path), at_risk=FLUSHED)
         self._last = 0.0  # bags know no time before 1970
         self._waiting = 0  # pictures
-        self._queue: SimpleQueue[tuple[Event | LoopSettings, Sequence[Answer]] | None] = SimpleQueue()
-        self._queue.put((settings, ()))
-        self._thread = threading.Thread(target=self._serve, name="eagor recording", daemon=True)
+        self._queue: SimpleQueue[tuple[Event, Sequence[Answer]] | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._serve, args=[settings], name="eagor recording", daemon=True)
         self._thread.start()
 
     def take(self, event: Event, answers: Sequence[Answer]) -> None:
@@ -115,8 +116,8 @@ class Recorder:
         self._queue.put(None)
         self._thread.join()
 
-    def _serve(self) -> None:
-        settings: Any = None
+    def _serve(self, settings: LoopSettings) -> None:
+        begun = False
         try:
             while True:
                 try:
@@ -127,13 +128,9 @@ class Recorder:
                 if entry is None:
                     break
                 event, answers = entry
-                if isinstance(event, LoopSettings):
-                    settings = event
-                    continue
-                if settings is not None:  # first of all, at the time of the first event
-                    self._put(event.arrival, settings)
-                    settings = None
-                self._put(event.arrival, event)
+                for each in (event,) if begun else (settings, event):  # all at the time of the first event
+                    self._put(event.arrival, each)
+                begun = True
                 self._for_others(event, answers)
             self._bag.close()
         except (EagorError, OSError) as error:

@@ -126,10 +126,6 @@ class LoopClock:
     def now(self) -> float:
         return self._wall + (time.monotonic() - self._steady)
 
-    def slip(self) -> float:
-        """Seconds by which the machine's time has been set since the start."""
-        return time.time() - self.now()
-
 
 class FrozenCamera:
     """Finds a camera that shows one picture again and again while it turns: its driver hangs, and stamps it anew.

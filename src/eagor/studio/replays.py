@@ -1,7 +1,7 @@
 """Episodes as the page shows them: steps with belief, panorama, answers of all methods, in one JSON object.
 
 An episode of a simulated task is played again: the method with a belief sees what it saw in the run. What the other
-methods said is in the records. A live recording goes through the live core again; of a robot's walk its report is read.
+methods said is in the records. A live recording goes through the live core again.
 """
 
 from __future__ import annotations
@@ -10,13 +10,11 @@ import base64
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from eagor._checks import parsed
 from eagor.drawing.timeline import Thinned
 from eagor.errors import EagorError, FormatError
 from eagor.lab.agents.methods import DESCRIPTIONS, TrackerEstimator
@@ -27,17 +25,16 @@ from eagor.lab.tasks.sim.rollout import Step
 from eagor.lab.tasks.task import finished, sample_of
 from eagor.live.core import LiveCore
 from eagor.live.recording import Replay
-from eagor.sphere import direction, world_R_body
+from eagor.sphere import direction
 from eagor.studio.answers import belief_of, media_type, picture_of, plan_of, scene_of, step_of
 from eagor.studio.messages import Message, Opening, rounded
 from eagor.studio.stream import StudioSink
 
-__all__ = ["REPORT", "EpisodeReplay", "recorded", "redraw", "report_of", "walked"]
+__all__ = ["EpisodeReplay", "recorded", "redraw"]
 
-REPORT = "run.json"  # of a robot's walk
 STEPS = 60  # steps with a panorama, at most: the page of an export is to be sent by mail
 ROWS = 512  # of panoramas
-KEPT = 120  # steps of a recording or of a walk that are shown
+KEPT = 120  # steps of a recording that are shown
 APART = 0.2  # seconds between two of them, at least
 ALONE: dict[str, Any] = {"methods": [{"name": OURS, "words": "our tracker"}], "method": OURS, "paths": {}}
 Advance = Callable[[int], object]
@@ -163,50 +160,3 @@ def recorded(replay: Replay, query: str | None = None, advance: Advance = lambda
         if "panorama" in message.blobs:
             found.pictures[number] = message.blobs["panorama"]
     return found
-
-
-def walked(folder: Path) -> EpisodeReplay:
-    """The report of ``eagor robot run``: where it went and what it said; it keeps no pictures and no beliefs.
-
-    Raises `FormatError` if the folder holds none.
-    """
-    report = report_of(folder)
-    samples = report["samples"]
-    words = "A robot's report keeps no pictures and no beliefs: its way and its answers are shown."
-    scene = scene_of(f"Walk {folder.name}", str(report.get("query", "")), words=words, **ALONE)
-    return EpisodeReplay(scene, [_sampled(sample) for sample in samples[:: max(1, -(-len(samples) // KEPT))]])
-
-
-def report_of(folder: Path) -> dict[str, Any]:
-    """``run.json`` of a robot's walk. Raises `FormatError`."""
-    path = folder / REPORT
-    try:
-        found = parsed(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise FormatError(f"{path} cannot be read ({error}); name the report of eagor robot run") from None
-    if not isinstance(found, dict) or not isinstance(found.get("samples"), list) or not found["samples"]:
-        raise FormatError(f"{path} holds no samples; name the report of eagor robot run")
-    return found
-
-
-def _sampled(sample: dict[str, Any]) -> dict[str, Any]:
-    """One moment of a robot's report as a step."""
-
-    def degrees(name: str) -> float | None:
-        return None if sample.get(name) is None else math.degrees(sample[name])
-
-    xy = sample.get("true_xy") or sample.get("xy")
-    azimuth = degrees("azimuth")
-    answer = {
-        **_directed(azimuth, None if azimuth is None else 0.0), "credible_angle_deg": degrees("cone"),
-        "presence": sample.get("presence"), "distance_m": sample.get("distance"), "distance_spread": None,
-        "status": sample.get("status"), "modes": [],
-    }  # fmt: skip
-    return {
-        "stamp": sample.get("time"),
-        "world_R_camera": rounded(world_R_body(float(sample.get("yaw") or 0.0)).reshape(9), 6),
-        "position": None if xy is None else [*xy, 0.0],
-        "look": {"age": None, "fresh": False},
-        "estimate": answer,
-        "error_deg": rounded(degrees("error"), 2),
-    }

@@ -19,7 +19,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from eagor._checks import parsed
 from eagor._files import write_atomic
 from eagor.errors import EagorError
 from eagor.lab.eval import log
@@ -28,7 +27,7 @@ from eagor.lab.tasks.task import finished, load, sample_of
 from eagor.live.recording import Replay
 from eagor.sources.bags import is_bag
 from eagor.studio.messages import rounded
-from eagor.studio.replays import Advance, EpisodeReplay, data_url, recorded, redraw, report_of, walked
+from eagor.studio.replays import Advance, EpisodeReplay, data_url, recorded, redraw
 
 __all__ = [
     "again", "episode_of", "episodes_of", "folder_of", "key_of", "listed", "opened", "page_of", "runs_in", "serve",
@@ -37,7 +36,6 @@ __all__ = [
 
 KEPT = 8  # episodes that have been played
 MOST = 200  # runs that are listed
-LARGEST = 1 << 22  # bytes of a run.json that is read for the list: a larger one is that of a long walk
 ITSELF = "."  # the name of a folder that is a run itself
 STILL = "episodes of a benchmark of still pictures cannot be played again; see its report (eagor bench report RUN)"
 TEMPLATE = Path(str(files("eagor.studio") / "static" / "export.html"))  # the page, with a place for the episode
@@ -50,14 +48,9 @@ def key_of(case: str) -> str:
 
 
 def kind_of(folder: Path) -> str | None:
-    """What a folder holds: "bench", "robot", "live", or nothing that is known here."""
-    path = folder / log.RUN
-    with suppress(OSError, ValueError):
-        if is_bag(folder):
-            return "live"
-        if path.is_file():
-            found = parsed(path.read_bytes()) if path.stat().st_size <= LARGEST else {"samples": []}
-            return "robot" if isinstance(found, dict) and isinstance(found.get("samples"), list) else "bench"
+    """What a folder holds: "bench", "live", or nothing that is known here."""
+    with suppress(OSError):
+        return "live" if is_bag(folder) else "bench" if (folder / log.RUN).is_file() else None
     return None
 
 
@@ -86,8 +79,7 @@ def listed(root: Path) -> list[dict[str, Any]]:
     lines = []
     for name, folder in runs_in(root).items():
         kind = kind_of(folder)
-        line = {"name": name, "kind": kind, "task": "walk" if kind == "robot" else "recording", "episodes": 1,
-                "done": 1, "problem": ""}  # fmt: skip
+        line = {"name": name, "kind": kind, "task": "recording", "episodes": 1, "done": 1, "problem": ""}
         if kind == "bench":
             try:
                 settings = log.description(folder)
@@ -103,15 +95,10 @@ def listed(root: Path) -> list[dict[str, Any]]:
 
 def opened(folder: Path) -> dict[str, Any]:
     """The episodes of a run: those that failed first, then by error, the worst first. Raises `EagorError`."""
-    kind = kind_of(folder)
-    if kind == "bench":
+    if kind_of(folder) == "bench":
         return episodes_of(read(folder))
-    if kind == "live":
-        cases = [_entry(query, f"Recording {folder.name}", query) for query in Replay(folder).settings.queries]
-    else:
-        report = report_of(folder)
-        cases = [_entry("walk", f"Walk: {report.get('ended') or 'it did not end'}", str(report.get("query", "")))]
-    return {"episodes": cases, "problem": ""}
+    queries = Replay(folder).settings.queries
+    return {"episodes": [_entry(query, f"Recording {folder.name}", query) for query in queries], "problem": ""}
 
 
 def episodes_of(run: Run) -> dict[str, Any]:
@@ -152,14 +139,13 @@ def _entry(case: str, title: str, query: str, part: Mapping[str, Any] | None = N
 def again(folder: Path, key: str | None, advance: Advance = lambda _: None) -> EpisodeReplay:
     """One episode of a run, for the page; `key` None: the worst one.
 
-    A recording of ``eagor live`` has one for each query, the report of ``eagor robot run`` is one. Raises `EagorError`.
+    A recording of ``eagor live`` or ``eagor robot run`` has one for each query. Raises `EagorError`.
     """
-    kind = kind_of(folder)
-    if kind == "live":
-        replay = Replay(folder)
-        query = next((each for each in replay.settings.queries if key in (each, key_of(each))), key)
-        return recorded(replay, query, advance)
-    return walked(folder) if kind == "robot" else episode_of(read(folder), key, advance)
+    if kind_of(folder) != "live":
+        return episode_of(read(folder), key, advance)
+    replay = Replay(folder)
+    query = next((each for each in replay.settings.queries if key in (each, key_of(each))), key)
+    return recorded(replay, query, advance)
 
 
 def episode_of(run: Run, key: str | None, advance: Advance = lambda _: None) -> EpisodeReplay:

@@ -106,11 +106,10 @@ class Auth:
 
 
 def create_app(manager: SessionManager) -> Starlette:
-    """The ASGI application. Its processes run from its start to its end."""
+    """The ASGI application. Its processes end with it."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        manager.start()
         try:
             yield
         finally:

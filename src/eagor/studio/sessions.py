@@ -27,11 +27,11 @@ from eagor.sources.intrinsics import camera_of
 from eagor.studio.messages import Ask, FromPage, Message, Open, Opening, PageError, merged
 from eagor.studio.uploads import BYTES, PIXELS, Uploads
 
-__all__ = ["FIRST_SEED", "Page", "RunReader", "SessionManager", "Settings", "StreamHandle"]
+__all__ = ["Page", "RunReader", "SessionManager", "Settings", "StreamHandle"]
 
 STREAM, RUNS = "eagor.studio.stream:serve", "eagor.studio.runs:serve"
 OFFERED = (5, 3, 8, 12, 17, 602)  # apartments: the first has the tour (`eagor.lab.tasks.sim.walk`)
-FIRST_SEED, LAST_SEED = OFFERED[0], 9999
+LAST_SEED = 9999
 WAITING = 32  # scenes, problems and words that wait for a page; older ones are dropped
 MOST = 6  # streams at a time
 LEASE = 20.0  # seconds for which a page steers after each word
@@ -94,18 +94,17 @@ class Page:
 class StreamHandle:
     """A stream's process, those who watch it, and what it said last. For the event loop's thread.
 
-    `ready`: called once the source `warm` is warm (`eagor.studio.stream.serve`); `died`: if the process has.
+    `died` is called if the process has.
     """
 
-    def __init__(self, warm: str | None, ready: Callable[[], Any], died: Callable[[StreamHandle], Any]) -> None:
+    def __init__(self, died: Callable[[StreamHandle], Any]) -> None:
         self.opening: Opening | None = None
         self.pages: list[Page] = []
         self._said: dict[str, Message] = {}  # the newest of each type
         self._driver: Page | None = None
         self._until = -1.0  # when its lease ends
-        self._ready, self._died = ready, died
-        self._loop, self._closed = asyncio.get_running_loop(), False
-        self._worker = Worker(STREAM, warm, parent=True)
+        self._loop, self._died, self._closed = asyncio.get_running_loop(), died, False
+        self._worker = Worker(STREAM, parent=True)
         threading.Thread(target=self._listen, name="eagor studio stream", daemon=True).start()
 
     def steer(self, page: Page, order: FromPage | Opening) -> None:
@@ -146,10 +145,7 @@ class StreamHandle:
                 self._loop.call_soon_threadsafe(self._heard, problem)
                 self._loop.call_soon_threadsafe(self._died, self)
 
-    def _heard(self, message: Message | None) -> None:
-        if message is None:  # it is warm
-            self._ready()
-            return
+    def _heard(self, message: Message) -> None:
         kind = message.header["type"]
         if kind == "scene":
             self._said.clear()  # what was said while it was being opened
@@ -190,22 +186,14 @@ class SessionManager:
     """Opens streams for pages. For the event loop's thread."""
 
     def __init__(self, settings: Settings) -> None:
-        self.settings, self.ready = settings, False
-        self.uploads, self.runs = Uploads(), RunReader(settings.runs)
+        self.settings, self.uploads, self.runs = settings, Uploads(), RunReader(settings.runs)
         self.perceptions = offers(settings.perception)
         self._streams: dict[str, StreamHandle] = {}
-        self._warm: StreamHandle | None = None  # nobody uses it yet
-
-    def start(self) -> None:
-        """Warm the first process: an apartment takes seconds to build."""
-        first = None if self.settings.live or not self._usable(True) else f"apartment:{FIRST_SEED}"
-        self._warm = self._process(first)
 
     def close(self) -> None:
         """End the processes, remove the uploads."""
-        for each in (*self._streams.values(), self._warm, self.runs, self.uploads):
-            if each is not None:
-                each.close()
+        for each in (*self._streams.values(), self.runs, self.uploads):
+            each.close()
 
     def open(self, page: Page, message: Open) -> None:
         """Show a source on a page, in place of the one before. Raises `PageError`."""
@@ -214,8 +202,7 @@ class SessionManager:
             raise PageError(f"{MOST} sources are open already.", "Close a page, or watch one of them.", 429)
         self.leave(page)
         if stream is None:
-            stream, self._warm = self._warm or self._process(), None
-            self._streams[message.source] = stream
+            stream = self._streams[message.source] = StreamHandle(self._forget)
         shown = stream.opening
         asks = shown and message.query and (shown.query, shown.perception) != (opening.query, opening.perception)
         if shown is None or asks or message.hfov or message.drive:  # else it is watched as it is
@@ -245,10 +232,6 @@ class SessionManager:
 
     def _forget(self, stream: StreamHandle) -> None:
         self._streams = {name: each for name, each in self._streams.items() if each is not stream}
-
-    def _process(self, warm: str | None = None) -> StreamHandle:
-        self.ready = self.ready or warm is None
-        return StreamHandle(warm, lambda: setattr(self, "ready", True), self._forget)
 
     def _opening(self, message: Open) -> Opening:
         """What a page opens. Raises `PageError` for what there is not."""
@@ -290,7 +273,7 @@ class SessionManager:
         """What ``/api/state`` says."""
         live = self.settings.live
         return {
-            "version": __version__, "ready": self.ready, "opens": "walk" if live is None else "live",
+            "version": __version__, "ready": True, "opens": "walk" if live is None else "live",
             "perceptions": self.perceptions, "houses": {"last": LAST_SEED, "offered": OFFERED},
             "limits": {"upload_bytes": BYTES, "pixels": PIXELS}, "source": None if live is None else live.title,
         }  # fmt: skip

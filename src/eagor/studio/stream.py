@@ -334,10 +334,6 @@ class Stream:
             self._line.send(message)
 
 
-def serve(line: Connection, warm: str | None) -> None:
-    """The life of the process. It opens and closes the source `warm` first, if there is one, and says None then."""
-    if warm is not None:
-        with suppress(EagorError):
-            open_source(warm).close()
-        line.send(None)
+def serve(line: Connection) -> None:
+    """The life of the process."""
     Stream(line).run()

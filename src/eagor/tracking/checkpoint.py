@@ -1,6 +1,7 @@
 """Saving dataclasses with arrays to a file of NumPy (npz), without pickle: loading a file never runs code.
 
-One entry is JSON, in which {"tuple": [...]} stands for a tuple and {"array": 3} for the entry arr_3, the fourth array.
+One entry, or without arrays the whole, is JSON, in which {"tuple": [...]} stands for a tuple and {"array": 3} for the
+entry arr_3, the fourth array.
 Only dataclasses of the packages named here can be saved. Loading calls their constructors, which check the fields, and
 sets their `given` values. An object in two places is saved once.
 """
@@ -59,9 +60,11 @@ def packed(value: Any) -> bytes:
         arrays.append(array)
         return places[id(each)]
 
-    structure = np.frombuffer(json.dumps(put(value)).encode(), np.uint8)
+    text = json.dumps(put(value)).encode()
+    if not arrays:
+        return text
     file = io.BytesIO()
-    np.savez(file, *arrays, **{STRUCTURE: structure})  # type: ignore[arg-type]
+    np.savez(file, *arrays, **{STRUCTURE: np.frombuffer(text, np.uint8)})  # type: ignore[arg-type]
     return file.getvalue()
 
 
@@ -77,13 +80,14 @@ def unpacked(content: bytes) -> Any:
         return made[-1]
 
     try:
-        if not content.startswith(b"PK"):
-            raise ValueError("they are no npz file")
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = [file[f"arr_{number}"] for number in range(len(file.files) - 1)]
-            kinds: dict[str, Callable[[Any], Any]] = {"tuple": tuple, "dict": dict, "bytes": bytes.fromhex}
-            kinds |= {"array": arrays.__getitem__, "made": made.__getitem__}
-            return json.loads(file[STRUCTURE].tobytes(), object_hook=get)
+        arrays, text = [], content
+        if content.startswith(b"PK"):
+            with np.load(io.BytesIO(content), allow_pickle=False) as file:
+                arrays = [file[f"arr_{number}"] for number in range(len(file.files) - 1)]
+                text = file[STRUCTURE].tobytes()
+        kinds: dict[str, Callable[[Any], Any]] = {"tuple": tuple, "dict": dict, "bytes": bytes.fromhex}
+        kinds |= {"array": arrays.__getitem__, "made": made.__getitem__}
+        return json.loads(text, object_hook=get)
     except Exception as error:  # of zipfile, zlib, NumPy or JSON, or of a constructor
         raise FormatError(f"these bytes were packed by another version of eagor, or are damaged: {error}") from error
 

@@ -69,11 +69,11 @@ class Text(NamedTuple):
     link: str = ""
 
 
-class Pictures(NamedTuple):
-    """Pictures with captions; `kind`: "wide", each by its data address, else by its HTML, "strip" or ""."""
+class Picture(NamedTuple):
+    """A picture by its data address (`address_of`), and what it shows."""
 
-    pairs: Sequence[tuple[str, str]]
-    kind: str = ""
+    address: str
+    words: str
 
 
 class Section(NamedTuple):
@@ -85,7 +85,7 @@ class Section(NamedTuple):
 
 
 # A list: its lines. A dict: names and what they are.
-Part = Table | Text | Pictures | list[str] | dict[str, str] | Section
+Part = Table | Text | Picture | list[str] | dict[str, str] | Section
 
 
 def page(title: str, lead: Sequence[Part], sections: Sequence[Section]) -> str:

@@ -14,7 +14,7 @@ from eagor._files import write_atomic
 from eagor.errors import EagorError
 from eagor.lab.envs.rules import Camera
 from eagor.lab.eval import episodes, results, tables
-from eagor.lab.eval.page import Cell, Part, Pictures, Row, Section, Table, Text, address_of, markdown, page, span
+from eagor.lab.eval.page import Cell, Part, Picture, Row, Section, Table, Text, address_of, markdown, page, span
 from eagor.lab.eval.predictions import answers_of
 from eagor.lab.eval.results import OURS, Run, Summary, difference, mean, values_of
 from eagor.lab.tasks.task import config_of, finished, sample_of
@@ -183,7 +183,7 @@ def _by_step(run: Run) -> list[Part]:
         "Mean error at each step. A line ends where fewer than half of its episodes go on: where every method goes its "
         "own way, those that arrive early leave it, so the right end of a line is about the harder episodes."
     )
-    return [Pictures([(address_of(draw_errors(times, curves)), caption)], "wide")]
+    return [Picture(address_of(draw_errors(times, curves)), caption)]
 
 
 def _published(runs: Sequence[Run], summary: Summary) -> list[Section]:

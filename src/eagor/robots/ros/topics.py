@@ -164,9 +164,6 @@ class TopicListener(LoopClock):
         """The node's time, which is that of a simulation with ``use_sim_time``."""
         return self.node.get_clock().now().nanoseconds / NANO
 
-    def slip(self) -> float:
-        return 0.0
-
     def remember(self, stamp: float, time: Any, later: float = 0.0) -> None:
         """The seconds `stamp` are those of a message's Time, less `later`: seconds alone are off by up to 120 ns."""
         self.stamps[stamp] = time.sec * NANO + time.nanosec - round(later * NANO)

@@ -73,9 +73,6 @@ class WalkClock(LoopClock):
     def now(self) -> float:
         return self._stopped if self.paused else super().now()
 
-    def slip(self) -> float:
-        return 0.0
-
     def pause(self, on: bool) -> None:
         """Stand still, or go on."""
         if on != self.paused:
