@@ -241,7 +241,7 @@ def _listed(text: str, order: Order) -> list[_Coordinates]:
         places = _PLACES["yxyx" if key == _Y_FIRST else order]
         decided, score = _entry(text, start, stop, end)
         score, end = (*numbers[4:], score)[0], stop
-        ordered, starts = (tuple(each[at] for at in places) for each in (numbers, [each.start() for each in found]))
+        ordered, starts = tuple(numbers[at] for at in places), tuple(found[at].start() for at in places)
         boxes.append(_Coordinates(ordered, starts, decided, score))
     return boxes or points
 
