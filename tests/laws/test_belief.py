@@ -155,17 +155,6 @@ def test_knowing_nothing():
     assert belief.log_density(np.eye(3)) == pytest.approx(-math.log(4 * math.pi))
 
 
-def test_looking_and_seeing_nothing_lowers_presence_and_a_sighting_raises_it():
-    belief = Belief.uniform(15)
-    empty = belief.update(Evidence.from_response(np.zeros((8, 16)), PatchGrid(8, 16)))
-    assert empty.presence() < 0.5
-    seen = belief
-    for _ in range(6):
-        seen = seen.update(look(direction(1.0, 0.2)))
-    assert seen.presence() > 0.9
-    assert seen.entropy() < belief.entropy() - 2
-
-
 def test_modes_are_the_targets_strongest_first_and_weights_share_the_belief():
     a, b, c = direction(0.2, -0.1), direction(2.0, 0.3), direction(-2.2, -0.4)
     belief = Belief.uniform(15)

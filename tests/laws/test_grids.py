@@ -14,7 +14,7 @@ from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid, fejer_
 from eagor.sphere import angular_distance, direction
 
 OFF_CENTRE = Lens("phone", (64, 36), (40.0, 44.0), (30.0, 20.0))
-DISTORTED = Lens("wide", (160, 90), (82.5, 83.0), (79.5, 44.0), (-0.28, 0.09, 0.0007, -0.0004, -0.013))
+DISTORTED = Lens("wide", (640, 360), (330.0, 332.0), (318.0, 176.0), (-0.28, 0.09, 0.0007, -0.0004, -0.013))
 VIEWS = [
     PerspectiveGrid(36, 64, math.radians(100)),
     FisheyeGrid(48, math.radians(190)),

@@ -78,23 +78,12 @@ def test_odd_widths_pass_the_pole_too():
     assert np.abs(there_and_back - picture).max() < 3
 
 
-def test_a_forward_view_has_forward_in_the_middle_and_left_on_the_left():
+@pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (0.5, 0), (0, 0.3), (0.4, -0.25), (-0.6, 0.1)])
+def test_a_view_shows_a_marker_where_its_grid_says(azimuth, elevation):
+    """And that is: what is left on the left, what is high above (test_grids)."""
     grid = PerspectiveGrid(101, 151, math.radians(100))
-    for azimuth, elevation, at in (
-        (0, 0, (75.5, 50.5)),
-        (0.5, 0, (None, 50.5)),
-        (0, 0.3, (75.5, None)),
-        (0.4, -0.25, (None, None)),
-    ):
-        seen = view(blob(azimuth, elevation), grid)
-        row, column = np.unravel_index(np.argmax(seen), seen.shape)
-        x, y, _ = grid.project(direction(azimuth, elevation))
-        assert abs(column + 0.5 - x) < 1.5
-        assert abs(row + 0.5 - y) < 1.5
-        assert np.sign(75.5 - x).round() == np.sign(azimuth)  # left things on the left
-        assert np.sign(50.5 - y).round() == np.sign(elevation)  # high things above
-        assert at[0] is None or abs(x - at[0]) < 1e-9
-        assert at[1] is None or abs(y - at[1]) < 1e-9
+    seen = view(blob(azimuth, elevation), grid)
+    assert math.degrees(angular_distance(brightest(seen, grid), direction(azimuth, elevation))) < 0.5
 
 
 def test_a_turned_view_is_a_view_of_the_turned_panorama():
@@ -128,10 +117,9 @@ def test_an_image_of_another_shape_maps_longitude_and_latitude_apart():
 
 
 def test_unreadable_images_say_what_to_do(tmp_path):
-    with pytest.raises(ImageError, match="no file"):
-        read_panorama(tmp_path / "missing.png")
-    with pytest.raises(ImageError, match="folder"):
-        read_panorama(tmp_path)
+    for path, says in ((tmp_path / "missing.png", "no file"), (tmp_path, "folder")):
+        with pytest.raises(ImageError, match=says):
+            read_panorama(path)
     Image.fromarray(smooth_picture()).save(tmp_path / "good.jpg")
     good = (tmp_path / "good.jpg").read_bytes()
     for content, says in (
@@ -186,12 +174,6 @@ def test_a_near_ball_hides_a_far_one():
         picture = painted_room(64, 128, balls)
         assert colour_mask(picture, near.rgb).sum() > 50
         assert colour_mask(picture, far.rgb).sum() == 0
-
-
-def test_the_room_has_no_symmetry():
-    room = painted_room(64, 128, ()).astype(float)
-    others = [np.roll(room, k, axis=1) for k in (32, 64, 96)] + [room[:, ::-1], np.roll(room[:, ::-1], 64, axis=1)]
-    assert min(np.abs(room - other).mean() for other in others) > 5
 
 
 def test_turning_in_the_room_is_turning_its_panorama():

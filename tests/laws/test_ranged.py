@@ -51,21 +51,6 @@ def test_without_moving_the_distance_stays_the_prior():
     assert np.allclose(belief.range_probabilities(), prior / prior.sum(), atol=1e-6)
 
 
-def test_walking_past_a_target_keeps_what_rotation_alone_loses():
-    target, stride = np.array([2.0, 1.5, 0.0]), np.array([0.25, 0, 0])
-    ranged, flat, position = RangedBelief.uniform(12, log_ranges(count=28)), Belief.uniform(12), np.zeros(3)
-    for _ in range(8):
-        position = position + stride
-        look = Evidence.from_points([bearing(position, target)], 50.0, [0.9])
-        ranged, flat = ranged.predict(np.eye(3), stride).update(look), flat.update(look)
-    for _ in range(8):  # now blind
-        position = position + stride
-        ranged = ranged.predict(np.eye(3), stride)
-    truth = bearing(position, target)
-    assert np.degrees(angular_distance(ranged.mode(), truth)) < 12
-    assert np.degrees(angular_distance(flat.mode(), truth)) > 60
-
-
 @given(rotations())
 @settings(max_examples=15)
 def test_rotation_alone_is_the_belief_on_every_shell(R):

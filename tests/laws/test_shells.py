@@ -66,12 +66,8 @@ def test_the_warp_commutes_with_turning_the_world(seed, R, step):
     assert np.allclose(turned, basis.rotate(translate(5, c, RANGES, np.eye(3), step), R), atol=1e-10)
 
 
-def test_far_shells_hardly_notice_and_constants_never():
-    basis, c = RealHarmonics(8), shells(8, 0)
-    moved = translate(8, c, RANGES, np.eye(3), np.array([0.05, 0.02, 0.0]))
-    assert np.linalg.norm(moved[-1] - c[-1]) < 0.05 * np.linalg.norm(c[-1])
-    assert np.linalg.norm(moved[0] - c[0]) > 0.1 * np.linalg.norm(c[0])
-    constant = np.zeros((len(RANGES), basis.size))
+def test_a_constant_stays():
+    constant = np.zeros((len(RANGES), 81))
     constant[:, 0] = 3.0
     assert np.allclose(translate(8, constant, RANGES, np.eye(3), np.array([0.3, 0, 0.1])), constant, atol=1e-12)
 
