@@ -237,7 +237,7 @@ def recorded(options: Footage, places: Sequence[Path]) -> RecordedLooks | None:
 def list_seen(options: Answering, looks: RecordedLooks, config: TrackerConfig) -> int:
     """Print what was seen where, the surest first; returns the exit code."""
     from eagor.cli.checks import mask_of
-    from eagor.perception.replay import NEAR, summarise_objects
+    from eagor.live.objects import NEAR, summarise_objects
 
     refuse(options, ("out", "compare"), f"is for one question: eagor track {looks.replay.name} QUERY")
     about, queries, mask = looks.about, looks.asked_for(), mask_of(options.mask)

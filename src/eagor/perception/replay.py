@@ -2,7 +2,7 @@
 
 Any detector can write the file. `ReplayPerception` answers from it by time stamp. `eagor look` writes one of all that a
 detector sees in footage, with the poses (`detection_lines`): look once, ask often. `RecordedLooks` gives such a file
-back as a source without pictures; `summarise_objects` lists what there is.
+back as a source without pictures.
 """
 
 from __future__ import annotations
@@ -12,15 +12,14 @@ import math
 import os
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from eagor._checks import within
 from eagor.errors import EagorError, FormatError, ImageError, PoseError, QueryError, TimeError
-from eagor.evidence import BodyMask, Evidence, model_as_json
+from eagor.evidence import Evidence, model_as_json
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PerspectiveGrid
@@ -32,17 +31,14 @@ from eagor.perception.vocabulary import colour_of, fitting, match_class, named
 from eagor.sources import Frame, Pose
 from eagor.sources.odometry import PosedFrame
 from eagor.sources.panorama import Picture
-from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
 from eagor.tracking.tracks import SAME_MOMENT
 
 __all__ = [
-    "NEAR", "ObjectSummary", "Record", "RecordedLooks", "ReplayPerception", "detection_lines", "first_line",
-    "infer_or_replay", "parse_record", "summarise_objects", "write_record",
+    "Record", "RecordedLooks", "ReplayPerception", "detection_lines", "first_line",
+    "infer_or_replay", "parse_record", "write_record",
 ]  # fmt: skip
 
 MOST_LABELS = 12  # in a sentence
-UNSURE = math.radians(10)  # of a pose: a look from there says nothing of directions
-NEAR = math.radians(15)  # the error that still leads a person to the thing
 
 
 class ReplayPerception:
@@ -286,50 +282,3 @@ class RecordedLooks:
         """What the file can be asked for, each once: the labels of what was seen, and what was looked for."""
         queries = [record.query for record in self.replay.records if record.query is not None and record.kind != "pose"]
         return [*dict.fromkeys([*sorted(self.replay.labels), *queries])]
-
-
-@dataclass(frozen=True, eq=False)
-class ObjectSummary:
-    """What is known of one thing: `looks`, in how many looks it was seen, of `among`; `last`, the stamp of the last.
-
-    `query`: its class, or the words that were looked for.
-    """
-
-    query: str
-    estimate: Estimate
-    looks: int
-    among: int
-    last: float
-
-    @property
-    def sure(self) -> float:
-        """The probability that it is here, and within 15 degrees of the answer."""
-        return self.estimate.within(NEAR) if self.estimate.direction is not None else 0.0
-
-
-def summarise_objects(
-    recorded: RecordedLooks, config: TrackerConfig, masks: Sequence[BodyMask], done: Callable[[], object]
-) -> list[ObjectSummary]:
-    """What was seen since the poses were last lost, the surest first, beside what `masks` hide; `done`: after each."""
-    begins = max((number for number, each in enumerate(recorded.posed) if each.lost), default=0)
-    found = []
-    for query in recorded.asked_for():
-        tracker, looks, among, last, now = DirectionTracker(config), 0, 0, -math.inf, 0.0
-        for posed in (*recorded.posed[begins:], None):
-            poses = recorded.after if posed is None else posed.poses[-1:] if posed.lost else posed.poses
-            for pose in poses:
-                tracker.add_pose(pose.stamp, pose.world_R_body, None if config.ranges is None else pose.position)
-                now = pose.stamp
-            if posed is None or posed.frame.problem or poses[-1].spread >= UNSURE:
-                continue
-            evidence, among = recorded.replay.looks_near(query, now), among + 1
-            for mask in masks:
-                evidence = tuple(each.covered(mask) for each in evidence)
-            for each in evidence:
-                tracker.observe(each.widened(poses[-1].spread))
-            if any(each.detections is None or len(each.detections) for each in evidence):
-                looks, last = looks + 1, now
-        if looks:
-            found.append(ObjectSummary(query, tracker.estimate(now), looks, among, last))
-        done()
-    return sorted(found, key=lambda each: -each.sure)
