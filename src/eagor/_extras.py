@@ -65,6 +65,3 @@ def is_older(version: str, least: str) -> bool:
         [int(re.sub(r"\D", "", part) or 0) for part in each.split("+")[0].split(".")[:3]] for each in (version, least)
     )
     return first < second
-
-
-need = require_extra  # until every room calls it so

@@ -102,6 +102,3 @@ def natural(name: str) -> list[tuple[int, int, str]]:
     """A key to sort names by, numbers in them by value."""
     parts = enumerate(re.split(r"0*([0-9]+)", name))  # every other one is a number
     return [(0, len(part), part) if at % 2 else (1, 0, part) for at, part in parts if part]
-
-
-written = write_atomic  # until every room calls it so

@@ -136,6 +136,8 @@ class Bag:
             connections, many = [*reader.connections], reader.message_count
         if not many and (broken or not connections):
             raise FormatError(f"{file} holds no message ({broken or 'it is empty'}); record it again")
+        if any(not isinstance(name, str) for each in connections for name in (each.topic, each.msgtype)):
+            raise FormatError(f"{file} is damaged: a topic has no name, or no type; copy it again")
         for each in connections:
             if (known := self.topics.setdefault(each.topic, each.msgtype)) != each.msgtype:
                 raise FormatError(f"{file}: the topic {each.topic} has two types, {known} and {each.msgtype}")

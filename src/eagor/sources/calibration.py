@@ -321,9 +321,7 @@ def steps_of(frames: Iterable[Frame]) -> np.ndarray:
     ``(n, 3)``, from its pictures; where it got lost, there is no step.
     """
     odometer, before, rows = VisualOdometer(), None, []
-    for frame in frames:
-        if frame.picture is None:
-            continue
+    for frame in (each for each in frames if each.picture is not None):
         turned = odometer.add(frame.picture)
         if before is not None and not turned.lost and turned.matches and frame.stamp - before[0] <= LONGEST:
             turn = Rotation.from_matrix(before[1].T @ turned.world_R_body).as_rotvec()
