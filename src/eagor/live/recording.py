@@ -77,8 +77,8 @@ def event_from(content: bytes) -> Event | LoopSettings:
         )
     try:
         if name == PoseReceived.__name__:
-            stamp, turn, position, spread = values["pose"]
-            values["pose"] = Pose(stamp, np.array(turn), position and np.array(position), spread)
+            stamp, turn, position, *more = values["pose"]
+            values["pose"] = Pose(stamp, np.array(turn), position and np.array(position), *more)
         return KINDS[name](**values)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"an event of the recording cannot be read: {error!r}") from error
