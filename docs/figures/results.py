@@ -85,7 +85,7 @@ def right() -> None:
         if method in legs:
             walk.plot(range(1, 5), legs[method][:4], "o-", color=colour)
     walk.set_xticks(range(1, 5), [f"leg {number}" for number in range(1, 5)])
-    walk.set_ylim(0, 50)
+    walk.set_ylim(0, 60)
     titled(walk, "Walks in built-in apartments, scout", "mean error, degrees; the first leg is the search")
     for axes in (left, walk):
         lines(axes)
