@@ -12,9 +12,10 @@ from PIL import Image
 from eagor.errors import ImageError, TimeError
 from eagor.lab.worlds.painted import painted_room
 from eagor.sources import check_camera
+from eagor.sources.animations import is_animation
 from eagor.sources.camera_sources import FrameCheck, open_source
 from eagor.sources.panorama import BOXED, turn
-from eagor.sources.video import Video, is_animation
+from eagor.sources.video import Video
 from eagor.sphere import world_R_body
 
 ROOM = painted_room(128, 256)

@@ -26,6 +26,7 @@ from eagor.errors import DeviceError, EagorError, ImageError, TimeError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.odometry.files import times_of
 from eagor.sources import CameraSource, Frame
+from eagor.sources.animations import is_animation, selected
 from eagor.sources.bags import is_bag, split_bag
 from eagor.sources.defects import problems
 from eagor.sources.intrinsics import Camera, IntrinsicsHint, ShapeError, in_words, intrinsics_from_exif
@@ -34,7 +35,7 @@ from eagor.sources.panorama import IMAGES, Picture, in_order, pictures_in, read_
 from eagor.sources.rigs import read_rig
 from eagor.sources.ros_sources import BagCamera
 from eagor.sources.stitching import PanoramaBuilder, sizes_of
-from eagor.sources.video import Video, is_animation, plays, selected
+from eagor.sources.video import Video, plays
 
 __all__ = [
     "BUILT_IN", "GROUP", "LEAST_ROWS", "SOURCES", "Footage", "FrameCheck", "Images", "ShapeError", "is_video",

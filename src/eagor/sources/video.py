@@ -1,7 +1,6 @@
 """Videos, and pictures that move, as frames: of panoramas, of an ordinary camera, or of the lenses of a rig.
 
-PyAV decodes videos, Pillow pictures that move, in bounded memory and past what is damaged; `PanoramaBuilder` says what
-the pictures are.
+PyAV decodes videos in bounded memory and past what is damaged; `PanoramaBuilder` says what the pictures are.
 """
 
 from __future__ import annotations
@@ -10,13 +9,13 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Generator, Iterable, Iterator, Sequence
-from contextlib import closing, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -26,24 +25,22 @@ from eagor.cameras import SHAPE, Rig
 from eagor.errors import EagorError, FormatError, ImageError, TimeError
 from eagor.odometry.imu import MotionTrack, read_insta360
 from eagor.sources import Frame
+from eagor.sources.animations import Animation, is_animation, selected
 from eagor.sources.defects import MAKE
-from eagor.sources.intrinsics import IntrinsicsHint, intrinsics_from_tags
+from eagor.sources.intrinsics import intrinsics_from_tags
 from eagor.sources.metadata import EXPORT, of_video
-from eagor.sources.panorama import check_file, decoded_bytes, opened, projection_of, seen_of
+from eagor.sources.panorama import check_file
 from eagor.sources.stitching import PanoramaBuilder
 
 if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
-    from PIL import Image
 
 __all__ = [
-    "Animation", "Damage", "Track", "Video", "is_animation", "lens_videos", "open_video", "pictures", "plays",
-    "selected", "to_rgb",
+    "Damage", "Track", "Video", "lens_videos", "open_video", "pictures", "plays", "to_rgb",
 ]  # fmt: skip
 
-Item = TypeVar("Item")
 CLOCK = 5e-4  # seconds: half a unit of the coarsest common clock, Matroska's, to which stamps are rounded
 PLAIN = 25.0  # pictures per second where a file tells neither times nor rate; FFmpeg's own
 HDR = {16: "PQ", 18: "HLG"}  # transfer characteristics, ITU-T H.273
@@ -54,9 +51,6 @@ HD, UNSPECIFIED, BT709 = 720, 2, "ITU709"  # rows from which on colours are ITU-
 SHORT = 0.5  # seconds that may be missing at the end of a file that tells its length, and not how many pictures
 APART = 0.02  # seconds by which the pictures of two lenses may differ in time, beside half an interval
 CONVERT = "convert it, for example: ffmpeg -i {} -c:v libx264 -pix_fmt yuv420p converted.mp4"
-MOVING = ("GIF", "PNG", "WEBP", "AVIF")  # the pages of a TIFF, or of an MPO, are not pictures one after the other
-SHORTEST, USUAL = 0.0101, 0.1  # seconds: shorter ones are shown as long as this, as browsers do
-MOST_BYTES = 1 << 29  # of a picture that moves, in memory
 LENSES = "{0} holds {1} tracks of pictures, one for each lens. " + f"{MAKE}. Or: {EXPORT}"
 GOPRO = (
     "{0} is a GoPro recording that is not put together yet: its two tracks are the two strips of an equi-angular "
@@ -320,87 +314,6 @@ class Track:
             )
         rgb = to_rgb(picture, *(size[::-1] if self._turns % 2 else size))
         return np.rot90(rgb, self._turns) if self._turns else rgb
-
-
-class Animation:
-    """The pictures of a picture that moves: as `Track`, with the same attributes.
-
-    `hidden` ``(H, W)``: what is transparent in the first picture, or None. Raises `ImageError`, `TimeError`.
-    """
-
-    duration = count = motion = None
-    hint = IntrinsicsHint()
-
-    def __init__(
-        self, path: str | os.PathLike[str], *, rate: float | None = None, start: float = 0.0, end: float | None = None
-    ) -> None:
-        self.path, self._taken = os.fspath(path), (start, end, rate)
-        with closing(self._all()) as coming:  # which holds the file open
-            found = next(coming, None)
-            if found is None:
-                raise ImageError(f"{self.path} holds no picture that can be read; fetch or export it again")
-            _, lasts, (_, self.hidden), image = found
-            self.size, self.projection, self.frame_rate = image.size, projection_of(image), 1 / lasts
-            about = f"{image.format}, {image.width} x {image.height} pixels, {image.n_frames} pictures"  # type: ignore[attr-defined]
-        self.facts = (f"{about}, one after the other",)
-
-    def pictures(self, size: tuple[int, int]) -> Iterator[tuple[float, np.ndarray]]:
-        """As those of `Track`, in their own size."""
-        stamp = None
-        for stamp, picture in selected(((at, seen[0]) for at, _, seen, _ in self._all()), *self._taken, 1e-6):
-            yield stamp, picture
-        if stamp is None:
-            raise TimeError(f"{self.path} has no picture from {self._taken[0]:g} s on; it ends before that")
-
-    def _all(self) -> Generator[tuple[float, float, tuple[np.ndarray, np.ndarray | None], Image.Image], None, None]:
-        """Time, for how long it is shown, picture and mask, and the file; raises `ImageError` where it is damaged."""
-        stamp = 0.0
-        try:
-            with opened(self.path) as image:
-                if decoded_bytes(image) > MOST_BYTES:
-                    raise ImageError(f"claims {image.width} x {image.height} pixels; it is corrupt, or large")
-                # Of an APNG the first may be one for programs that know no animations.
-                for number in range(int(bool(image.info.get("default_image"))), image.n_frames):  # type: ignore[attr-defined]
-                    image.seek(number)
-                    image.load()
-                    lasts = float(image.info.get("duration") or 0) / 1000
-                    lasts = lasts if lasts >= SHORTEST else USUAL
-                    yield stamp, lasts, seen_of(image), image
-                    stamp += lasts
-        except ImageError as error:
-            raise ImageError(f"{self.path} {error}") from error
-        except Exception as error:  # Pillow's decoders may raise anything for damaged files
-            what = f"its picture after {stamp:.2f} s cannot be read ({type(error).__name__}: {error})"
-            raise ImageError(f"{self.path} is damaged: {what}; fetch or export it again") from error
-
-
-def is_animation(path: str | os.PathLike[str]) -> bool:
-    """Whether the file is a picture that moves."""
-    if not os.path.isfile(path):  # a pipe would never open
-        return False
-    try:
-        with opened(path) as image:
-            return image.format in MOVING and getattr(image, "n_frames", 1) > 1
-    except Exception:  # Pillow may raise anything for what is no picture
-        return False
-
-
-def selected(
-    items: Iterable[tuple[float, Item]], start: float, end: float | None, rate: float | None, slack: float
-) -> Iterator[tuple[float, Item]]:
-    """Of each tick of `rate` per second from `start` to `end` (seconds) the first item at or after it, once."""
-    next_tick = 0
-    for stamp, item in items:
-        if end is not None and stamp >= end - slack:
-            return
-        if stamp < start - slack:
-            continue
-        if rate is not None:
-            tick = math.floor((stamp - start + slack) * rate)
-            if tick < next_tick:
-                continue
-            next_tick = tick + 1
-        yield stamp, item
 
 
 def _camera_track(path: str) -> tuple[str, MotionTrack | None, tuple[str, ...]]:

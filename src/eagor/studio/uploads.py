@@ -81,8 +81,8 @@ class Uploads:
 
 def _checked(path: Path, name: str) -> tuple[str, str, str]:
     """What a file is, its name, and the source to open: of a photograph, a folder. Raises `PageError`."""
+    from eagor.sources.animations import is_animation
     from eagor.sources.panorama import BOXED, IMAGES, opened
-    from eagor.sources.video import is_animation
 
     with path.open("rb") as file:
         head = file.read(12)
