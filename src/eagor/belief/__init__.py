@@ -6,7 +6,7 @@
 - Both are read in the same way (`posterior`): it samples one field finely enough for its sharpest peak.
 
 A tracker needs more resolution about the peaks than a belief of limited degree has. It keeps fine `windows` there, and
-lays them as patches over a coarse `field` of the whole sphere; `reading` finds the candidates and masses of that. All
+lays them as patches over a coarse `field` of the whole sphere; `density` finds the candidates and masses of that. All
 readings share `basins`; `bank` keeps the habits of places.
 """
 
