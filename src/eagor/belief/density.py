@@ -1,4 +1,4 @@
-"""Density a field of log densities: peaks, their masses, regions."""
+"""Reading a field of log densities: peaks, their masses, regions."""
 
 from __future__ import annotations
 

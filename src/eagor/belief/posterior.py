@@ -1,4 +1,4 @@
-"""Density a belief: modes, regions and integrals of exp(f) for a field f on the sphere. NumPy.
+"""Reading a belief: modes, regions and integrals of exp(f) for a field f on the sphere. NumPy.
 
 `Posterior` samples one field finely enough for its sharpest peak; `Readable` is what `Belief` and `RangedBelief` share,
 batches included.

@@ -71,7 +71,7 @@ class Heard:
 
 @dataclass(frozen=True, eq=False)
 class LookAlikes:
-    """Measurement-alikes that were detected, and those that were not, world axes about the body.
+    """Look-alikes that were detected, and those that were not, world axes about the body.
 
     `points` ``(m, K, 3)`` with `covariances` ``(m, K, 3, 3)``: where each stands for each of `ranges` ``(K,)``, metres;
     one range of 1 without positions. `shares` ``(m, K)``: probabilities of the ranges. `odds` ``(m,)``: log odds that
