@@ -53,6 +53,7 @@ def test_a_lens_that_wants_too_large_a_panorama(tmp_path):
         ("field_deg: 200", "focal: 50\n    field_deg: 200", r"lenses\[0\]: wanted either field_deg"),
         ("{yaw_deg: 180}", "{yaw: 180}", r"lenses\[1\]: rotation has yaw; wanted yaw_deg"),
         ("{yaw_deg: 180}", "[2, 0, 0, 0]", r"lenses\[1\]: rotation has length 2; wanted a unit quaternion"),
+        ("{yaw_deg: 180}", "{yaw_deg: -.inf}", r"lenses\[1\]: rotation has .*-inf.*; wanted degrees that are finite"),
         ("name: front", "name: front\n    name: front", r"name is there twice.*line 4"),
         ("name: front", "name: front\n    kind: mirror", r"lenses\[0\].kind is 'mirror'; wanted fisheye, pinhole"),
         ("name: front", "name: front\n    picture: 1", r"lenses\[0\].picture is 1; wanted 0 to 0"),

@@ -228,6 +228,8 @@ def _lens(told: _Lens, size: tuple[int, int], name: str) -> Lens:
 def _rotation(told: Mapping[str, float] | Sequence[float]) -> np.ndarray:
     """By a quaternion w, x, y, z or by names, or by angles."""
     if isinstance(told, Mapping) and told.keys() <= {*ANGLES}:
+        if not all(map(math.isfinite, told.values())):
+            raise FormatError(f"rotation has {dict(told)}; wanted degrees that are finite")
         return world_R_body(*(math.radians(told.get(name, 0.0)) for name in ANGLES))
     wxyz = [told[name] for name in "wxyz"] if isinstance(told, Mapping) and told.keys() == {*"wxyz"} else told
     if isinstance(wxyz, Mapping) or len(wxyz) != 4:
