@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 # --- on the terminal: at most 120 columns wide also with every method side by side ----------------------------------
 
+NEAR = 15  # degrees: the error that still leads a person to the object
 ALONE = "{:>10}{:>9}{:>11}{:>10}{:>14}{:>7}  {:9}  {}"
 COMPARED = "{:>9}{:>8}{:>6}{:>6} {:9}{}  {}"  # distance and number of candidates are left out
 # A rival's column shows azimuth/elevation in whole degrees, "-180/-90" at most; longer names are shortened to fit.
@@ -237,7 +238,7 @@ def recorded(options: Footage, places: Sequence[Path]) -> RecordedLooks | None:
 def list_seen(options: Answering, looks: RecordedLooks, config: TrackerConfig) -> int:
     """Print what was seen where, the surest first; returns the exit code."""
     from eagor.cli.checks import mask_of
-    from eagor.live.objects import NEAR, summarise_objects
+    from eagor.live.objects import summarise_objects
 
     refuse(options, ("out", "compare"), f"is for one question: eagor track {looks.replay.name} QUERY")
     about, queries, mask = looks.about, looks.asked_for(), mask_of(options.mask)
@@ -248,7 +249,7 @@ def list_seen(options: Answering, looks: RecordedLooks, config: TrackerConfig) -
     lines = [form.format(*heads)]
     for each in found:
         e, counts = each.estimate, {"seen_in": each.looks, "looks": each.among, "last_seen": each.last}
-        things.append({"query": each.query, **e.as_dict(options.modes, round(math.degrees(NEAR))), **counts})
+        things.append({"query": each.query, **e.as_dict(options.modes, NEAR), **counts})
         sure, present = f"{100 * each.sure:.0f} %", f"{100 * e.presence:.0f} %"
         share, last = f"{each.looks}/{each.among}", f"{each.last - about.begins:.2f}"
         lines.append(form.format(each.query, *_signed(e), sure, present, share, last, e.status))

@@ -36,9 +36,6 @@ class Locate(Answering):
     """Write the answer, one line, to FILE.csv or FILE.jsonl."""
 
 
-NEAR = 15  # degrees: the error that still leads a person to the object
-
-
 def locate(options: Locate) -> int:
     """Run the command; returns its exit code."""
     import numpy as np
@@ -80,7 +77,7 @@ def locate(options: Locate) -> int:
         if options.picture is not None:
             answers.draw(result, options.picture, options.modes)
         found = {"query": options.query, "perception": spec, "frame": name}
-        found |= result.estimate.as_dict(options.modes, NEAR)
+        found |= result.estimate.as_dict(options.modes, answers.NEAR)
         if write is not None:
             write(found)
     checks.say_of_replay(perception, query, len(result.evidence))
@@ -129,8 +126,8 @@ def _in_words(options: Locate, name: str, spec: str, e: Estimate) -> list[str]:
         facts["distance"] = f"{far_in_words(e) or '-'} (90 %, if it stands on the floor)"
     facts["presence"] = f"{100 * e.presence:.0f} %"
     if known:
-        near = f"{100 * e.within(math.radians(NEAR)):.0f} %"
-        facts["how sure"] = f"{near} (that it is here, and within {NEAR} degrees of that direction)"
+        near = f"{100 * e.within(math.radians(answers.NEAR)):.0f} %"
+        facts["how sure"] = f"{near} (that it is here, and within {answers.NEAR} degrees of that direction)"
         facts["candidates"] = "azimuth elevation  weight (probability that it is thereabouts, if it is here)"
         for mode in (shown := e.modes[: options.modes]):
             azimuth, elevation = signed(mode.azimuth), signed(mode.elevation)

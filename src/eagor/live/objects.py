@@ -10,8 +10,7 @@ from eagor.evidence import BodyMask
 from eagor.live.core import UNSURE
 from eagor.perception.replay import RecordedLooks
 from eagor.tracking import DirectionTracker, Estimate, TrackerConfig
-
-NEAR = math.radians(15)  # the error that still leads a person to the thing
+from eagor.tracking.estimate import SURE
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +29,7 @@ class ObjectSummary:
     @property
     def sure(self) -> float:
         """The probability that it is here, and within 15 degrees of the answer."""
-        return self.estimate.within(NEAR) if self.estimate.direction is not None else 0.0
+        return self.estimate.within(SURE) if self.estimate.direction is not None else 0.0
 
 
 def summarise_objects(

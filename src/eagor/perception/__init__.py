@@ -26,17 +26,8 @@ from eagor.errors import EagorError, QueryError, ResponseError
 from eagor.evidence import Evidence
 
 __all__ = [
-    "Perception",
-    "as_perception",
-    "check_perception",
-    "infer",
-    "is_model",
-    "known",
-    "knows_classes",
-    "load",
-    "parse_options",
-    "rows_of",
-    "short_name",
+    "Perception", "as_perception", "check_perception", "infer", "is_model", "known", "knows_classes", "load",
+    "parse_options", "rows_of", "short_name",
 ]  # fmt: skip
 
 GROUP = "eagor.perceptions"
