@@ -113,11 +113,12 @@ def rotation_from_habitat(matrix: np.ndarray) -> np.ndarray:
 
 
 def is_optical(frame: str) -> bool:
-    """Whether a ROS frame is an optical one by its name: REP-103's suffix ``_optical``, as drivers spell it.
+    """Whether a ROS frame is an optical one by its name: REP-103's ``_optical``, as and where drivers write it.
 
-    Such as cam_optical_frame, camera_link_optical, robot1/left_optical_link, CameraOpticalFrame.
+    Such as cam_optical_frame, camera_link_optical, robot1/left_optical_link, CameraOpticalFrame, cam_optical_left; but
+    not a sensor of optical flow, nor what such a frame is mounted on.
     """
-    return re.search(r"optical([_-]?(frame|link|joint))?([_-]?\d+)?$", frame, re.IGNORECASE) is not None
+    return re.search(r"(?<!pan)optic(al)?(?![a-z]*[_-]?(flow|fib)|.*mount)", frame, re.IGNORECASE) is not None
 
 
 def to_optical(directions: np.ndarray) -> np.ndarray:

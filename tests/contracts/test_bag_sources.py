@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from moving_rooms import PatternRoom
 from rosmaking import camera_info, image_of, imu_message
 
 from eagor.conventions import OPTICAL_R_BODY
@@ -16,6 +17,8 @@ from eagor.sources import Pose, check_camera
 from eagor.sources import ros_messages as m
 from eagor.sources.bags import BagWriter, pick
 from eagor.sources.camera_sources import open_source
+from eagor.sources.odometry import open_poses
+from eagor.sources.panorama import turn
 from eagor.sources.ros_frames import PoseReader, optical
 from eagor.sources.ros_sources import BagCamera, BagPoses
 from eagor.sphere import world_R_body
@@ -133,13 +136,14 @@ def test_damaged_messages_are_left_out_and_counted(tmp_path):
 @pytest.mark.parametrize(
     "name",
     ["cam_optical_frame", "cam_optical", "camera_link_optical", "left_optical_link", "robot1/cam_optical_frame",
-     "Camera_Optical_Frame", "optical", "cameraOpticalFrame", "rgb_optical_frame_2"],
+     "Camera_Optical_Frame", "optical", "cameraOpticalFrame", "rgb_optical_frame_2", "optical_frame_left",
+     "cam_optical_frame_link", "cam_optic_frame"],
 )  # fmt: skip
 def test_optical_frames_by_all_their_names(name):
     np.testing.assert_array_equal(optical(name), OPTICAL_R_BODY)
 
 
-@pytest.mark.parametrize("name", ["camera_link", "optical_flow_link", "", "x3", "optical_frame_mount"])
+@pytest.mark.parametrize("name", ["camera_link", "optical_flow_link", "", "x3", "optical_frame_mount", "panoptic"])
 def test_frames_that_are_not_optical(name):
     np.testing.assert_array_equal(optical(name), np.eye(3))
 
@@ -223,6 +227,47 @@ def test_what_is_not_about_where_the_robot_is_is_not_taken_by_itself():
     assert pick(topics, (m.POSE, m.IMU), None, where="it", option="-o") == ("/imu", m.IMU)
     assert pick(topics, (m.POSE, m.IMU), "/goal_pose", where="it", option="-o") == ("/goal_pose", m.POSE)
     assert pick(topics, (m.IMAGE, m.COMPRESSED), None, where="it", option="-o") == ("/image", m.IMAGE)
+
+
+def turning_bag(path, mount=OPTICAL_R_BODY.T, told=lambda R: R, frame="cam_optical_frame", stuck=False):
+    """A camera that turns to the left in a room with patterns, on a robot whose odometry is `told` of its poses."""
+    room, poses = PatternRoom(4).panorama(np.eye(3), rows=128), [world_R_body(0.3 * k) for k in range(14)]
+    with BagWriter(path) as bag:
+        for k, pose in enumerate(poses):
+            t, said = START + 0.5 * k, Pose(START + 0.5 * k, told(pose), np.zeros(3))
+            bag.write("/odom", m.ODOMETRY, m.odometry_message(said), t)
+            fixed = m.transform_message(t, "base_link", frame, mount)
+            bag.write("/tf_static", m.TRANSFORMS, m.transforms_message(fixed), t)
+            bag.write("/image", m.IMAGE, m.image_message(turn(room, pose.T), START if stuck else t, frame), t)
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words", "axes"),
+    [
+        ({}, None, "auto"),
+        ({"told": lambda R: R.T}, "the other way round", None),
+        ({"told": lambda R: np.eye(3)}, "stamps of the pictures' clock", None),
+        ({"frame": "cam_link"}, "--axes optical", "optical"),  # which its mount contradicts, too
+        ({"mount": np.eye(3)}, "--axes body", "body"),
+        ({"mount": OPTICAL_R_BODY}, "the poses of this camera", None),  # parent and child were swapped
+    ],
+)
+def test_odometry_of_a_bag_that_contradicts_its_pictures_is_said_with_what_settles_it(tmp_path, wrong, words, axes):
+    poses, said = turning_bag(tmp_path / "bag", **wrong), []
+    open_poses("auto", open_source(str(tmp_path / "bag")), say=said.append)
+    assert len(said) == (words is not None)
+    assert not words or (said[0].startswith("warning: /odom contradicts the pictures (from ") and words in said[0])
+    if axes:
+        found = list(open_poses("auto", open_source(str(tmp_path / "bag")), axes=axes, say=said.append))
+        np.testing.assert_allclose([each.world_R_body for each in found], poses, atol=1e-9)
+        assert len(said) == (words is not None)
+
+
+def test_stamps_that_stand_still_are_said(tmp_path):
+    turning_bag(tmp_path / "bag", stuck=True)
+    with pytest.warns(UserWarning, match=f"the stamps of /image stand still at {START:.3f} s: one picture of each"):
+        assert len(list(open_source(str(tmp_path / "bag")))) == 1
 
 
 def test_how_colours_without_names_are_read_is_said(tmp_path):

@@ -101,7 +101,7 @@ def _check(options: Footage, places: Sequence[Path], bag: bool, moves: bool) -> 
     poses, given_poses = options.poses, options.poses not in WORDS
     if given_poses and not os.path.exists(poses):
         raise terminal.UsageError(f"there is no file {poses}; --poses takes {', '.join(WORDS)} or a CSV file")
-    if not given_poses:
+    if not (given_poses or (bag and poses == "auto")):
         refuse(options, ["axes"], f"{options.axes} is for a file of poses; give one with --poses")
     if not bag:
         refuse(options, ("image_topic", "odom_topic", "camera_info"), f"is for a ROS 2 bag; {places[0]} is none")

@@ -38,9 +38,9 @@ Detector = Annotated[
 Axes = Annotated[
     Literal["auto", "body", "optical", "opengl", "euroc"],
     arg(
-        help="The camera's axes in a file of --poses. auto: as its form tells, or as the pictures turn; body: x ahead, "
-        "y left, z up; optical: x right, y down, z ahead (SLAM, COLMAP); opengl: x right, y up, z back (nerfstudio); "
-        "euroc: x up, y right, z ahead."
+        help="The camera's axes in a file of --poses, or of its frame in a bag. auto: as its form or name tells, or as "
+        "the pictures turn; body: x ahead, y left, z up; optical: x right, y down, z ahead (SLAM, COLMAP); opengl: x "
+        "right, y up, z back (nerfstudio); euroc: x up, y right, z ahead."
     ),
 ]
 Static = Annotated[

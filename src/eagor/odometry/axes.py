@@ -21,7 +21,7 @@ from eagor.errors import EagorError, PoseError
 from eagor.odometry import Pose
 from eagor.odometry.files import GivenPoses, is_near
 
-__all__ = ["AXES", "settled", "with_axes"]
+__all__ = ["AXES", "contradicted", "settled", "with_axes"]
 
 AXES = {  # the axes of the poses in the body: body_R_pose; x, y, z in words
     "body": (np.eye(3), "x ahead, y left, z up"),
@@ -81,7 +81,7 @@ def settled(
         return poses
     given, pairs = axes != "auto", list[_Pair]()
     with suppress(EagorError):  # who looks at the frames meets it again, and says so
-        pairs += () if frames is None else _pairs(frames(), poses)
+        pairs += () if frames is None else _pairs(frames(), poses[-1].stamp - poses[0].stamp)
     if not given and poses.axes in AXES:
         axes = poses.axes
         if poses.form:
@@ -95,6 +95,15 @@ def settled(
             raise PoseError(f"{name} contradicts the pictures: {text}; --axes body reads them as they stand")
         say(f"warning: {name} contradicts the pictures: {text}")
     return with_axes(poses, axes)
+
+
+def contradicted(frames: Iterable[tuple[Pose, Shown]], axes: Callable[[], str]) -> str | None:
+    """In words, where poses of ROS contradict the pictures that were taken there, or None; `axes`: those they had."""
+    pairs = list[_Pair]()
+    with suppress(EagorError):  # who looks at the frames meets it again, and says so
+        pairs += _pairs(frames)
+    wrong = _contradiction(pairs, axes(), ("body", "optical"))  # REP-103 has no others
+    return wrong and wrong[0]
 
 
 def _found(poses: GivenPoses, pairs: Sequence[_Pair], name: str, say: Callable[[str], object]) -> str:
@@ -138,12 +147,12 @@ class _Pair(NamedTuple):
     seen: np.ndarray
 
 
-def _pairs(frames: Iterable[tuple[Pose, Shown]], poses: Sequence[Pose]) -> Iterator[_Pair]:
-    """Pairs of pictures between which the camera turns, by its poses or by the pictures themselves."""
+def _pairs(frames: Iterable[tuple[Pose, Shown]], lasts: float = math.inf) -> Iterator[_Pair]:
+    """Pairs of pictures between which the camera turns, by its poses or by the pictures themselves; of `lasts` s."""
     from eagor.odometry.features import Views, match
     from eagor.odometry.two_views import estimate_relative_rotation
 
-    last, found, tried, apart = None, 0, 0, min(APART, (poses[-1].stamp - poses[0].stamp) / PAIRS)
+    last, found, tried, apart = None, 0, 0, min(APART, lasts / PAIRS)
     for pose, frame in islice(frames, LOOKED):
         if found >= PAIRS or tried >= TRIED:
             return
@@ -185,8 +194,8 @@ def _fitting(pairs: Sequence[_Pair]) -> str | None:
     return best if left[best] < FITS and left[other] > DIFFERS else None
 
 
-def _contradiction(pairs: Sequence[_Pair], axes: str) -> tuple[str, bool] | None:
-    """Where poses with these axes contradict the pictures, in words, and whether it is known why."""
+def _contradiction(pairs: Sequence[_Pair], axes: str, others: Iterable[str] = tuple(AXES)) -> tuple[str, bool] | None:
+    """Where poses with these axes contradict the pictures, in words, and whether it is known why: `others` may be."""
     if not pairs:
         return None
     before, after, seen = (np.array(each) for each in list(zip(*pairs, strict=True))[1:])
@@ -205,7 +214,7 @@ def _contradiction(pairs: Sequence[_Pair], axes: str) -> tuple[str, bool] | None
     worst = int(np.argmax(off(told)))
     begin, end = pairs[worst].stamps
     text = (
-        f"from {begin:.10g} to {end:.10g} s the camera turns {_in_words(told[worst])} by its poses, and "
+        f"from {begin:.12g} to {end:.12g} s the camera turns {_in_words(told[worst])} by its poses, and "
         f"{_in_words(seen[worst])} by what it shows"
     )
     mirror = np.diag([1.0, -1, 1])
@@ -218,7 +227,7 @@ def _contradiction(pairs: Sequence[_Pair], axes: str) -> tuple[str, bool] | None
         (inverted, mirror @ told @ mirror),
         (radians, larger),
     ]
-    reasons += [(f"its axes are {words}: --axes {other}", turns(relative, other)) for other, (_, words) in AXES.items()]
+    reasons += [(f"its axes are {AXES[other][1]}: --axes {other}", turns(relative, other)) for other in others]
     left, best = min((float(np.median(off(fits))), reason) for reason, fits in reasons)
     if left < max(CLOSE, 0.4 * float(np.median(size))):
         return f"{text}: {best}", True

@@ -22,7 +22,7 @@ import numpy as np
 from eagor import plugins
 from eagor._extras import require_extra
 from eagor.errors import DeviceError, EagorError, PoseError
-from eagor.odometry.axes import settled
+from eagor.odometry.axes import AXES, contradicted, settled
 from eagor.odometry.files import BEYOND, GivenPoses, interpolated, is_near, pair, read_poses, usable
 from eagor.odometry.imu import MotionTrack
 from eagor.odometry.visual import VisualOdometer
@@ -57,18 +57,22 @@ def open_poses(
 
     "auto": a bag's odometry or a video's IMU, where `source` has them, else what the pictures themselves tell (rotation
     only); "level": the same for a camera that keeps its pictures level; "still"; a file, whose `axes` are as of
-    `eagor.odometry.axes.settled`; ``ros:/odom``, a topic of ROS 2 or of a bag; ``go2``, a robot's odometry, over the
-    DDS `domain` and network `interface`; or what another package brings. A file of poses is compared with the pictures,
-    and where these are image files, tells when they were taken: `source` gives them at these times from then on. `say`
-    is told what is found out about a file (default: what is wrong is a `UserWarning`). Raises `DeviceError` for live
-    poses of a recording, and the other way round, and what the source raises.
+    `eagor.odometry.axes.settled` (with a bag's odometry: those of the camera's frame); ``ros:/odom``, a topic of ROS 2
+    or of a bag; ``go2``, a robot's odometry, over the DDS `domain` and network `interface`; or what another package
+    brings. Poses of a file or a bag are compared with the pictures; where these are image files, a file tells when they
+    were taken: `source` gives them at these times from then on. `say` is told what is found out (default: what is wrong
+    is a `UserWarning`). Raises `DeviceError` for live poses of a recording, and the other way round, and what the
+    source raises.
     """
     name, _, topic = text.partition(":")
     footage, own = source if isinstance(source, Footage) else None, getattr(source, "poses", None)
     bag, video = (None, None) if footage is None else (footage.bag, footage.video)
-    found = bag_odometry(bag.bag, topic or None, bag.frame) if bag and (text == "auto" or name == "ros") else None
-    if found is not None:
-        return found
+    if bag and footage and (text == "auto" or name == "ros"):
+        first, found = (bag_odometry(bag.bag, topic or None, bag.frame, axes) for _ in range(2))
+        if first is not None and axes != "body":
+            _compare(first, footage, say or warned)
+        if found is not None:
+            return found
     if text == "auto" and video is not None and video.motion is not None:
         return video.motion
     if text == "auto" and own is not None:  # a simulated body knows its own
@@ -109,7 +113,25 @@ def poses_in_words(poses: Any) -> str:
     return "orientations from the pictures themselves"
 
 
-# --- a file of poses, and the pictures that were taken there ---
+# --- poses, and the pictures that were taken there ---
+
+
+def _compare(poses: BagPoses, source: Footage, say: Callable[[str], object]) -> None:
+    """Say where the odometry of a bag contradicts its pictures."""
+
+    def posed() -> Iterator[tuple[Pose, Frame]]:
+        for each in PosedFrames(Footage(source.items, source.latency, source.begins, bag=source.bag), poses):
+            if each.pose is not None and each.frame.picture is not None:
+                axes = AXES[poses.reader.axes][0]
+                yield replace(each.pose, world_R_body=each.pose.world_R_body @ axes), each.frame
+
+    with warnings.catch_warnings():  # who plays it again is told again
+        warnings.simplefilter("ignore")
+        wrong = contradicted(posed(), lambda: poses.reader.axes)
+    if wrong:
+        say(
+            f"warning: {poses.topic} contradicts the pictures ({wrong}); --poses level takes headings from the pictures"
+        )
 
 
 def _of_file(path: str, axes: str, source: Footage | None, say: Callable[[str], object]) -> GivenPoses:

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from eagor.conventions import OPTICAL_R_BODY, is_optical
 from eagor.errors import DeviceError, EagorError
+from eagor.odometry.axes import AXES
 from eagor.sources import Pose
 from eagor.sources.ros_messages import IMU, ODOMETRY, TRANSFORMS, pose_from_msg, rotation_of, seconds, triple
 from eagor.tracking.poses import PoseHistory
@@ -60,10 +61,10 @@ def contradiction(frame: str, body_R_frame: np.ndarray) -> str | None:
     named, (_, y, z) = is_optical(frame), body_R_frame[2]  # how much the axes of the frame point up
     if named and z > STEEP:
         told = "named as an optical frame (x right, y down, z ahead: REP-103), and mounted with its z axis up: the"
-        return f"{frame} is {told} camera is taken to look up. If x is ahead, name it without 'optical'"
+        return f"{frame} is {told} camera is taken to look up. If x is ahead: --axes body, or name it otherwise"
     if not named and y < -STEEP:
         told = "not named as an optical frame, and mounted as one, with its y axis down: the camera is taken to look"
-        fix = f"If z is ahead, name it {frame}_optical_frame (REP-103)"
+        fix = f"If z is ahead: --axes optical, or name it {frame}_optical_frame (REP-103)"
         return f"{frame} is {told} along x, and to lie on its side. {fix}"
     return None
 
@@ -207,11 +208,12 @@ class PoseReader:
 
     `camera`: the camera's frame; its pose is told, by the transforms between it and the frame of the message; that its
     name contradicts them is a `UserWarning`, once. "": its pictures name none: its axes are taken for those of the
-    `body`, which is a problem. None: the pose of the `body` is wanted. `strict`: give no pose before these transforms
-    are known; otherwise the camera's axes are taken for those of the message. `world`: the frame of the poses for
+    `body`, which is a problem. None: the pose of the `body` is wanted. `axes`: those of the camera's frame, a name of
+    `eagor.odometry.axes.AXES`, or "auto": as its name says. `strict`: give no pose before these transforms are known;
+    otherwise the camera's axes are taken for those of the message. `world`: the frame of the poses for
     transforms (default: odom, else map, else the root). `rewinds`: stamps may go back by more than a second, as those
     of a clock that was set; otherwise such poses are left out, said once, and counted in `back`. `problem`: what is
-    missing, in words, or None.
+    missing, in words, or None. After a pose `axes` are those that were taken.
     """
 
     def __init__(
@@ -222,6 +224,7 @@ class PoseReader:
         camera: str | None = None,
         body: str = BODY,
         world: str | None = None,
+        axes: str = "auto",
         strict: bool = False,
         rewinds: bool = False,
     ) -> None:
@@ -234,7 +237,8 @@ class PoseReader:
         ) if camera == "" else None  # fmt: skip
         self.problem = self._unnamed
         self._frames: tuple[str, str] | None = None
-        self._last, self.back, self._mounted = -math.inf, 0, False
+        self._last, self.back, self._mounted = -math.inf, 0, axes != "auto"
+        self._axes, self.axes = axes, "body"
 
     def transforms(self, received: Any, fixed: bool) -> list[Pose]:
         """Take in a message of /tf_static (`fixed`) or /tf; the poses that it gives, if these come from /tf."""
@@ -266,18 +270,24 @@ class PoseReader:
         """Where the camera is in the frame `source`; None while that is not known and has to be."""
         target, self.problem = self.camera or self.body, self._unnamed
         if target in (source, "") or not source:
-            return optical(target), IDENTITY[1]
+            return self._lens(target), IDENTITY[1]
         untold = self.kind == ODOMETRY and source not in self.tree.frames  # base_footprint, where base_link is
         found = self.tree.at(self.body if untold else source, target, stamp)
         if found is not None:
-            return _composed(found, (optical(target), IDENTITY[1]))
+            return _composed(found, (self._lens(target), IDENTITY[1]))
         if not (self.camera or self.strict):  # the body is what the odometry tells of
             return IDENTITY
         self.problem = f"/tf_static and /tf do not tell where {target} is in {source}"
         if self.strict:
             return None
         self.problem += ": the camera is taken to look ahead along it"
-        return IDENTITY
+        return self._lens(""), IDENTITY[1]
+
+    def _lens(self, frame: str) -> np.ndarray:
+        """As `optical`, with the `axes` that are said to be the camera's; keeps their name."""
+        named = "optical" if is_optical(frame) else "body"
+        self.axes = named if self._axes == "auto" or self.camera is None else self._axes
+        return AXES[self.axes][0].T
 
     def _of_tree(self) -> list[Pose]:
         """The pose at the newest time that all transforms from the world to the camera reach."""
@@ -298,7 +308,7 @@ class PoseReader:
         if found is None:
             return []
         self.problem = unknown or self._unnamed
-        return self._in_order(Pose(stamp, *_composed(found, (optical(target), IDENTITY[1]))))
+        return self._in_order(Pose(stamp, *_composed(found, (self._lens(target), IDENTITY[1]))))
 
     def _in_order(self, pose: Pose) -> list[Pose]:
         late = self._last - pose.stamp

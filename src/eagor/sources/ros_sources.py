@@ -37,6 +37,7 @@ __all__ = [
 IMAGE_OPTION, INFO_OPTION = "--image-topic", "--camera-info"
 RECTIFIED = "image_rect"  # image_rect, image_rect_color: what image_proc publishes
 Info = tuple[Camera, str]  # the camera that a CameraInfo tells, and the frame that its header names
+STUCK = 3  # pictures more with the stamp of one before: none that was sent twice
 SETTLING = 10.0  # seconds of a bag in which its transforms have to tell where the camera is
 
 
@@ -239,7 +240,7 @@ class BagCamera:
 
     def _of(self, lens: int) -> Iterator[tuple[float, int, Any]]:
         """Stamp, number and message of one topic, whose stamps rise."""
-        last, told, topic = -math.inf, False, self.topics[lens]
+        last, told, same, topic = -math.inf, False, 0.0, self.topics[lens]
         for when, _, _, received in self.bag.messages([topic]):
             stamp = _stamp(received, when)
             if stamp_of(received) <= 0 and not told:
@@ -247,10 +248,15 @@ class BagCamera:
                 text = f"{topic} tells no times (its headers have the stamp 0): those of the recording are taken"
                 warnings.warn(text, UserWarning, stacklevel=1)  # the frame above is heapq's
             if stamp > last:
-                last = stamp
+                last, same = stamp, min(same, 0)
                 yield stamp, lens, received
                 continue
             self.dropped += 1  # sent twice, or out of order
+            same += stamp == last
+            if same == STUCK:
+                same = -math.inf  # said once
+                text = f"the stamps of {topic} stand still at {last:.3f} s: one picture of each stamp is taken"
+                warnings.warn(text, UserWarning, stacklevel=1)
             if stamp < last and not self.back:
                 text = f"the stamps of {topic} go back by {last - stamp:.2f} s at {last:.3f} s: its pictures are left "
                 warnings.warn(f"{text}out until they have passed that", UserWarning, stacklevel=1)
@@ -264,17 +270,19 @@ def _stamp(received: Any, when: float) -> float:
 class BagPoses:
     """A `PoseSource` that plays the odometry of a bag; each iteration begins at its start.
 
-    `topic`, `camera`: as for `PoseReader`. The fixed transforms of the whole bag are known from the beginning; poses
-    before one that moves are left out, if it comes within `SETTLING`. Where none tells where the camera is, its axes
-    are taken for those of the messages, which is a `problem`. `dropped`: messages that hold no pose. Raises
+    `topic`, `camera`, `axes`: as for `PoseReader`. The fixed transforms of the whole bag are known from the beginning;
+    poses before one that moves are left out, if it comes within `SETTLING`. Where none tells where the camera is, its
+    axes are taken for those of the messages, which is a `problem`. `dropped`: messages that hold no pose. Raises
     `FormatError`, `PoseError`.
     """
 
-    def __init__(self, bag: Bag | str | Path, topic: str | None = None, *, camera: str | None = None) -> None:
-        self.bag, self.camera = bag if isinstance(bag, Bag) else Bag(bag), camera
+    def __init__(
+        self, bag: Bag | str | Path, topic: str | None = None, *, camera: str | None = None, axes: str = "auto"
+    ) -> None:
+        self.bag, self._camera = bag if isinstance(bag, Bag) else Bag(bag), {"camera": camera, "axes": axes}
         self.topic, self.kind = pick(self.bag.topics, MOTION, topic, where=str(self.bag.path), option="--odom-topic")
         self.dropped, self._first, self._closed = 0, "", False
-        self.reader = PoseReader(self.topic, self.kind, camera=camera)
+        self.reader = PoseReader(self.topic, self.kind, **self._camera)
 
     @property
     def problem(self) -> str | None:
@@ -296,7 +304,7 @@ class BagPoses:
 
     def _played(self, strict: bool) -> Iterator[Pose]:
         """The poses; with `strict` none unless one is known in time."""
-        self.reader = PoseReader(self.topic, self.kind, camera=self.camera, strict=strict)
+        self.reader = PoseReader(self.topic, self.kind, **self._camera, strict=strict)
         for received in _static(self.bag):
             self.reader.transforms(received, True)
         self.dropped, ends = 0, math.inf
@@ -321,7 +329,7 @@ class BagPoses:
         self._closed = True
 
 
-def bag_odometry(bag: Bag, topic: str | None, frame: str | None) -> BagPoses | None:
+def bag_odometry(bag: Bag, topic: str | None, frame: str | None, axes: str = "auto") -> BagPoses | None:
     """The odometry of a bag, as poses of the camera whose `frame` it is; None if no topic is named and it has none."""
     named = topic is not None or any(kind in MOTION and name != TF_STATIC for name, kind in bag.topics.items())
-    return BagPoses(bag, topic, camera=frame) if named else None
+    return BagPoses(bag, topic, camera=frame, axes=axes) if named else None
