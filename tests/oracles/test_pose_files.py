@@ -78,6 +78,12 @@ FORMS = {
     "rostopic echo -p": text("%time," + ",".join(f"field.pose.{name}" for name in (
         *(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))), ",", unit=1e9),
     "Windows": "\ufeff" + text("stamp,x,y,z,qx,qy,qz,qw", ",", end="\r\n"),
+    "TUM with tabs": text("", "\t"),
+    "Matlab": text("% t x y z qx qy qz qw", " "),
+    "slashes": text("// t x y z qx qy qz qw", " "),
+    "decimal commas": text("stamp;x;y;z;qx;qy;qz;qw", ";").replace(".", ","),
+    "of a rotation": text("time,px,py,pz,rotation.x,rotation.y,rotation.z,rotation.w", ","),
+    "metres in brackets": text("time [s],x [m],y [m],z [m],qx [],qy [],qz [],qw []", ","),
 }  # fmt: skip
 
 
@@ -104,6 +110,28 @@ def test_radians_by_name_and_powershells_encoding(tmp_path):
     (tmp_path / "a.csv").write_text("\n".join(["stamp,yaw_rad,pitch_rad,roll_rad", *lines]), encoding="utf-16")
     for k, pose in enumerate(read_poses(tmp_path / "a.csv")):
         np.testing.assert_allclose(pose.world_R_body, world_R_body(0.1 * k, 0, 0.02), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("names", "many"),
+    [
+        ("x_mm,y_mm,z_mm,yaw_deg,pitch_rad,roll [rad]", (1000, 1, np.pi / 180, np.pi / 180)),
+        ("x (cm),y (cm),z (cm),yaw [deg],pitch [degrees],roll_deg", (100, 1, 1, 1)),
+    ],
+)
+def test_each_column_has_the_unit_that_it_names(tmp_path, names, many):
+    numbers = [*(many[0] * np.array([0.5, 0.2, 1.4])), *(np.array(many[1:]) * [30, -4, 7])]
+    (tmp_path / "p.csv").write_text(f"stamp,{names}\n0,{','.join(map(str, numbers))}\n")
+    (pose,) = read_poses(tmp_path / "p.csv")
+    np.testing.assert_allclose(pose.world_R_body, world_R_body(*np.radians([30, -4, 7])), atol=1e-12)
+    np.testing.assert_allclose(pose.position, [0.5, 0.2, 1.4])
+
+
+def test_positions_that_are_hardly_metres_are_asked_about(tmp_path):
+    lines = [f"{0.1 * k},{40 * k},0,900,0,0,0" for k in range(9)]  # 0.4 m/s
+    (tmp_path / "p.csv").write_text("\n".join(["stamp,x,y,z,yaw_deg,pitch_deg,roll_deg", *lines]))
+    with pytest.warns(UserWarning, match="it moves at 400 m/s. Are the positions millimetres?"):
+        read_poses(tmp_path / "p.csv")
 
 
 @pytest.mark.parametrize(
@@ -134,6 +162,17 @@ def test_what_is_in_no_form_is_said(tmp_path, content, words):
         read_poses(tmp_path / "p.txt")
 
 
+@pytest.mark.parametrize(
+    ("begin", "step", "count", "unit"),
+    [(5e12, 3e8, 5, "ns"), (5e9, 3e5, 5, "us"), (0, 5, 150, "ms")],  # since a phone was switched on; at 200 Hz
+)
+def test_counts_since_a_start_are_asked_about_as_what_they_are(tmp_path, begin, step, count, unit):
+    lines = [f"{begin + step * k:.0f},{k},0,0" for k in range(count)]
+    (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *lines]))
+    with pytest.warns(UserWarning, match=f"call that column stamp_{unit}"):
+        read_poses(tmp_path / "p.csv")
+
+
 @pytest.mark.parametrize(("scale", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_counts_that_are_hardly_seconds_are_asked_about(tmp_path, scale, unit):
     lines = [f"{0.25 * k * scale:.0f},{5 * k},0,0" for k in range(5)]
@@ -156,6 +195,7 @@ def test_counts_that_are_hardly_seconds_are_asked_about(tmp_path, scale, unit):
         (["000", "001"], None),
         (["IMG_20240101_120000"], None),
         (["0.5", "last"], None),
+        (["2024-01-01T12-00-59.500", "2024-01-01T12-01-00.250"], None),  # whose seconds begin anew
         (["9" * 400 + ".5"], None),
     ],
 )
@@ -300,6 +340,24 @@ WRONG = {
     "radians": (yawed(SWEEP, np.radians), "its angles are radians"),
     "optical": ([pose @ AXES["optical"][0] for pose in SWEEP], "--axes optical"),
 }
+
+
+def in_order(turns, by):
+    """The same quaternions, read with the scalar at the other end."""
+    return Rotation.from_quat(np.roll(Rotation.from_matrix(turns).as_quat(), by, axis=1)).as_matrix()
+
+
+@pytest.mark.parametrize(
+    ("poses", "form", "says"),
+    [
+        (in_order(SWEEP, 1), "body?", "its quaternions have another order"),
+        (in_order(SWEEP, -1), "", "its quaternions have another order"),
+        ([(pose @ AXES["optical"][0]).T for pose in SWEEP], "", "the other way round.* --axes"),
+    ],
+)
+def test_what_fits_no_axes_is_refused_with_what_is_wrong(sweep, poses, form, says):
+    with pytest.raises(PoseError, match=says):
+        settled_with(poses, sweep["panorama"], [], form=form)
 
 
 @pytest.mark.parametrize("camera", CAMERAS)

@@ -120,11 +120,18 @@ def _found(poses: GivenPoses, pairs: Sequence[_Pair], name: str, say: Callable[[
     if not odd and poses.axes == "body?":
         return "body"
     found = _fitting(pairs)
+    if found != "body" and any(_other_order(turns, pairs)):
+        raise PoseError(
+            f"{name}: its quaternions have another order: with the scalar part at the other end, it turns as the "
+            "pictures do. Name the columns so (the scalar part is qw); --axes body reads them as they stand"
+        )
     if found is None and poses.axes != "body?":
         # It tells axes at all if it turned, or does not move, or has a heading.
         if odd or not (turned or gone.max() <= STILL or _angle(turns[0]) > LEAST):
+            known = [wrong[0] for axes in AXES if (wrong := _contradiction(pairs, axes, ())) and wrong[1]]
+            shown = f"{known[0]}; or" if known else "the pictures do not show how they turn: wanted"
             raise PoseError(
-                f"{name} does not tell the axes of its poses, and the pictures do not show how they turn: wanted "
+                f"{name} does not tell the axes of its poses, and {shown} "
                 f"--axes {', '.join(f'{each} ({words})' for each, (_, words) in AXES.items())}"
             )
     elif found is None:
@@ -192,6 +199,17 @@ def _fitting(pairs: Sequence[_Pair]) -> str | None:
     }
     best, other = sorted(left, key=left.__getitem__)[:2]
     return best if left[best] < FITS and left[other] > DIFFERS else None
+
+
+def _other_order(turns: np.ndarray, pairs: Sequence[_Pair]) -> Iterator[bool]:
+    """Whether it is a level camera with our axes, turning as the pictures do, with the scalar at the other end."""
+    for by in (1, -1):
+
+        def other(turn: np.ndarray, by: int = by) -> np.ndarray:
+            return Rotation.from_quat(np.roll(Rotation.from_matrix(turn).as_quat(), by, axis=-1)).as_matrix()
+
+        exchanged = [pair._replace(before=other(pair.before), after=other(pair.after)) for pair in pairs]
+        yield _fitting(exchanged) == "body" and bool(other(turns)[:, 2, 2].mean() > LEVEL)
 
 
 def _contradiction(pairs: Sequence[_Pair], axes: str, others: Iterable[str] = tuple(AXES)) -> tuple[str, bool] | None:

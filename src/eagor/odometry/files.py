@@ -34,31 +34,39 @@ __all__ = ["BEYOND", "GivenPoses", "interpolated", "is_near", "pair", "read_pose
 
 QUATERNION, ANGLES, POSITION = ("qw", "qx", "qy", "qz"), ("yaw_deg", "pitch_deg", "roll_deg"), ("x", "y", "z")
 HEADERS = "stamp,qw,qx,qy,qz[,x,y,z][,frame] or stamp,yaw_deg,pitch_deg,roll_deg[,x,y,z][,frame]"
-# Columns as others call them, in small letters and without units in brackets; our own names count first.
-_PLACE = r"(?:t|p_rs_r_|p_|pos_|pos\.|position_|(?:.*[./])?position[./])"
-_TURN = r"(?:q_rs_|q_|quat_|orientation_|(?:.*[./])?orientation[./])"
+# Units in brackets or at the end of a name, and how many of them make a second, a metre or a degree.
+UNITS = {
+    **{"s": 1.0, "sec": 1.0, "ms": 1e3, "msec": 1e3, "us": 1e6, "usec": 1e6, "ns": 1e9, "nsec": 1e9},
+    **{"m": 1.0, "cm": 1e2, "mm": 1e3, "deg": 1.0, "degrees": 1.0},
+    **dict.fromkeys(("rad", "radians"), math.radians(1)),
+}
+# Columns as others call them, in small letters and without brackets; our own names count first.
+_PLACE = r"(?:t|p|p_rs_r_|p_|pos_|pos\.|position_|(?:.*[./])?position[./])?"
+_TURN = r"(?:q|q_rs_|q_|quat_|orientation_|(?:.*[./])?orientation[./]|(?:rot|rotation|quaternion|quat)[._])"
 ALIASES = {
-    "stamp": r"(?:__|%)?(?:stamp|timestamp|time|t)(?:_(?P<unit>s|sec|ms|msec|us|usec|ns|nsec))?",
-    **{axis: _PLACE + axis for axis in "xyz"},
+    "stamp": r"(?:__)?(?:stamp|timestamp|time|t)(?:_(?P<unit>s|sec|ms|msec|us|usec|ns|nsec))?",
+    **{axis: rf"{_PLACE}{axis}(?:_(?P<unit>mm|cm|m))?" for axis in "xyz"},
     **{f"q{axis}": _TURN + axis for axis in "wxyz"},
-    **{angle: angle.replace("deg", "rad") for angle in ANGLES},
+    **{angle: angle.replace("_deg", "(?:_(?P<unit>deg|rad))?") for angle in ANGLES},
 }
 NUMBERS = ("stamp", *QUATERNION, *ANGLES, *POSITION)
+_COMMENT = re.compile(r"\s*(?:#|%|//)")
 _UNIT = re.compile(r"[\[(]\s*(\w*)[^\])]*[\])]\s*$")
 # Tables without names: their mark (None: blanks), how many columns they have, and those that begin a line.
 UNNAMED = (
-    (None, {8}, ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")),  # TUM
+    *((mark, {8}, ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")) for mark in (None, "\t")),  # TUM
     (",", range(17, 1000), ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")),  # EuRoC, with velocities and biases
 )
-UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e3, "msec": 1e3, "us": 1e6, "usec": 1e6, "ns": 1e9, "nsec": 1e9}  # in a second
 EPOCH = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # from this size on a clock that counts since 1970 counts these
 # Names without their endings, after what is no number; of two numbers the second is a part of a second.
 _NAMES = tuple(
-    re.compile(rf"(?:.*[^\d.])?{form}")
+    re.compile(rf"(?!.*\d\d[-_:.]\d\d[-_:.]\d\d\.\d+$)(?:.*[^\d.])?{form}")
     for form in (r"(\d+\.\d+)", r"(\d{9,10})[_-](\d{6}|\d{9})", r"(\d{10}|\d{13}|\d{16}|\d{19})")
 )
 COUNTS = ((1e4, ("milliseconds", "ms")), (1e7, ("microseconds", "us")), (math.inf, ("nanoseconds", "ns")))
 APART = 10.0  # seconds between poses from which on they are rather counts of something shorter
+WHOLE, MANY = 2.0, 100  # the same, of so many poses with whole numbers
+FASTEST = 60.0  # metres per second, from which on positions are rather counts of something shorter
 MUCH = 1e100  # of anything: products of more have no end
 NORM = 0.01  # by which the length of a quaternion may differ from 1: printed with three digits
 BEYOND = 0.05  # seconds: what lies so far outside of the poses still takes the nearest one
@@ -68,10 +76,10 @@ class GivenPoses(tuple[Pose, ...]):
     """A `PoseSource` of poses that are there already, in order of time; `name`: where they are from.
 
     Of a file: `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours; `form`: that of
-    another program, in words, which may lack pictures.
+    another program, in words, which may lack pictures; `unit`: how many of what its stamps count are a second.
     """
 
-    axes, form, name = "", "", "the poses"
+    axes, form, name, unit = "", "", "the poses", 1.0
 
     def __new__(cls, poses: Iterable[Pose], name: str = name) -> GivenPoses:
         found = super().__new__(cls, poses)
@@ -99,19 +107,36 @@ def read_poses(path: str | Path) -> GivenPoses:
         data = read_file(path)
         text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except (OSError, ValueError) as error:  # UnicodeDecodeError, and null characters in the path
-        raise FormatError(f"{path} cannot be read as text ({error}); give a CSV file of poses: {HEADERS}") from error
+        binary = (
+            "; COLMAP's become text by: colmap model_converter --output_type TXT" if str(path)[-4:] == ".bin" else ""
+        )
+        wanted = f"give a CSV file of poses: {HEADERS}{binary}"
+        raise FormatError(f"{path} cannot be read as text ({error}); {wanted}") from error
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     try:
         poses = _nerfstudio(text) if text.lstrip().startswith("{") else _colmap(lines) or _of_table(lines)
     except EagorError as error:
         raise type(error)(f"{path}{error}") from error
     poses.name = str(path)
-    apart = float(np.median(np.diff([pose.stamp for pose in poses]))) if len(poses) > 1 and not poses.form else 0.0
-    if apart >= APART:
-        what, short = next(names for most, names in COUNTS if apart < most)
-        text = f"{path}: its poses are {apart:g} s apart. Are the stamps {what}? Then call that column stamp_{short}"
-        warnings.warn(text, UserWarning, stacklevel=2)
+    for text in () if poses.form or len(poses) < 2 else _doubtful_units(poses):
+        warnings.warn(f"{path}: {text}", UserWarning, stacklevel=2)
     return poses
+
+
+def _doubtful_units(poses: GivenPoses) -> Iterator[str]:
+    """What looks as if it counted milliseconds or millimetres, say."""
+    stamps = np.array([pose.stamp for pose in poses])
+    steps = np.diff(stamps)
+    apart = float(np.median(steps))
+    if apart >= APART or (apart >= WHOLE and len(poses) >= MANY and (stamps == stamps.round()).all()):
+        what, short = next(names for most, names in COUNTS if apart * poses.unit < most)
+        yield f"its poses are {apart:g} s apart. Are the stamps {what}? Then call that column stamp_{short}"
+        return
+    places = [pose.position for pose in poses if pose.position is not None and is_near(pose)]
+    if len(places) == len(poses):
+        speed = float(np.median(np.linalg.norm(np.diff(places, axis=0), axis=1) / steps))
+        if speed > FASTEST:
+            yield f"it moves at {speed:.0f} m/s. Are the positions millimetres? Then call the columns x_mm, y_mm, z_mm"
 
 
 # --- times, as other programs write them ---
@@ -123,7 +148,10 @@ def unit_of(stamp: float) -> float:
 
 
 def times_of(names: Sequence[str]) -> list[float] | None:
-    """Seconds, if names (without endings) are times, all in one form: 12.350, left_1700000000500000000; else None."""
+    """Seconds, if names (without endings) are times, all in one form: 12.350, left_1700000000500000000; else None.
+
+    The seconds of a time of day (22-13-20.500) are none: they begin anew with each minute.
+    """
     for form in _NAMES:
         found = [form.fullmatch(name) for name in names]
         if found and all(found):
@@ -140,20 +168,20 @@ def times_of(names: Sequence[str]) -> list[float] | None:
 
 def _of_table(lines: Sequence[str]) -> GivenPoses:
     """The poses of a table; errors begin with what comes after the file's name."""
-    comments = [line.strip() for line in takewhile(lambda line: not line.strip() or line.lstrip()[0] == "#", lines)]
+    comments = [line.strip() for line in takewhile(lambda line: not line.strip() or _COMMENT.match(line), lines)]
     if len(comments) == len(lines):
         raise FormatError(f" is empty; wanted a line with the names of the columns: {HEADERS}")
     mark = _mark(lines[len(comments)])
     rows = _rows(lines, len(comments), mark)
     line, first = next(rows, (len(comments) + 1, [""]))
     rows = [*rows]
-    names, unit, degree, ours = _named(first)
-    if len(first) > 1 and all(map(_is_number, first[:7])):  # no names, or in the comment above
+    names, units, ours = _named(first)
+    if len(first) > 1 and _is_number(first[0]):  # no names, or in the comment above
         rows.insert(0, (line, first))
-        above = next((each.lstrip("#").strip() for each in reversed(comments) if each), "")
-        names, unit, degree, ours = _named(above.split(_mark(above)))
+        above = next((each.lstrip("#%/ ").strip() for each in reversed(comments) if each), "")
+        names, units, ours = _named(above.split(_mark(above)))
         if len(names) != len(first) or "stamp" not in names:
-            names, unit, ours = _unnamed(len(first), mark), 0.0, False
+            names, units, ours = _unnamed(len(first), mark), {}, False
     _check_names(names, line)
     if not rows:
         raise FormatError(f" has a header but no poses; wanted one line per frame: {HEADERS}")
@@ -162,11 +190,14 @@ def _of_table(lines: Sequence[str]) -> GivenPoses:
             found = f"has {len(row)} fields where the header has {len(names)}"
             raise FormatError(f", line {number}: {found}; cut off, or a comma too many?")
     at = {name: names.index(name) for name in (*NUMBERS, "frame") if name in names}
+    point = "," if mark == "," else "."  # else a comma is a decimal one
     table = {
-        name: np.array([_number(name, row[column], number) for number, row in rows])
+        name: np.array([_number(name, row[column].replace(",", point), number) for number, row in rows])
         for name, column in at.items() if name in NUMBERS
     }  # fmt: skip
-    stamps = table["stamp"] / (unit or unit_of(table["stamp"][0]))
+    units.setdefault("stamp", unit_of(table["stamp"][0]))
+    table |= {name: table[name] / unit for name, unit in units.items()}
+    stamps = table["stamp"]
     for index in np.flatnonzero(~((np.diff(stamps, prepend=-math.inf) > 0) & (np.abs(stamps) <= LATEST)))[:1]:
         try:
             text = f"stamp {checked_stamp(float(stamps[index])):.6f} comes after {stamps[index - 1]:.6f}; wanted"
@@ -185,13 +216,13 @@ def _of_table(lines: Sequence[str]) -> GivenPoses:
             )
         turns = rotation_from_wxyz(wxyz / lengths[:, None])
     else:
-        angles = np.stack([table[name] for name in ANGLES], axis=1) * degree
+        angles = np.stack([table[name] for name in ANGLES], axis=1)
         turns = Rotation.from_euler("ZYX", np.fmod(angles, 360), degrees=True).as_matrix()
     places = np.stack([table[name] for name in POSITION], axis=1) if "x" in at else [None] * len(rows)
     frames = [row[at["frame"]] or None if "frame" in at else None for _, row in rows]
     each = zip(stamps.tolist(), turns, places, frames, strict=True)
     poses = GivenPoses(Pose(stamp, turn, place, frame=frame) for stamp, turn, place, frame in each)
-    poses.axes = "body" if "qw" not in at else "body?" if ours else ""
+    poses.axes, poses.unit = "body" if "qw" not in at else "body?" if ours else "", units["stamp"]
     return poses
 
 
@@ -206,7 +237,7 @@ def _rows(lines: Sequence[str], begin: int, mark: str | None) -> Iterator[tuple[
     reader = csv.reader(text, delimiter=mark or " ", strict=True)
     try:
         for fields in reader:
-            if any(map(str.strip, fields)) and not fields[0].lstrip().startswith("#"):
+            if any(map(str.strip, fields)) and not _COMMENT.match(fields[0]):
                 yield begin + reader.line_num, [field.strip() for field in fields]
     except csv.Error as error:
         raise FormatError(f", line {begin + reader.line_num}: is not CSV ({error}); wanted {HEADERS}") from error
@@ -229,20 +260,20 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _named(fields: Sequence[str]) -> tuple[list[str], float, float, bool]:
-    """Our names of columns, the unit of the stamps (0: not told), that of the angles, whether the names are ours."""
-    bare = [_UNIT.sub("", field).strip().lower() for field in fields]
-    names, unit, degree = list(bare), 0.0, 1.0
+def _named(fields: Sequence[str]) -> tuple[list[str], dict[str, float], bool]:
+    """Our names of columns, the units of those that tell theirs, and whether the names are ours."""
+    bare, units = [_UNIT.sub("", field).strip().lower() for field in fields], dict[str, float]()
+    names = list(bare)
     for name, form in ALIASES.items():
-        found = [number for number, each in enumerate(bare) if re.fullmatch(form, each)]
-        if name not in bare and len(found) == 1:
-            names[found[0]] = name
-            degree = math.degrees(1) if name in ANGLES else degree
-        if name == "stamp" and names.count(name) == 1:
-            at = names.index(name)
-            match, bracket = re.fullmatch(form, bare[at]), _UNIT.search(fields[at])
-            unit = UNITS.get((match["unit"] if match else None) or (bracket[1].lower() if bracket else ""), 0.0)
-    return names, unit, degree, all(each in bare for each in names)
+        found = [(at, match) for at, each in enumerate(bare) if (match := re.fullmatch(form, each))]
+        found = [each for each in found if bare[each[0]] == name] or found
+        if len(found) == 1:
+            (at, match), bracket = found[0], _UNIT.search(fields[found[0][0]])
+            unit = UNITS.get(match.groupdict().get("unit") or (bracket[1].lower() if bracket else ""))
+            if unit or name not in ANGLES:  # a yaw may be degrees or radians
+                names[at] = name
+                units |= {name: unit} if unit else {}
+    return names, units, all(each in bare for each in names)
 
 
 def _unnamed(count: int, mark: str | None) -> list[str]:
@@ -390,7 +421,8 @@ def pair(
     if missing and used and getattr(poses, "form", ""):
         warnings.warn(f"{lacks}, {len(missing)} of {len(images)} pictures: left out", UserWarning, stacklevel=2)
     elif missing:
-        column = "its column 'frame' must name each image. Add a line for it, or leave that image out"
+        names = _some([each for each in bases if each])
+        column = f"its column 'frame' must name each image, and has {names}. Add a line for it, or leave that image out"
         raise PoseError(f"{lacks}: {column}")
     if twice:
         raise PoseError(f"{name} has several poses for {_some(twice)}; leave 'frame' empty on all lines but one")
