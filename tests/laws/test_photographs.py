@@ -156,6 +156,12 @@ def test_a_part_is_placed_where_the_numbers_allow_one_place(tmp_path, part, said
     assert unseen == pytest.approx(1 - (bottom - top) * (right - left) / 128 / 256, abs=0.02)
 
 
+def test_an_area_without_a_type_is_one_all_the_same(tmp_path):
+    packet = xmp(**area(128, 64, 48, 32, **FULL)).replace(b'GPano:ProjectionType="equirectangular"', b"")
+    photo, _ = read(saved(tmp_path, marked(100, 10)[32:96, 48:176], packet))
+    assert off(mark(photo.picture), 100, 10) < 1.5
+
+
 @pytest.mark.parametrize(
     ("shape", "said"),
     [

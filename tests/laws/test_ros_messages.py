@@ -77,6 +77,17 @@ def test_colours_are_those_that_the_encoding_names(bits, big):
     np.testing.assert_array_equal(grey, np.repeat(PICTURE[..., :1], 3, axis=-1))
 
 
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize(("encoding", "bits"), [("mono16", 12), ("bgr16", 10), ("bayer_rggb16", 14), ("mono16", 16)])
+def test_values_of_fewer_bits_than_16_are_not_black_and_that_is_said(encoding, bits, big):
+    pixels = np.full((6, 12, 3 if "bgr" in encoding else 1), (1 << bits) - 1, ">u2" if big else "<u2")
+    received = image_of(encoding, pixels, big=big, padded=8)
+    assert (m.image_from_msg(received) == 255).all()
+    assert m.taken_as(received) == (
+        f"its 16-bit values are taken for {bits} bits: none is larger" if bits < 16 else None
+    )
+
+
 @pytest.mark.parametrize("padded", [0, 10])
 def test_pictures_of_yuv_are_as_opencv_reads_them(padded):
     rng = np.random.default_rng(1)

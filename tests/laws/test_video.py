@@ -96,6 +96,11 @@ def test_the_first_picture_at_or_after_each_tick(sixty, name, rate, start, end):
     assert video.count == pytest.approx(len(taken), abs=1)
 
 
+def test_a_matroska_that_begins_late_is_not_cut_off(tmp_path):
+    path = clips.clip(tmp_path / "late.mkv", clips.rolled(8), times=[9000 + 100 * k for k in range(8)])
+    assert [frame.stamp for frame in Video(path)] == pytest.approx([0.1 * k for k in range(8)], abs=1e-3)
+
+
 def test_pictures_without_times_follow_each_other(tmp_path):
     video = Video(clips.clip(tmp_path / "a.h264"))
     assert [f.stamp for f in video] == pytest.approx([k / 25 for k in range(30)])
@@ -176,6 +181,12 @@ def test_a_cropped_panorama_lies_where_it_was(tmp_path, rows):
 def test_an_equirectangular_picture_that_is_squeezed(tmp_path):
     path = clips.with_entry(clips.clip(tmp_path / "a.mp4", [ROOM[:, :96]] * 3), clips.sv3d())
     assert Video(path).shape == (64, 128)
+    assert any("it shows 96 x 64, not 2:1, and names no part: taken with all columns" in f for f in Video(path).facts)
+
+
+def test_half_spheres_that_are_said_to_be_whole_are_asked_about(tmp_path):
+    path = clips.with_entry(clips.clip(tmp_path / "a.mp4", [ROOM] * 3), clips.st3d(2), clips.sv3d())
+    assert any("it shows 64 x 64, not 2:1" in fact and "--eyes vr180" in fact for fact in Video(path).facts)
 
 
 @pytest.mark.parametrize(("mode", "axis"), [(1, 0), (2, 1)])

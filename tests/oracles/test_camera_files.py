@@ -223,6 +223,41 @@ def test_what_topic_echo_prints_is_read_up_to_its_first_line(tmp_path, more):
     assert read_camera(tmp_path / "camera.yaml").sizes == (SIZE,)
 
 
+def test_a_region_of_the_sensor_moves_the_centre(tmp_path):
+    text = ROS.format(matrix=MATRIX, model="plumb_bob", count=5, values=[0] * 5)
+    region = "\nroi: {x_offset: 100, y_offset: 40, height: 240, width: 320, do_rectify: false}\n"
+    (tmp_path / "camera.yaml").write_text(text + region)
+    (tmp_path / "whole.yaml").write_text(text)
+    rig, whole = read_camera(tmp_path / "camera.yaml"), read_camera(tmp_path / "whole.yaml").lenses[0]
+    assert rig.sizes == ((320, 240),)
+    assert rig.lenses[0].centre == (whole.centre[0] - 100, whole.centre[1] - 40)
+    assert rig.lenses[0].focal == whole.focal
+
+
+FOUR = "image_width: 640\nimage_height: 480\nK: [400, 0, 320, 0, 400, 240, 0, 0, 1]\nD: [0.1, 0.02, 0.003, 0.001]\n"
+
+
+def test_four_numbers_of_an_unnamed_model_are_asked_about(tmp_path):
+    (tmp_path / "camera.yaml").write_text(FOUR)
+    with pytest.warns(UserWarning, match="k1, k2, p1, p2 of an ordinary lens; of cv2.fisheye: add distortion_model"):
+        assert read_camera(tmp_path / "camera.yaml").lenses[0].kind == "pinhole"
+
+
+@pytest.mark.parametrize(
+    ("line", "kind"),
+    [
+        ("distortion_model: equidistant", "fisheye"),
+        ("distortion_model: plumb_bob", "pinhole"),
+        ("fisheye_model: 1", "fisheye"),
+        ("fisheye_model: 0", "pinhole"),
+        ("fisheye_model: true", "fisheye"),
+    ],
+)
+def test_a_model_that_is_named_in_any_way_counts(tmp_path, line, kind):
+    (tmp_path / "camera.yaml").write_text(FOUR + line)
+    assert read_camera(tmp_path / "camera.yaml").lenses[0].kind == kind
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
@@ -239,7 +274,8 @@ def test_what_topic_echo_prints_is_read_up_to_its_first_line(tmp_path, more):
         (ROS.format(matrix=MATRIX, model="equidistant", count=4, values=[1e308, -1e308, 0, 0]), "distortion [1e+308"),
         (ROS.format(matrix=MATRIX, model="plumb_bob", count=8, values=list(RATIONAL)), "at most 5"),
         (ROS.format(matrix=MATRIX, model="thin_prism", count=1, values=[0]), "'thin_prism'; wanted one of plumb_bob"),
-        (KALIBR.format(model="radtan", values=[0]).replace("pinhole", "ds"), "Invalid enum value 'ds' - at `$.cam0"),
+        (KALIBR.format(model="radtan", values=[0]).replace("pinhole", "ds"),
+         "cam0.camera_model is 'ds', which is not read; wanted pinhole or omni"),
         ("pictures: [{width: 4, height: 2}, {width: 4, height: 2}]\nlenses:\n"
          "  - {kind: pinhole, focal: 2, centre: [2, 1]}", "1 lenses in 2 pictures"),
         ("<opencv_storage><image_width>640", "is not XML"),

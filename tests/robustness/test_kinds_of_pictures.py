@@ -3,6 +3,7 @@
 import json
 
 import av
+import cv2
 import numpy as np
 import pytest
 from clips import clip
@@ -14,7 +15,7 @@ from eagor.lab.worlds.painted import painted_room
 from eagor.sources import check_camera
 from eagor.sources.animations import is_animation
 from eagor.sources.camera_sources import FrameCheck, open_source
-from eagor.sources.panorama import BOXED, turn
+from eagor.sources.panorama import BOXED, UNREAD, turn
 from eagor.sources.video import Video
 from eagor.sphere import world_R_body
 
@@ -106,6 +107,31 @@ def test_a_kind_that_needs_a_package_names_it(tmp_path, monkeypatch, brand):
     (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftyp" + brand + bytes(60))
     with pytest.raises(ImageError, match=r"pillow-heif|Pillow from version 11\.3"):
         FrameCheck(True).read(tmp_path / "a.heic")
+
+
+@pytest.mark.parametrize(("begin", "name"), UNREAD)
+def test_a_kind_that_is_not_read_is_named(tmp_path, begin, name):
+    (tmp_path / "0.exr").write_bytes(begin + bytes(60))
+    (frame,) = open_source(str(tmp_path))
+    assert f"is {name}, which is not read; export it as PNG or JPEG" in frame.problem
+
+
+def test_pictures_of_12_bits_in_16_are_scaled_or_refused(tmp_path):
+    Image.fromarray(ROOM[..., 1].astype(np.uint16) * 16).save(tmp_path / "grey.png")
+    said = []
+    found = FrameCheck(True, said.append).read(tmp_path / "grey.png").picture
+    assert np.abs(found[..., 0].astype(int) - ROOM[..., 1]).max() <= 1
+    assert any("16-bit values are taken for 12 bits" in text for text in said)
+    cv2.imwrite(str(tmp_path / "colour.png"), ROOM.astype(np.uint16) * 16)
+    with pytest.raises(ImageError, match="16-bit colours of which 12 bits or fewer are used"):
+        FrameCheck(True).read(tmp_path / "colour.png")
+
+
+def test_pictures_that_are_there_in_two_kinds_are_said(tmp_path):
+    for name in ("a.png", "a.JPG", "b.png"):
+        Image.fromarray(ROOM).save(tmp_path / name)
+    with pytest.warns(UserWarning, match="1 names with several endings, such as a: all are taken"):
+        assert len(list(open_source(str(tmp_path)))) == 3
 
 
 @pytest.mark.parametrize(

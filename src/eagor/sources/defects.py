@@ -216,5 +216,5 @@ def problems(panorama: np.ndarray) -> tuple[str, ...]:
     return (
         f"the left and the right border do not fit: the jump between them is {seam.ratio:.1f} times that between other "
         f"neighbouring columns, in {100 * seam.rows:.0f} % of the rows. Is it a whole panorama of 360 degrees, and "
-        "stitched well? Directions near the seam may be wrong",
+        "stitched well? Directions near the seam may be wrong. A part, or an ordinary camera's: --hfov DEGREES",
     )

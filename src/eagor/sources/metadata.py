@@ -200,7 +200,7 @@ def of_photograph(said: Mapping[str, str], size: tuple[int, int]) -> Projection 
     The heading is clockwise from north, the pitch up; with the roll the horizon turns counterclockwise in the picture,
     so the camera's right side is down. They are applied in this order.
     """
-    if "ProjectionType" not in said:
+    if not said.keys() & {"ProjectionType", *AREA}:  # an area without a type: GPano's own is equirectangular
         return None
 
     def angle(name: str) -> float:
@@ -209,7 +209,7 @@ def of_photograph(said: Mapping[str, str], size: tuple[int, int]) -> Projection 
                 return math.radians(value)
         return 0.0
 
-    kind = said["ProjectionType"].lower()
+    kind = said.get("ProjectionType", "equirectangular").lower()
     found = Projection("its XMP (GPano)", kind, "mono", -angle("Heading"), -angle("Pitch"), angle("Roll"))
     area, shape = {name: said[name] for name in AREA if name in said}, f"the picture is {size[0]} x {size[1]}"
     if area:

@@ -11,6 +11,7 @@ import math
 import os
 import re
 import warnings
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
@@ -35,6 +36,12 @@ from eagor.sphere import check_rotation
 
 # Pillow starts no other program for any of these; AVIF since its version 11.3.
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "GIF", "PPM", *(("AVIF",) if find_spec("PIL.AvifImagePlugin") else ()))
+# Kinds of pictures that Pillow does not read, by how their files begin.
+UNREAD = (
+    (b"\xff\x0a", "JPEG XL"), (b"\0\0\0\x0cJXL ", "JPEG XL"), (b"v/1\x01", "OpenEXR"), (b"\0\0\0\x0cjP  ", "JPEG 2000"),
+    (b"\xff\x4f\xff\x51", "JPEG 2000"), (b"qoif", "QOI"), (b"8BPS", "a Photoshop document"),
+)  # fmt: skip
+DEPTHS = (10, 12, 14, 16)  # bits of sensors whose values are stored in 16
 HEIC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 BOXED = dict.fromkeys(HEIC, "HEIC") | {b"avif": "AVIF", b"avis": "AVIF"}  # brands of pictures (ISO/IEC 23008-12)
 ORIENTATION = 0x0112  # the tag in Exif
@@ -44,7 +51,7 @@ _PAD = 8  # columns copied from the other side of the seam before a panorama is 
 
 IMAGES = (
     ".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".hdr", ".avif", ".heic", ".heif", ".hif", ".insp",
-    ".gif", ".apng", ".jpe", ".jfif", ".ppm", ".pgm", ".pnm",
+    ".gif", ".apng", ".jpe", ".jfif", ".ppm", ".pgm", ".pnm", ".jxl", ".jp2", ".exr",
 )  # fmt: skip
 TONE_MAPPED = "holds radiance (HDR); tone-mapped to 8 bits"
 MIDDLE = 0.18  # what the mean radiance becomes: grey
@@ -95,10 +102,16 @@ def read_stored(path: str | os.PathLike[str]) -> Stored:
             count = 1
             with suppress(Exception):  # Pillow may raise anything for a damaged file; an MPO has one that counts
                 count = 1 if image.format == "MPO" else getattr(image, "n_frames", 1)
+            deep = "16" in str(image.tile)  # of which Pillow keeps eight, the upper ones
             _load(image, os.path.getsize(name))
             several = (f"it holds {count} pictures, of which the first is taken",) if count > 1 else ()
             upright = _upright(image)
-            return Stored(*seen_of(upright), projection_of(image, upright.size), several)
+            if image.mode.startswith("I") and (bits := bits_of(np.asarray(image))) < 16:
+                several += (f"its 16-bit values are taken for {bits} bits: none is larger",)
+            found = Stored(*seen_of(upright), projection_of(image, upright.size), several)
+            if deep and 0 < found.picture.max(initial=0) < 16:
+                raise ImageError("holds 16-bit colours of which 12 bits or fewer are used: black here; scale them up")
+            return found
     except MissingExtraError:
         raise
     except ImageError as error:
@@ -199,6 +212,8 @@ def opened(file: str | os.PathLike[str] | IO[bytes]) -> Image.Image:
             data.seek(0)
             head = data.read(12)
         kind = BOXED.get(head[8:]) if head[4:8] == b"ftyp" else None
+        if unread := next((name for begin, name in UNREAD if head.startswith(begin)), ""):
+            raise ImageError(f"is {unread}, which is not read; export it as PNG or JPEG") from None
         if kind is None:
             raise
         if kind == "HEIC" and find_spec("pillow_heif"):
@@ -213,8 +228,8 @@ def seen_of(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
     if image.mode == "F":
         raise ImageError("holds floating-point grey values of unknown range; tone-map it to 8 bits first")
     if image.mode.startswith("I"):  # 16-bit grey, which Pillow would clip instead of scaling
-        grey = (np.clip(np.asarray(image), 0, 65535).astype(np.uint32) + 128) // 257
-        return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1), None
+        grey = to_8_bits(np.clip(np.asarray(image), 0, 65535))
+        return np.repeat(grey[..., None], 3, axis=-1), None
     hides = image.has_transparency_data
     image = image.convert("RGBA") if hides or image.mode == "P" else image
     rgb = np.array(image.convert("RGB"))
@@ -223,6 +238,18 @@ def seen_of(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
         return rgb, None
     rgb[unseen] = 0
     return rgb, unseen
+
+
+def bits_of(values: np.ndarray) -> int:
+    """Bits that 16-bit values use: a sensor's 10, 12 or 14, which other programs show as black, or 16."""
+    most = int(values.max(initial=0))
+    return next(bits for bits in DEPTHS if most < 1 << bits)
+
+
+def to_8_bits(values: np.ndarray) -> np.ndarray:
+    """16-bit values as uint8, those of fewer bits (`bits_of`) scaled up."""
+    full = (1 << bits_of(values)) - 1
+    return ((values.astype(np.uint32) * 255 + full // 2) // full).astype(np.uint8)
 
 
 def _upright(image: Image.Image) -> Image.Image:
@@ -365,6 +392,10 @@ def pictures_in(folder: Path) -> tuple[Path, ...]:
     found = [path for path in inside if path.suffix.lower() in IMAGES and not path.name.startswith(".")]
     if not found:
         raise ImageError(f"{folder} holds no images; wanted files that end in {', '.join(IMAGES)}")
+    twins = [stem for stem, count in Counter(path.stem for path in found).items() if count > 1]
+    if twins:
+        several = f"{len(twins)} names with several endings, such as {twins[0]}: all are taken, one after the other"
+        warnings.warn(f"{folder} has {several}; keep one kind", UserWarning, stacklevel=4)
     return in_order(found)
 
 

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 from xml.etree import ElementTree
 
 import msgspec
@@ -90,17 +90,25 @@ class _Rig(msgspec.Struct, forbid_unknown_fields=True):
     lenses: list[_Lens]
 
 
+class _Region(msgspec.Struct, frozen=True):  # of the sensor, as ROS prints it
+    x_offset: int = 0
+    y_offset: int = 0
+    width: int = 0
+    height: int = 0
+
+
 class _Calibration(msgspec.Struct):  # of ROS and OpenCV
     camera_matrix: list[float]
     image_width: int
     image_height: int
     distortion_coefficients: list[float] = []
     distortion_model: str = ""
-    fisheye_model: str = "0"
+    fisheye_model: str | int | bool = "0"
+    roi: _Region = _Region()
 
 
 class _Kalibr(msgspec.Struct):
-    camera_model: Literal["pinhole", "omni"]
+    camera_model: str
     intrinsics: list[float]
     resolution: tuple[int, int]
     distortion_model: str = "none"
@@ -275,8 +283,13 @@ def _of_opencv(named: dict[str, Any]) -> Rig:
     if len(k) != 9 or (k[3], *k[6:]) != (0, 0, 0, 1) or abs(k[1]) > 1e-6 * k[0]:
         raise FormatError(f"camera_matrix is {k}; wanted 9 numbers, row by row, without skew: fx 0 cx 0 fy cy 0 0 1")
     model = told.distortion_model.lower()
-    model = model or ("" if told.fisheye_model in ("0", "false", "False") else "equidistant")
-    centre = k[2] + 0.5, k[5] + 0.5
+    model = model or ("" if str(told.fisheye_model) in ("0", "false", "False") else "equidistant")
+    four = len(told.distortion_coefficients) == 4 and any(told.distortion_coefficients)
+    if four and not (model or "fisheye_model" in named):  # OpenCV's pinhole has five, unless asked for fewer
+        text = "four distortion_coefficients and no distortion_model are read as k1, k2, p1, p2 of an ordinary lens"
+        warnings.warn(f"{text}; of cv2.fisheye: add distortion_model: equidistant", UserWarning, stacklevel=4)
+    roi = told.roi if min(told.roi.width, told.roi.height) > 0 else _Region(0, 0, *size)
+    size, centre = (roi.width, roi.height), (k[2] + 0.5 - roi.x_offset, k[5] + 0.5 - roi.y_offset)
     return Rig((size,), (lens_of_model(model, size, (k[0], k[4]), centre, told.distortion_coefficients),))
 
 
@@ -288,6 +301,9 @@ def _of_kalibr(cameras: Sequence[Any]) -> Rig:
         if isinstance(entries, dict):
             entries = {ALIASES.get(key, key): value for key, value in entries.items()}
         told = _converted(entries, _Kalibr, f"$.{where}")
+        if told.camera_model not in ("pinhole", "omni"):
+            wanted = "pinhole or omni: calibrate it as one of these (kalibr_calibrate_cameras --models)"
+            raise FormatError(f"{where}.camera_model is {told.camera_model!r}, which is not read; wanted {wanted}")
         mirror, *others = told.intrinsics if told.camera_model == "omni" else (0.0, *told.intrinsics)
         if len(others) != 4:
             raise FormatError(

@@ -21,7 +21,7 @@ from eagor._extras import require_extra
 from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
 from eagor.errors import ImageError, PoseError, TimeError
 from eagor.sources import Pose
-from eagor.sources.panorama import read_image
+from eagor.sources.panorama import bits_of, read_image, to_8_bits
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
@@ -121,6 +121,10 @@ def taken_as(received: Any) -> str | None:
     """In words, how a picture is read whose encoding does not say its colours, or says unusual ones; else None."""
     if not hasattr(received, "format"):
         name = AS_OPENCV.get(received.encoding)
+        if "16" in received.encoding:
+            count, _ = ENCODINGS.get(name or received.encoding, (1, 0))
+            if (bits := bits_of(_wide(_rows(received, 2 * count), received))) < 16:
+                return f"its 16-bit values are taken for {bits} bits: none is larger"
         return name and f"the encoding {received.encoding} names no colours; it is read as {name}, as OpenCV has it"
     if _is_swapped(received.format):
         return (
@@ -139,10 +143,13 @@ def _raw(received: Any) -> np.ndarray:
     count, places = ENCODINGS.get(encoding, (1, slice(1)))
     values = _rows(received, count * (2 if "16" in encoding else 1))
     if "16" in encoding:
-        wide = np.ascontiguousarray(values).view(">u2" if received.is_bigendian else "<u2")
-        values = (wide.astype(np.uint32) * 255 // 65535).astype(np.uint8)
+        values = to_8_bits(_wide(values, received))
     picture = np.array(values[..., places], order="C")  # of its own: who looks at it may draw on it
     return _demosaiced(picture[..., 0], BAYER[encoding]) if encoding in BAYER else picture
+
+
+def _wide(values: np.ndarray, received: Any) -> np.ndarray:
+    return np.ascontiguousarray(values).view(">u2" if received.is_bigendian else "<u2")
 
 
 def _refused(what: str, encoding: str) -> ImageError:

@@ -116,6 +116,10 @@ class PanoramaBuilder:
         high, wide = max(1, round(height * down)), max(1, round(width * across))
         sphere = projection.kind == "equirectangular" or is_twice_as_wide(high, wide)
         view, part = None, any(projection.cropped)
+        squeezed = not (part or camera.eyes or projection.wrong or is_twice_as_wide(high, wide))
+        if projection.kind == "equirectangular" and squeezed:
+            eyes = "" if projection.stereo == "mono" else ". Of half spheres (VR180): --eyes vr180"
+            self.facts += (f"it shows {wide} x {high}, not 2:1, and names no part: taken with {STRETCHED}{eyes}",)
         if not part and (camera.known or not (sphere or force or camera.eyes)):
             view = ordinary_grid(camera, hint, (wide, high), name)
         if view is None and not (sphere or force):

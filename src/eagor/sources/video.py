@@ -272,10 +272,11 @@ class Track:
                 stacklevel=2,
             )
         last, missing = self._last, ""
+        ends = 0.0 if last is None else last + max(self._zero, 0.0)  # Matroska's length counts from time 0
         if last is not None and (self.end is None or last < self.end - self._clock):
             if self._frames and damage.of < self._frames and not self.start:
                 missing = f"of {self._frames} pictures {damage.of} are there"
-            elif not self._frames and self.duration and last < self.duration - SHORT - 2 * self._interval:
+            elif not self._frames and self.duration and ends < self.duration - SHORT - 2 * self._interval:
                 missing = f"it should last {self.duration:.2f} s"
         reached = "none of its pictures could be read" if last is None else f"it was read up to {last:.2f} s"
         end = f"{reached}, and {taken} pictures were taken. Copy it again from the camera"
