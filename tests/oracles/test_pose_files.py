@@ -139,6 +139,7 @@ def test_positions_that_are_hardly_metres_are_asked_about(tmp_path):
     [
         ("0,0,0,0,0,0,0,1\n", "8 numbers a line, and no names"),  # w first or last?
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", "KITTI"),
+        ("0.5,1,0,0,0,0,1,0,0,0,0,1,0,2,0,1,1\n", "17 numbers a line"),  # a matrix, as ARKit has it: by columns
         ("stamp,yaw,pitch,roll\n0,1,2,3\n", "yaw_deg or yaw_rad"),
         ('{"frames": [{"file_path": "a.png"}]}', "no transforms.json"),
         (

@@ -52,10 +52,11 @@ ALIASES = {
 NUMBERS = ("stamp", *QUATERNION, *ANGLES, *POSITION)
 _COMMENT = re.compile(r"\s*(?:#|%|//)")
 _UNIT = re.compile(r"[\[(]\s*(\w*)[^\])]*[\])]\s*$")
-# Tables without names: their mark (None: blanks), how many columns they have, and those that begin a line.
+# Tables without names: their mark (None: blanks), how many columns they have, from which stamp on (EuRoC's count
+# nanoseconds since 1970; others have a matrix in so many columns), and the columns that begin a line.
 UNNAMED = (
-    *((mark, {8}, ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")) for mark in (None, "\t")),  # TUM
-    (",", range(17, 1000), ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")),  # EuRoC, with velocities and biases
+    *((mark, {8}, -math.inf, ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")) for mark in (None, "\t")),  # TUM
+    (",", range(17, 1000), 1e17, ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")),  # EuRoC, with velocities and biases
 )
 EPOCH = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))  # from this size on a clock that counts since 1970 counts these
 # Names without their endings, after what is no number; of two numbers the second is a part of a second.
@@ -181,7 +182,7 @@ def _of_table(lines: Sequence[str]) -> GivenPoses:
         above = next((each.lstrip("#%/ ").strip() for each in reversed(comments) if each), "")
         names, units, ours = _named(above.split(_mark(above)))
         if len(names) != len(first) or "stamp" not in names:
-            names, units, ours = _unnamed(len(first), mark), {}, False
+            names, units, ours = _unnamed(first, mark), {}, False
     _check_names(names, line)
     if not rows:
         raise FormatError(f" has a header but no poses; wanted one line per frame: {HEADERS}")
@@ -276,9 +277,10 @@ def _named(fields: Sequence[str]) -> tuple[list[str], dict[str, float], bool]:
     return names, units, all(each in bare for each in names)
 
 
-def _unnamed(count: int, mark: str | None) -> list[str]:
-    for each, counts, names in UNNAMED:
-        if each == mark and count in counts:
+def _unnamed(first: Sequence[str], mark: str | None) -> list[str]:
+    count = len(first)
+    for each, counts, least, names in UNNAMED:
+        if each == mark and count in counts and float(first[0]) >= least:
             return [*names, *(f"column {k}" for k in range(len(names), count))]
     if count == 12:
         raise FormatError(": twelve numbers a line are KITTI's poses, which have no times; wanted a column stamp")

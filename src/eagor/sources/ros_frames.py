@@ -61,10 +61,10 @@ def contradiction(frame: str, body_R_frame: np.ndarray) -> str | None:
     named, (_, y, z) = is_optical(frame), body_R_frame[2]  # how much the axes of the frame point up
     if named and z > STEEP:
         told = "named as an optical frame (x right, y down, z ahead: REP-103), and mounted with its z axis up: the"
-        return f"{frame} is {told} camera is taken to look up. If x is ahead: --axes body, or name it otherwise"
+        return f"{frame} is {told} camera is taken to look up. If x is ahead, name it otherwise; of a bag: --axes body"
     if not named and y < -STEEP:
         told = "not named as an optical frame, and mounted as one, with its y axis down: the camera is taken to look"
-        fix = f"If z is ahead: --axes optical, or name it {frame}_optical_frame (REP-103)"
+        fix = f"If z is ahead, name it {frame}_optical_frame (REP-103); of a bag: --axes optical"
         return f"{frame} is {told} along x, and to lie on its side. {fix}"
     return None
 
