@@ -56,6 +56,7 @@ _PROMPT = re.compile(
     r"\A(?:(?:this|here|it|is|an?|the|one|my|good|bad|cropped|blurry|clean|bright|dark|low|high|resolution|quality) )*"
     r"(?:photo|photograph|picture|image|rendering|itap|close up) of (?=\S)"
 )
+_NEGATIVE = {"no", "not", "without", "non"}
 _EVERY = 8  # classes that an error names
 _ROOMS = ("chair", "couch", "bed", "dining table", "tv", "refrigerator", "potted plant", "person")
 
@@ -161,11 +162,14 @@ def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = 
     Otherwise a label fits that names the query's thing, by another name, or more widely or narrowly, too ("fridge" and
     "refrigerator", "person" and "woman"), unless both name colours, and none in common: "chair" and "office chair" fit
     "red chair", "blue chair" does not. What follows a preposition is left out: "the chair by the table" is no table. A
-    label without words says nothing against its box, and fits.
+    label without words says nothing against its box, and fits. Numbers behind a label ("chair 0.87") do not matter
+    where the query has none.
     """
     if wanted is not None:
         return frozenset(label for label in labels if same_name(label, wanted))
     asked, known = _bare(query), {label: _bare(label) for label in labels}
+    if not any(word.isdigit() for word in asked):
+        known = {label: _unnumbered(words) for label, words in known.items()}
     noun, colours = " ".join(_noun(asked)[0]), _colours(asked)
     exact = any(_same(words, asked) for words in known.values())
 
@@ -175,7 +179,9 @@ def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = 
         own, name = _colours(words), " ".join(words)
         if colours and own and colours.isdisjoint(own):
             return False
-        more = words[-1:] == asked[-1:] and {*asked} <= {*words}
+        if words[0] in _NEGATIVE:
+            return False
+        more = _noun(words)[0][-1:] == _noun(asked)[0][-1:] and {*asked} <= {*words}
         narrower = more or (not exact and _looked_up(tuple(words), (noun,))[0])
         # A thing by itself is not the noun that it ends with: a teddy bear is no bear.
         group = GROUPS.get(singular(name), ())
@@ -192,6 +198,12 @@ def same_name(label: str, classes: Collection[str]) -> bool:
 
 def _same(words: list[str], others: list[str]) -> bool:
     return bool(words) and singular(" ".join(words)) == singular(" ".join(others))
+
+
+def _unnumbered(words: list[str]) -> list[str]:
+    """Without the score or the count behind a label."""
+    last = next((at for at in range(len(words), 1, -1) if not words[at - 1].isdigit()), 1)
+    return words[:last]
 
 
 def _bare(text: str) -> list[str]:

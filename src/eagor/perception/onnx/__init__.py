@@ -167,7 +167,9 @@ class OnnxDetector:
         self._check(known.all(), f"classes such as {numbers[:3].tolist()} of {count} that have labels")
         inverted = (boxes[:, :2] > boxes[:, 2:]).any(axis=1)
         middles = (boxes[:, :2] + boxes[:, 2:]) / 2 / self.size[::-1]
-        right = 2 * inverted.sum() <= len(boxes) and not are_fractions(boxes) and (np.abs(middles - 0.5) <= 1.5).all()
+        right = (
+            2 * inverted.sum() <= len(boxes) and not are_fractions(boxes, 0.5) and (np.abs(middles - 0.5) <= 1.5).all()
+        )
         self._check(right, f"boxes such as {boxes[:1].round(3).tolist()}, where corners in pixels are wanted")
         return boxes, scores, classes
 
