@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import nullcontext
 from email.utils import formatdate
 from functools import reduce
 
@@ -466,6 +467,27 @@ def test_what_was_withheld_or_cut_did_not_look_in_vain(server, message, reason, 
     for extractor in ("boxes", "views"):
         with pytest.raises(AnswerError, match=says):
             asking(server, extractor=extractor, pixels=112 * 112)(ball(0, 0), "red ball")
+
+
+@pytest.mark.parametrize(
+    ("labels", "count", "says"),
+    [
+        (["red ball", "table"], 1, None),
+        (["a red ball.", "ball"], 1, None),
+        (["blue ball"], 0, None),
+        (["no red ball"], 0, None),
+        (["rote Kugel", "blue ball"], 1, "calls what it found for 'red ball' 'rote Kugel'"),
+        (["", "ball"], 2, None),
+        (["blue ball", "object 1"], 1, None),
+    ],
+)
+def test_what_the_model_calls_something_else_does_not_count(server, labels, count, says):
+    boxes = [{"bbox_2d": [200 * at, 50, 200 * at + 40, 90], "label": label} for at, label in enumerate(labels)]
+    server.answer = lambda request: json.dumps(boxes)
+    perception = asking(server, seam=False)
+    with pytest.warns(UserWarning, match=says) if says else nullcontext():
+        assert len(perception(ball(0, 0), "red ball").detections) == count
+    assert len(perception(ball(0, 0), "red ball").detections) == count, "it warns once"
 
 
 def test_the_first_choice_is_the_one_that_is_numbered_so(server, monkeypatch):

@@ -222,6 +222,7 @@ def test_no_words_are_no_query(query):
         ("door", ["Door", "Door handle"], ("Door",)),
         ("door handle", ["Door", "Door handle"], ("Door handle",)),
         ("red apple", ["red apple", "apple"], ("red apple",)),
+        ("the red lamp", ["a red lamp", "a lamp"], ("a red lamp",)),
         ("chairs", ["Chair", "chair"], ("Chair", "chair")),
         ("teddybear", ["teddy bear"], ("teddy bear",)),
         ("tür", ["Tür", "Fenster"], ("Tür",)),

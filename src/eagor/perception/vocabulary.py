@@ -23,8 +23,8 @@ from eagor.evidence import Evidence
 from eagor.perception.colour import COLOURS, SYNONYMS, Colour, colour_in, is_colour
 
 __all__ = [
-    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "match_class", "named", "plain",
-    "same_name", "singular",
+    "by_colour_alone", "colour_of", "contradicts", "fitting", "for_any_words", "is_bare_colour", "match_class", "named",
+    "plain", "same_name", "singular",
 ]  # fmt: skip
 
 _TABLES = toml.decode(Path(__file__).with_name("vocabulary.toml").read_bytes())
@@ -170,17 +170,15 @@ def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = 
     asked, known = _bare(query), {label: _bare(label) for label in labels}
     if not any(word.isdigit() for word in asked):
         known = {label: _unnumbered(words) for label, words in known.items()}
-    noun, colours = " ".join(_noun(asked)[0]), _colours(asked)
+    noun = " ".join(_noun(asked)[0])
     exact = any(_same(words, asked) for words in known.values())
 
     def fits(words: list[str]) -> bool:
         if not words or _same(words, asked):
             return True
-        own, name = _colours(words), " ".join(words)
-        if colours and own and colours.isdisjoint(own):
+        if _contradict(words, asked):
             return False
-        if words[0] in _NEGATIVE:
-            return False
+        name = " ".join(words)
         more = _noun(words)[0][-1:] == _noun(asked)[0][-1:] and {*asked} <= {*words}
         narrower = more or (not exact and _looked_up(tuple(words), (noun,))[0])
         # A thing by itself is not the noun that it ends with: a teddy bear is no bear.
@@ -189,6 +187,17 @@ def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = 
         return bool((narrower and not other) or (not exact and _looked_up(tuple(asked), (name,))[0]))
 
     return frozenset(label for label, words in known.items() if fits(words))
+
+
+def contradicts(label: str, query: str) -> bool:
+    """Whether a label says that its box is not what `query` asks for: "no chair", and "blue chair" for "red chair"."""
+    words, asked = _bare(label), _bare(query)
+    return bool(words) and not _same(words, asked) and _contradict(words, asked)
+
+
+def _contradict(words: list[str], asked: list[str]) -> bool:
+    own, colours = _colours(words), _colours(asked)
+    return words[0] in _NEGATIVE or bool(own and colours and own.isdisjoint(colours))
 
 
 def same_name(label: str, classes: Collection[str]) -> bool:
@@ -306,7 +315,8 @@ def _spelt(classes: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
         for way in {whole, singular(whole), whole.replace(" ", "")}:
             exact.setdefault(way, []).append(each)
         without = re.sub(r"\([^)]*\)", "", each)
-        for part in map(plain, [without, *re.split(r"[/;,|]", without)]):
+        bare = " ".join(_asked(whole.split()))  # "a red chair", as detectors of an open vocabulary are given classes
+        for part in map(plain, [bare, without, *re.split(r"[/;,|]", without)]):
             for way in {part, singular(part)} - {""}:
                 parts.setdefault(way, []).append(each)
     return {way: tuple(dict.fromkeys(names)) for way, names in (parts | exact).items()}

@@ -40,6 +40,7 @@ def _any(*ways: str, flags: int = re.IGNORECASE) -> re.Pattern[str]:
 
 _ABSENT, _BLIND = (_any(*(way for ways in _TABLES[table].values() for way in ways)) for table in ("absent", "blind"))
 _UNSURE, _DENIED = _any(_TABLES["unsure"]), _any(_TABLES["denied"])
+_LABEL = _any(r"[\"'](?:label|name|class|category)[\"']\s*:\s*([\"'])(.*?)\1")
 _EMPTY = _any(r"\[\s*\]|\{\s*\}|\(\s*\)|<(\w+)>\s*</\1>|[\[{(:,]\s*(?:null|none|false|nan)\s*[\]}),]")
 # Words that decide by themselves, and those that do where none of these is.
 _SURE, _WEAK = (
@@ -105,13 +106,17 @@ _RUN = re.compile(rf"(?<![\w.]){_N}(?:[^\S\n]*[,;][^\S\n]*{_N}|[^\S\n]+{_N})*(?!
 
 
 class Box(NamedTuple):
-    """A detection in fractions of the image's width and height, [0, 1], with x0 < x1 and y0 < y1; y grows down."""
+    """A detection in fractions of the image's width and height, [0, 1], with x0 < x1 and y0 < y1; y grows down.
+
+    `label`: what the model calls it, "" where it does not say.
+    """
 
     x0: float
     y0: float
     x1: float
     y1: float
     score: float = 1.0
+    label: str = ""
 
 
 class _Coordinates(NamedTuple):
@@ -160,7 +165,8 @@ def parse_boxes(
         )
     trace = Trace(text, tokens) if tokens else None
     read = [_box(box, frame, size, trace) for box in found]
-    boxes = [box for box in read if isinstance(box, Box)]
+    pairs = zip(read, found, strict=True)
+    boxes = [box._replace(label=_label(answer, each)) for box, each in pairs if isinstance(box, Box)]
     wrong = next((reason for reason in _WRONG if reason in read), "")
     if wrong in ("inverted", "pixels") or (wrong and not boxes):
         raise AnswerError(f"the model answered {_shortened(text)}, {_WRONG[wrong].format(frame, *size[::-1])}")
@@ -460,6 +466,14 @@ def _box(found: _Coordinates, frame: Frame, size: tuple[int, int], trace: Trace 
         begun = sum(trace.log_probability(place, place + 1) for place in found.places) / len(found.places)
         score = math.exp(trace.log_probability(*found.decided) + begun)
     return Box(x0, y0, x1, y1, 1.0 if score is None else score)
+
+
+def _label(text: str, found: _Coordinates) -> str:
+    """The label in the object that holds the box."""
+    opened = found.decided[1] - 1 if found.decided else 0
+    close = text.find("}", opened, opened + _LONGEST_ENTRY)
+    said = _LABEL.search(text, opened, max(close, opened)) if text[opened] == "{" else None
+    return said[2] if said else ""
 
 
 class Trace:
