@@ -153,7 +153,7 @@ class ModelPerception:
         exact = any(same_name(label, [query]) for label in labels)
         others = {each for each in labels - fitting(query, labels) if _GENERAL.isdisjoint(plain(each).split())}
         wrong = {label for label in others if exact or contradicts(label, query)}
-        strange = others - wrong
+        strange = {each for each in others - wrong if {*plain(query).split()}.isdisjoint(plain(each).split())}
         if strange and query not in self._named:
             self._named.add(query)
             shown = ", ".join(map(repr, sorted(strange)[:MOST_LABELS]))
