@@ -88,7 +88,8 @@ def test_what_was_printed_is_read(entries, frame, order, wrapping):
         '{"x": 100, "y": 200, "width": 200, "height": 200}',
         '[{"bbox_2d": [[100, 200], [300, 400]]}]',
         '[{"bbox_2d": "[100, 200, 300, 400]"}]',
-        '[{"bbox_2d": [[300, 400], [100, 200]]}]',  # corners swapped
+        '[{"bbox_2d": [300, 400, 100, 200]}]',  # corners swapped
+        '[{"box_2d": [400, 300, 200, 100]}]',
         '[{"bbox_2d": [100, 200, 300, 400]}, {"bbox_2d": [100, 200, 300, 400]}]',  # said twice
         '[{"bbox_2d": [100, 200, 300, 400], "label": "chair"}, {"bbox_2d": [100, 2',  # cut off
         '[{"bbox_2d": [100, 200, 300, 400], "label": "cha',
@@ -165,6 +166,7 @@ def test_semicolons_part_boxes():
         ('{"point_2d": [200, 300], "label": "chair"}', "thousand", "xyxy"),
         ('[{"point": [300, 200], "label": "chair"}]', "thousand", "yxyx"),
         ('{"points": [{"x": 0.2, "y": 0.3}]}', "thousand", "xyxy"),
+        ('<points coords="1 1 200 300">chair</points>', "percent", "xyxy"),
         ("x: 200, y: 300", "thousand", "yxyx"),
     ],
 )
@@ -271,6 +273,9 @@ def test_ways_of_saying_that_there_is_none(text):
         ("It spans x: 30%-50% and y: 40% to 80%.", "wanted boxes"),
         ("[300, 400, 100, 200]", "wrong order.*x, y, width, height"),
         ("[100, 200, 100, 200]", "no area.*x, y, width, height"),
+        ("No chair is visible; [100, 200, 300, 400] is the closest.", "that there is none, and boxes"),
+        ("[[10.5, 20.0, 30.0, 40.0], [5, 6, 70.2, 80]]", "count percents"),
+        (f"[100, 200, 300, {'9' * 400}]", "outside the frame"),
         ("Is it [1, 2, 90, 80]? No, wait: [100, 200, 300, 400].", "takes boxes back"),
         ("No doubt: it stands in the corner.", "wanted boxes"),
         ("The chair does not have arms; it is at the left.", "wanted boxes"),

@@ -31,7 +31,8 @@ from eagor._checks import whole, within
 from eagor._extras import require_extra
 from eagor._files import keep_out, redacted
 from eagor.errors import AnswerError, EagorError, QueryError, ServerError
-from eagor.perception.vlm.answers import Token, means, without_thoughts
+from eagor.perception.vlm.answers import Token, means
+from eagor.perception.vlm.thoughts import without_thoughts
 
 DEFAULT_SERVER = "http://localhost:8000/v1"
 _TRIES = "x-stainless-retry-count"  # where the client says how often it asked before

@@ -8,19 +8,18 @@ says what each family counts).
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Literal, NamedTuple
 
 from eagor._checks import shown
 from eagor.errors import AnswerError
+from eagor.perception.vlm.thoughts import CHANGED, TABLES, any_of, without_thoughts
 
-__all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "parse_presence", "without_thoughts"]
+__all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "parse_presence"]
 
 Frame = Literal["pixels", "thousand", "percent", "unit"]  # pixels of the image that the model saw; parts of each side
 Order = Literal["xyxy", "yxyx"]
@@ -30,45 +29,19 @@ _PLACES = {"xyxy": (0, 1, 2, 3), "yxyx": (1, 0, 3, 2)}
 _PARTS = {"thousand": 1000, "percent": 100, "unit": 1}  # of a side
 _WIDE = str.maketrans("（）［］｛｝，、：；％", "()[]{},,:;%")  # as Chinese and Japanese texts have them
 # How models say that there is none (these count only where an answer has no coordinates), that they saw no picture,
-# and yes or no; the marks of thoughts and of answers; what four numbers can be.
-_TABLES = json.loads(Path(__file__).with_suffix(".json").read_text(encoding="utf-8"))
-
-
-def _any(*ways: str, flags: int = re.IGNORECASE) -> re.Pattern[str]:
-    return re.compile("|".join(ways), flags)
-
-
-_ABSENT, _BLIND = (_any(*(way for ways in _TABLES[table].values() for way in ways)) for table in ("absent", "blind"))
-_UNSURE, _DENIED = _any(_TABLES["unsure"]), _any(_TABLES["denied"])
-_LABEL = _any(r"[\"'](?:label|name|class|category)[\"']\s*:\s*([\"'])(.*?)\1")
-_EMPTY = _any(r"\[\s*\]|\{\s*\}|\(\s*\)|<(\w+)>\s*</\1>|[\[{(:,]\s*(?:null|none|false|nan)\s*[\]}),]")
+# and yes or no; what four numbers can be.
+_ABSENT, _BLIND = (any_of(*(way for ways in TABLES[table].values() for way in ways)) for table in ("absent", "blind"))
+_UNSURE, _DENIED = any_of(TABLES["unsure"]), any_of(TABLES["denied"])
+_QUOTED = re.compile(r"\"[^\"]*\"|(?<!\w)'[^']*'(?!\w)")
+_LABEL = any_of(r"[\"'](?:label|name|class|category)[\"']\s*:\s*([\"'])(.*?)\1")
+_EMPTY = any_of(r"\[\s*\]|\{\s*\}|\(\s*\)|<(\w+)>\s*</\1>|[\[{(:,]\s*(?:null|none|false|nan)\s*[\]}),]")
 # Words that decide by themselves, and those that do where none of these is.
 _SURE, _WEAK = (
-    {word: side == "yes" for side, words in _TABLES[table].items() for word in words.split()}
+    {word: side == "yes" for side, words in TABLES[table].items() for word in words.split()}
     for table in ("verdicts", "weak verdicts")
 )
 _WORDS = re.compile(r"[^\W\d_]+")
-_NO_VERDICT = _any(r"[\"']\w+[\"']\s*:|\byes\s*(?:/|\bor\b|\band\b)\s*no\b|\bno (?:doubt|problem|question)\b")
-# Marks of thoughts; some chat templates open them themselves, so that the answer only closes them.
-_THOUGHT = _any(
-    r"(?:<|&lt;|◁|\[)\s*\|?(?P<end>/|end_(?:of_)?)?(?:start_|begin_(?:of_)?)?\|?(?:\w+[:_])?"
-    rf"(?P<name>{_TABLES['thoughts']['names']})(?:\s[^<>]{{0,80}})?\s*\|?(?:>|&gt;|▷|\])",
-    rf"(?P<opens>{_TABLES['thoughts']['open']})",
-    rf"(?P<closes>{_TABLES['thoughts']['close']})",
-)
-# Marks of the answer, and headings before it: what is outside leads to it.
-_ANSWER = _any(
-    rf"<\|?(?:start_|begin_of_)?({_TABLES['answers']['names']})\|?>(.*?)(?:<(?:/|\|end_(?:of_)?)\1\|?>|\Z)",
-    *_TABLES["answers"]["pairs"],
-    flags=re.DOTALL | re.IGNORECASE,
-)
-_HEADING = _any(
-    rf"^[ \t#>*_-]*(?:(?P<last>{_TABLES['headings']['last']})|{_TABLES['headings']['first']})[*_\s]*[:：]",
-    flags=re.IGNORECASE | re.MULTILINE,
-)
-_CHANGED = _any(
-    r"\b(?:wait|actually|correction|on second thought|let me (?:correct|re\w+)|i meant|or rather)\b|\? no\b"
-)
+_NO_VERDICT = any_of(r"[\"']\w+[\"']\s*:|\byes\s*(?:/|\bor\b|\band\b)\s*no\b|\bno (?:doubt|problem|question)\b")
 _LONGEST = 200_000  # characters of an answer: thousands of boxes
 _MOST_THOUGHTS = 1_000_000  # characters, with the answer
 _LONGEST_ENTRY = 1000  # characters behind a box in which its score is looked for
@@ -84,14 +57,15 @@ _LIST = re.compile(rf"[\[(;]\s*({_N}(?:{_SEP}{_N}){{1,7}})(?=\s*,?\s*([\]);]|,\Z
 _BETWEEN = re.compile(r"\s*,?\s*[\])][^\[\](){}\d]{0,60}")
 _KEY = re.compile(r"[\"']?([A-Za-z_][\w -]*?)[\"']?\s*[:=]\s*[\"']?[\s\[({]*\Z")
 _POINTS = {"point_2d", "point", "points", "point2d", "xy", "center", "centre"}
+_CORNER_KEYS = ("box_2d", "box2d", "bbox_2d")  # which never mean sides: corners may be exchanged
 _NO_BOX = re.compile(r"colou?rs?|\w*_rgba?|rgba?|\w*size|resolution|dimensions?|shape|mask|out_of|\w*range")
 # What four numbers are, said near them: `_form`. Gemini's key, whose boxes are y first whatever is asked for.
 _BETWEEN_NAMES = r"[\s,_/'\"*-]*"
-_FORM = _any(*(f"(?P<{form}>(?<![a-z])(?:{'|'.join(ways).replace(' ', _BETWEEN_NAMES)})n?(?![a-z]))"
-               for form, ways in _TABLES["forms"].items()))  # fmt: skip
-_Y_FIRST = _any(r"(?<![a-z])box_?2d\W*\Z")
+_FORM = any_of(*(f"(?P<{form}>(?<![a-z])(?:{'|'.join(ways).replace(' ', _BETWEEN_NAMES)})n?(?![a-z]))"
+               for form, ways in TABLES["forms"].items()))  # fmt: skip
+_Y_FIRST = any_of(r"(?<![a-z])box_?2d\W*\Z")
 # Signs about numbers, and pictures as text: read as blanks.
-_SIGNS = _any(rf"data:image[^\"'\s]*|(?<=\d)px\b|(?<=[\[,:\s])[\"'](?={_N}[\"'])|(?<=[\d.%])[\"'](?=\s*[,\]])")
+_SIGNS = any_of(rf"data:image[^\"'\s]*|(?<=\d)px\b|(?<=[\[,:\s])[\"'](?={_N}[\"'])|(?<=[\d.%])[\"'](?=\s*[,\]])")
 _CUT = re.compile(r"[^\[({]*[\[({]\D*\d")  # after the last bracket that closes
 _SCORE = re.compile(rf"[\"']?\b(?:score|confidence|probability|prob|conf)[\"']?\s*[:=]\s*[\"']?({_N})", re.IGNORECASE)
 _CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1 y1 x2 y2", "left top right bottom")
@@ -99,7 +73,8 @@ _SIDES = ("x y width height", "x y w h", "left top width height")
 _NAMES = sorted({name for names in (*_CORNERS, *_SIDES) for name in names.split()}, key=len, reverse=True)
 _RANGE = r"(?![\d.%]|\s*(?:[-–—~]|to\b)\s*[\d.])"  # x: 30 to 50 is no corner
 _NAMED = re.compile(rf"\b({'|'.join(_NAMES)})[\"'`*]*\s*(?:=|:|>|\bis\b)\s*[\"'`]?({_N}){_RANGE}", re.IGNORECASE)
-_POINT_TAG = re.compile(r"<points?\b([^<>]*)>([^<]*)", re.IGNORECASE)
+_POINT_TAG = re.compile(r"<(?:points?|tracks)\b([^<>]*)>([^<]*)", re.IGNORECASE)
+_MOLMO2 = re.compile(r"\b\d+ (\d{3,4}) (\d{3,4})\b")  # in coords="...": number, x, y in thousandths
 _ATTRIBUTE = re.compile(rf"\b[xy]\d*\s*=\s*[\"']?({_N})", re.IGNORECASE)
 _LOC = re.compile(r"<loc(_?)(\d+)>" + r"\s*<loc_?(\d+)>" * 3)
 _RUN = re.compile(rf"(?<![\w.]){_N}(?:[^\S\n]*[,;][^\S\n]*{_N}|[^\S\n]+{_N})*(?![\w])")
@@ -168,10 +143,16 @@ def parse_boxes(
     pairs = zip(read, found, strict=True)
     boxes = [box._replace(label=_label(answer, each)) for box, each in pairs if isinstance(box, Box)]
     wrong = next((reason for reason in _WRONG if reason in read), "")
-    if wrong in ("inverted", "pixels") or (wrong and not boxes):
+    numbers = [number for box in found for number in box.numbers]
+    if frame == "thousand" and 1 < max(numbers) <= 100 and not all(number.is_integer() for number in numbers):
+        wrong = "percent"
+    if wrong in ("inverted", "pixels", "percent") or (wrong and not boxes):
         raise AnswerError(f"the model answered {_shortened(text)}, {_WRONG[wrong].format(frame, *size[::-1])}")
+    first = min((min(box.places) for box in found if box.places), default=0)
+    if _ABSENT.search(_QUOTED.sub(" ", _plain(answer[:first]))):
+        raise AnswerError(f"the model answered {_shortened(text)}: that there is none, and boxes; wanted one of them")
     ends = [(min(box.places), max(box.places)) for box in found if box.places]
-    if any(_CHANGED.search(answer, one[1], other[0]) for one, other in pairwise(ends)):
+    if any(CHANGED.search(answer, one[1], other[0]) for one, other in pairwise(ends)):
         raise AnswerError(f"the model answered {_shortened(text)}, and takes boxes back; wanted the last ones alone")
     best: dict[tuple[float, ...], Box] = {}
     for box in boxes:
@@ -184,6 +165,7 @@ _WRONG = {
     "flat": "which has no area; wanted x0, y0, x1, y1. Are they x, y, width, height?",
     "outside": "which lies outside the frame {!r} of a {} x {} image; is that what this model's coordinates count, and "
     "does its server leave the image's size alone?",
+    "percent": "where whole numbers up to 1000 were wanted: does this model count percents (frame=percent)?",
     "pixels": "which lies outside the frame {!r}, but inside the {} x {} image: does this model count its pixels "
     "(frame=pixels)?",
 }
@@ -224,9 +206,6 @@ def means(word: str) -> bool | None:
     return _SURE.get(bare, _WEAK.get(bare))
 
 
-# --- what was thought, and what was said ------------------------------------------------------------------------------
-
-
 def _spoken(text: str) -> str:
     """`text` without thoughts. Raises `AnswerError` if it is far too long."""
     answer = text
@@ -239,37 +218,6 @@ def _spoken(text: str) -> str:
             "fewer tokens (max_tokens=...)"
         )
     return answer
-
-
-def without_thoughts(text: str) -> str:
-    """`text` with all thoughts blanked out, and all outside of the marks of an answer; the rest keeps its places."""
-    spans, place, opened = [], 0, list[str]()
-    for mark in _THOUGHT.finditer(text):
-        name = (mark["name"] or "").lower()
-        if mark["end"] or mark["closes"]:  # what came before was thought, opened or not
-            place = mark.end()
-            del opened[opened.index(name) if name in opened else 0 :]
-        else:
-            if not opened:
-                spans.append((place, mark.start()))
-            opened.append(name)
-    bare = _only(text, spans if opened else [*spans, (place, len(text))])
-    marked = [answer.span(answer.lastindex or 0) for answer in _ANSWER.finditer(bare)]
-    changed = any(_CHANGED.search(bare, one[1], other[0]) for one, other in pairwise(marked))
-    if not changed and any(bare[start:end].strip() for start, end in marked):
-        bare = _only(bare, marked)
-    headings = [*_HEADING.finditer(bare)]
-    heading = next((each for each in [*headings[::-1]] if each["last"]), headings[0] if headings else None)
-    return _only(bare, [(heading.end(), len(bare))]) if heading and bare[heading.end() :].strip() else bare
-
-
-def _only(text: str, spans: Sequence[tuple[int, int]]) -> str:
-    """`text` with blanks outside of `spans`, which are in order."""
-    parts, place = [], 0
-    for start, end in spans:
-        parts += [" " * (start - place), text[start:end]]
-        place = end
-    return "".join(parts) + " " * (len(text) - place)
 
 
 def _plain(text: str) -> str:
@@ -323,7 +271,7 @@ def _listed(text: str, order: Order) -> list[_Coordinates]:
             for x, y in ((_number(pair[place][0]) for place in _PLACES[order][:2]) for pair in pairs):
                 points.append(_Coordinates((x, y, x, y), point=True))
             continue
-        own = key in ("box_2d", "box2d") or _Y_FIRST.search(text, max(0, start - 40), start)
+        own = key in _CORNER_KEYS[:2] or _Y_FIRST.search(text, max(0, start - 40), start)
         form = "yxyx" if own else _form(forms, start, order)
         for numbers in _boxes_in(chain, tight):
             values = [_number(each[0]) for each in numbers]
@@ -339,7 +287,8 @@ def _listed(text: str, order: Order) -> list[_Coordinates]:
             places = _PLACES.get(form, _PLACES["xyxy"]) if listed else (0, 1, 2, 3)
             starts = tuple(numbers[place].start() for place in places)
             corners = _corners(values, form) if listed else tuple(values)
-            boxes.append(_Coordinates(corners, starts, decided, score, ordered=listed))
+            ordered = listed and key not in _CORNER_KEYS
+            boxes.append(_Coordinates(corners, starts, decided, score, ordered=ordered))
     return boxes or points
 
 
@@ -418,6 +367,8 @@ def _tagged(text: str, order: Order) -> Iterator[_Coordinates]:
         yield _Coordinates(tuple(parts[place] for place in _PLACES["xyxy" if loc[1] else "yxyx"]))
     for tag in _POINT_TAG.finditer(text):
         numbers, own = [*map(_number, _ATTRIBUTE.findall(tag[1]))], (0, 1)
+        if "coords" in tag[1]:
+            numbers = [int(part) / 1000 for point in _MOLMO2.findall(tag[1]) for part in point]
         if not numbers:
             numbers, own = [*map(_number, _NUMBER.findall(tag[2]))], _PLACES[order][:2]
         for xy in zip(*(numbers[place::2] for place in own), strict=False):
@@ -440,12 +391,10 @@ def _bare(text: str, order: Order) -> Iterator[_Coordinates]:
 def _box(found: _Coordinates, frame: Frame, size: tuple[int, int], trace: Trace | None) -> Box | str:
     """The box in fractions, or the reason for none: a key of `_WRONG`, or "empty" where it says that there is none."""
     written, (height, width) = found.numbers, size
-    if (
-        not all(math.isfinite(number) for number in written)
-        or max(written) <= 0
-        or (found.score is not None and found.score <= 0)
-    ):
+    if max(written) <= 0 or (found.score is not None and found.score <= 0):  # [0, 0, 0, 0], [-1, -1, -1, -1]
         return "empty"
+    if not all(map(math.isfinite, written)):
+        return "outside"
     if found.ordered and (written[0] > written[2] or written[1] > written[3]):
         return "inverted"
     across, down = (width, height) if frame == "pixels" else (_PARTS[frame],) * 2
