@@ -248,6 +248,20 @@ def test_thoughts_come_before_the_verdict(server):
     np.testing.assert_allclose(response, 0.75, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("pieces", "share"),
+    [
+        ([("{", 0), ('"present"', 0), (": ", 0), ("false", math.log(0.8)), ("}", 0)], 0.2),
+        ([("It", 0), (" is", 0), (" not", 0), (" hard", 0), (":", 0), (" yes", math.log(0.7))], 0.7),
+        ([("No", 0), (" doubt", 0), (",", 0), (" Yes", math.log(0.6))], 0.6),
+    ],
+)
+def test_the_word_that_decides_gives_the_probability(server, pieces, share):
+    server.answer = lambda request: Reply("", pieces)
+    response = asking(server, extractor="views", pixels=112 * 112)(ball(0, 0), "red ball").response
+    np.testing.assert_allclose(response, share, atol=1e-6)
+
+
 def test_several_queries_are_asked_of_the_same_pictures(server):
     def answer(request: Request) -> Reply | str:
         return reddish(request) if "red ball" in request.text else "[]"

@@ -31,7 +31,7 @@ from eagor._checks import whole, within
 from eagor._extras import require_extra
 from eagor._files import keep_out, redacted
 from eagor.errors import AnswerError, EagorError, QueryError, ServerError
-from eagor.perception.vlm.answers import Token, means
+from eagor.perception.vlm.answers import Token, verdict
 from eagor.perception.vlm.thoughts import without_thoughts
 
 DEFAULT_SERVER = "http://localhost:8000/v1"
@@ -84,13 +84,12 @@ class Answer(NamedTuple):
 
     @property
     def verdict(self) -> list[Token]:
-        """The alternatives at the first piece, after any thoughts, that means yes or no; [] if there is none."""
-        bare, place = without_thoughts("".join(piece for piece, _ in self.tokens)), 0
+        """The alternatives at the piece that decides between yes and no; [] if there is none."""
+        place, _ = verdict("".join(piece for piece, _ in self.tokens))
         for token, others in zip(self.tokens, self.likeliest, strict=True):
-            piece = bare[place : place + len(token[0])]
-            place += len(token[0])
-            if piece.strip() and means(piece) is not None:
+            if 0 <= place < len(token[0]):
                 return others or [token]
+            place -= len(token[0])
         return []
 
 
@@ -240,7 +239,8 @@ class ChatClient:
         request, model, reason = getattr(error, "request", None), self._model, _message(error)
         count = 1 + int(request.headers.get(_TRIES, 0)) if request is not None else 1
         tries, status = "tried once" if count == 1 else f"tried {count} times", getattr(error, "status_code", None)
-        if model and (status == 404 or (status is not None and "model" in reason.lower())):
+        named = status == 404 or (status is not None and "model" in reason.lower())
+        if model and named and not re.search("multimodal|mmproj|image", reason.lower()):
             with suppress(EagorError):
                 if (served := await self._names(client)) and model not in served:
                     has = f"{self.shown} has no model {model!r} ({reason}); it has {', '.join(map(repr, served))}"

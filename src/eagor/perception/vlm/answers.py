@@ -19,7 +19,7 @@ from eagor._checks import shown
 from eagor.errors import AnswerError
 from eagor.perception.vlm.thoughts import CHANGED, TABLES, any_of, without_thoughts
 
-__all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "parse_presence"]
+__all__ = ["AnswerError", "Box", "Frame", "Order", "Token", "parse_boxes", "parse_presence", "verdict"]
 
 Frame = Literal["pixels", "thousand", "percent", "unit"]  # pixels of the image that the model saw; parts of each side
 Order = Literal["xyxy", "yxyx"]
@@ -181,23 +181,32 @@ def parse_presence(text: str, first: Sequence[Token] | None = None) -> float:
     answer = _plain(_spoken(text))
     if _BLIND.search(answer):
         raise AnswerError(f"the model answered {_shortened(text)}: it saw no picture; name a vision-language model")
+    _, meant = verdict(text)
+    if meant is None:
+        raise AnswerError(f"the model answered {_shortened(text)}; wanted yes or no. Can it see images?")
     shares, listed = [0.0, 0.0], 0.0
     for piece, log in first or ():
-        probability, meant = math.exp(min(float(log), 0.0)), means(piece)
+        probability, side = math.exp(min(float(log), 0.0)), means(piece)
         listed += probability
-        if meant is not None:
-            shares[meant] += probability
+        if side is not None:
+            shares[side] += probability
     if sum(shares) > 0:
         if min(shares) == 0:
             shares[shares.index(0.0)] = max(0.0, 1 - listed)
         return shares[1] / sum(shares)
-    words = _WORDS.findall(_NO_VERDICT.sub(" ", answer))
-    meant = next((_SURE[word] for word in words if word in _SURE), None)
-    if meant is None and not _UNSURE.search(answer):
-        meant = next((_WEAK[word] for word in words if word in _WEAK), False if _ABSENT.search(answer) else None)
-    if meant is None:
-        raise AnswerError(f"the model answered {_shortened(text)}; wanted yes or no. Can it see images?")
     return float(meant)
+
+
+def verdict(text: str) -> tuple[int, bool | None]:
+    """Where the word stands that decides, and whether it means yes; -1 where no single word does, None for neither.
+
+    A word that always decides ("no") comes before one that may not ("not").
+    """
+    answer = _NO_VERDICT.sub(lambda part: " " * len(part[0]), _plain(_spoken(text)))
+    tables = (_SURE,) if _UNSURE.search(answer) else (_SURE, _WEAK)
+    words = [*_WORDS.finditer(answer)]
+    found = ((word.start(), table[word[0]]) for table in tables for word in words if word[0] in table)
+    return next(found, (-1, False if len(tables) > 1 and _ABSENT.search(answer) else None))
 
 
 def means(word: str) -> bool | None:
