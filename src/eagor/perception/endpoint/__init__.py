@@ -68,7 +68,7 @@ class EndpointPerception(ModelPerception):
     ) -> None:
         self.options = given = checked(options, EndpointOptions, "a served model")
         self.client = ChatClient(model, address, given, given.concurrency)
-        self._doubted = False  # whether a warning said that it may get no pictures
+        self._warned = False  # whether a warning said that it may get no pictures
         super().__init__(self, given.extractor, given.per_view, given.seam, calibration, detector)
 
     @property
@@ -131,8 +131,8 @@ class EndpointPerception(ModelPerception):
                 readings.append(read(answers[-1]))
         counts = ([getattr(answer, f"{kind}_tokens") for answer in answers] for kind in ("prompt", "completion"))
         prompt, written = (None if None in each else sum(each) for each in counts)
-        if prompt and 3 * prompt < len(images) * sum(map(len, texts)) and not self._doubted:
-            self._doubted = True
+        if prompt and 3 * prompt < len(images) * sum(map(len, texts)) and not self._warned:
+            self._warned = True
             warnings.warn(
                 f"{self.client.shown} counts {prompt} tokens in {len(answers)} questions, which is no more than their "
                 f"text: is {self.client.model()!r} a vision-language model, and did it get the pictures?",

@@ -362,10 +362,10 @@ def _text(content: Any) -> str:
         if any(isinstance(part, dict) and not {"type", "text"} & part.keys() for part in content):
             return json.dumps(content)  # the server has read the model's JSON itself
         parts = [{"text": part} if isinstance(part, str) else part for part in content if part is not None]
-        said = (
+        shown = (
             part for part in parts if part.get("type", "text") in ("text", "output_text") and not part.get("thought")
         )
-        return "".join(_text(part.get("text")) for part in said)
+        return "".join(_text(part.get("text")) for part in shown)
     if content is not None and not isinstance(content, str):
         raise TypeError(f"the answer is {content!r}")
     return content or ""

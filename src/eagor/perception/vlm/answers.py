@@ -59,7 +59,7 @@ _KEY = re.compile(r"[\"']?([A-Za-z_][\w -]*?)[\"']?\s*[:=]\s*[\"']?[\s\[({]*\Z")
 _POINTS = {"point_2d", "point", "points", "point2d", "xy", "center", "centre"}
 _CORNER_KEYS = ("box_2d", "box2d", "bbox_2d")  # which never mean sides: corners may be exchanged
 _NO_BOX = re.compile(r"colou?rs?|\w*_rgba?|rgba?|\w*size|resolution|dimensions?|shape|mask|out_of|\w*range")
-# What four numbers are, said near them: `_form`. Gemini's key, whose boxes are y first whatever is asked for.
+# What four numbers are, by words near them: `_form`. Gemini's key, whose boxes are y first whatever is asked for.
 _BETWEEN_NAMES = r"[\s,_/'\"*-]*"
 _FORM = any_of(*(f"(?P<{form}>(?<![a-z])(?:{'|'.join(ways).replace(' ', _BETWEEN_NAMES)})n?(?![a-z]))"
                for form, ways in TABLES["forms"].items()))  # fmt: skip
@@ -295,7 +295,7 @@ def _listed(text: str, order: Order) -> list[_Coordinates]:
                 values = [min(x), min(y), max(x), max(y)]
             places = _PLACES.get(form, _PLACES["xyxy"]) if listed else (0, 1, 2, 3)
             starts = tuple(numbers[place].start() for place in places)
-            corners = _corners(values, form) if listed else tuple(values)
+            corners = _decode_xyxy(values, form) if listed else tuple(values)
             ordered = listed and key not in _CORNER_KEYS
             boxes.append(_Coordinates(corners, starts, decided, score, ordered=ordered))
     return boxes or points
@@ -313,12 +313,12 @@ def _boxes_in(chain: list[list[re.Match[str]]], tight: bool) -> Iterator[list[re
 
 
 def _form(forms: Sequence[re.Match[str]], start: int, order: Order) -> str:
-    """What four numbers at `start` are: as it is said last before them, or else first behind them."""
+    """What four numbers at `start` are: by the last words before them, or else the first behind."""
     place = bisect_right(forms, start, key=lambda each: each.end()) - 1
     return str(forms[max(place, 0)].lastgroup) if forms else order
 
 
-def _corners(numbers: Sequence[float], form: str) -> tuple[float, ...]:
+def _decode_xyxy(numbers: Sequence[float], form: str) -> tuple[float, ...]:
     """x0 y0 x1 y1 of numbers in some `form`, by its name."""
     a, b, c, d = numbers[:4]
     across, down = (c / 2, d / 2) if form == "cxcywh" else (0.0, 0.0)
@@ -391,7 +391,7 @@ def _bare(text: str, order: Order) -> Iterator[_Coordinates]:
     for start, run in runs:
         form = "yxyx" if _Y_FIRST.search(text, max(0, start - 40), start) else _form(forms, start, order)
         if len(run) == 4:
-            yield _Coordinates(_corners(run, form), ordered=True)
+            yield _Coordinates(_decode_xyxy(run, form), ordered=True)
 
 
 # --- from coordinates to boxes, and which token a character came from -------------------------------------------------
@@ -430,8 +430,8 @@ def _label(text: str, found: _Coordinates) -> str:
     """The label in the object that holds the box."""
     opened = found.decided[1] - 1 if found.decided else 0
     close = text.find("}", opened, opened + _LONGEST_ENTRY)
-    said = _LABEL.search(text, opened, max(close, opened)) if text[opened] == "{" else None
-    return said[2] if said else ""
+    match = _LABEL.search(text, opened, max(close, opened)) if text[opened] == "{" else None
+    return match[2] if match else ""
 
 
 class Trace:

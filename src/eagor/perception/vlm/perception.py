@@ -72,7 +72,7 @@ class ModelPerception:
     ) -> None:
         self.model, self.seam, self.calibration, self.detector = model, seam, calibration, detector
         self._asked = extractor, per_view
-        self._named: set[str] = set()  # queries for which a warning named labels of the model's own
+        self._strange_queries: set[str] = set()  # queries for which a warning named labels of the model's own
 
     @property
     def extractor(self) -> str:
@@ -154,8 +154,8 @@ class ModelPerception:
         others = {each for each in labels - fitting(query, labels) if _GENERAL.isdisjoint(plain(each).split())}
         wrong = {label for label in others if exact or contradicts(label, query)}
         strange = {each for each in others - wrong if {*plain(query).split()}.isdisjoint(plain(each).split())}
-        if strange and query not in self._named:
-            self._named.add(query)
+        if strange and query not in self._strange_queries:
+            self._strange_queries.add(query)
             shown = ", ".join(map(repr, sorted(strange)[:MOST_LABELS]))
             text = f"the model calls what it found for {query!r} {shown}; it counts all the same"
             warnings.warn(text, UserWarning, stacklevel=5)
