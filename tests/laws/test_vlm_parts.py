@@ -294,7 +294,7 @@ def test_pixels_are_those_of_the_picture_that_the_model_saw():
     assert parse_boxes("[448, 112, 672, 224]", "pixels", (448, 896)) == [Box(0.5, 0.25, 0.75, 0.5)]
     assert parse_boxes("[448, 112, 672, 224]", "pixels", (896, 1792)) == [Box(0.25, 0.125, 0.375, 0.25)]
     with pytest.raises(AnswerError, match="does this model count its pixels"):
-        parse_boxes("[[448, 112, 672, 224], [1500, 112, 1672, 224]]", "thousand", (896, 1792))
+        parse_boxes("[[448, 112, 672, 224], [1500, 112, 1672, 224], [9, 9, 99, 9999]]", "thousand", (896, 1792))
 
 
 @given(st.text(st.sampled_from("[](){}\"':,.-0123456789 eabox_2d<>/\\\n#"), max_size=80) | st.text(max_size=60))

@@ -160,14 +160,14 @@ def parse_boxes(
     return list(best.values())
 
 
-_WRONG = {
+_WRONG = {  # why boxes are none; of several reasons the first
     "inverted": "with corners in the wrong order; wanted x0, y0, x1, y1. Are they x, y, width, height?",
+    "pixels": "which lies outside the frame {!r}, but inside the {} x {} image: does this model count its pixels "
+    "(frame=pixels)?",
     "flat": "which has no area; wanted x0, y0, x1, y1. Are they x, y, width, height?",
     "outside": "which lies outside the frame {!r} of a {} x {} image; is that what this model's coordinates count, and "
     "does its server leave the image's size alone?",
     "percent": "where whole numbers up to 1000 were wanted: does this model count percents (frame=percent)?",
-    "pixels": "which lies outside the frame {!r}, but inside the {} x {} image: does this model count its pixels "
-    "(frame=pixels)?",
 }
 
 
