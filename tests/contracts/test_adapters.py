@@ -75,6 +75,13 @@ FOUND = {
     "ultralytics, as it returns them": [ultralytics()],
     "ultralytics, oriented": [oriented(xyxy=torch.tensor(BOXES))],
     "ultralytics, rotated corners": oriented(xyxyxyxy=rhombi()),
+    "ultralytics, oriented beside none": SimpleNamespace(
+        **vars(oriented(xyxy=torch.tensor(BOXES))) | {"boxes": SimpleNamespace(xyxy=BOXES[:0], conf=[], cls=[])}
+    ),
+    "numbers as text": (BOXES, SCORES, ["56", "0"]),
+    "bytes": (BOXES, SCORES, np.array([b"chair", b"person"])),
+    **{f"dictionary with {key}": TENSORS | {key: [56, 0]} for key in ("class_ids", "classes", "pred_classes", "cls")},
+    **{f"dictionary with {key}": TENSORS | {key: ["chair", "person"]} for key in ("phrases", "class_names", "names")},
     "torchvision": TENSORS | {"labels": torch.tensor([56, 0]), "masks": None},
     "torchvision, as it returns them": [TENSORS | {"labels": torch.tensor([56, 0])}],
     "hugging face": TENSORS | {"labels": torch.tensor([0, 0]), "text_labels": ["chair", "person"]},
@@ -124,6 +131,12 @@ def test_labels_may_be_left_out():
 def test_a_list_of_names_will_do_and_own_names_give_way():
     assert boxes_of((BOXES, SCORES, [1, 0]), ["cup", "mug"]).labels == ["mug", "cup"]
     assert boxes_of(ultralytics(), {56: "seat", 0: "human"}).labels == ["seat", "human"]
+    for names in (
+        {"56": "seat", "0": "human"},
+        {"seat": 56, "human": np.int64(0)},
+        np.array(["human"] + ["seat"] * 56),
+    ):
+        assert boxes_of(ultralytics(), names).labels == ["seat", "human"]
 
 
 def test_boxes_without_area_are_left_out():
@@ -156,6 +169,11 @@ def test_boxes_without_area_are_left_out():
         ((BOXES, SCORES, [0, 7]), "the label 7 came, and names has 2 entries without it"),
         ((BOXES, SCORES, [0, -1]), "the label -1 came, and names has"),
         ((BOXES, SCORES, [0.5, 1]), r"the label 0\.5 came; wanted a text"),
+        ((BOXES, SCORES, [None, None]), "the label None came; wanted a text.*return boxes and scores alone"),
+        ((BOXES, SCORES, [{"id": 56}, {"id": 0}]), "the label {'id': 56} came; wanted a text"),
+        (([[0, 0, 1, 1]], [0.5]), "seem to be fractions"),
+        ((BOXES / 100 - 0.15, SCORES), "seem to be fractions"),
+        ((torch.tensor(BOXES, device="meta"), SCORES), "boxes came as an array of shape"),
         (supervision.Detections(xyxy=BOXES), "without confidence; wanted scores"),
         (SimpleNamespace(boxes=None, obb=None, probs=SCORES), r"neither boxes nor oriented boxes \(obb\)"),
         (oriented(xywhr=BOXES), "has no attribute 'xyxyxyxy'; wanted"),
@@ -167,6 +185,17 @@ def test_boxes_without_area_are_left_out():
 def test_what_is_wrong_is_said(found, wanted):
     with pytest.raises(ResponseError, match=wanted):
         boxes_of(found, NAMES)
+
+
+@pytest.mark.parametrize("names", [{"person", "chair"}, "person,chair", 7, {0: "person", "chair": 1}])
+def test_names_that_are_none(names):
+    with pytest.raises(ResponseError, match=r"names of classes came as .*wanted a list, or names by number"):
+        boxes_of((BOXES, SCORES, [1, 0]), names)
+
+
+def test_the_numbers_of_coco_are_no_places_in_a_list():
+    with pytest.raises(ResponseError, match=r"category_id, and names as a list.*{1: 'person', 62: 'chair'}"):
+        boxes_of(records(category_id=[1, 0]), ["person", "bicycle"])
 
 
 def test_numbers_without_names():

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import nullcontext
 from email.utils import formatdate
 from functools import reduce
 
@@ -247,6 +248,20 @@ def test_thoughts_come_before_the_verdict(server):
     np.testing.assert_allclose(response, 0.75, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("pieces", "share"),
+    [
+        ([("{", 0), ('"present"', 0), (": ", 0), ("false", math.log(0.8)), ("}", 0)], 0.2),
+        ([("It", 0), (" is", 0), (" not", 0), (" hard", 0), (":", 0), (" yes", math.log(0.7))], 0.7),
+        ([("No", 0), (" doubt", 0), (",", 0), (" Yes", math.log(0.6))], 0.6),
+    ],
+)
+def test_the_word_that_decides_gives_the_probability(server, pieces, share):
+    server.answer = lambda request: Reply("", pieces)
+    response = asking(server, extractor="views", pixels=112 * 112)(ball(0, 0), "red ball").response
+    np.testing.assert_allclose(response, share, atol=1e-6)
+
+
 def test_several_queries_are_asked_of_the_same_pictures(server):
     def answer(request: Request) -> Reply | str:
         return reddish(request) if "red ball" in request.text else "[]"
@@ -393,6 +408,7 @@ def test_a_body_that_is_no_completion(server, body, says, monkeypatch):
         ({"choices": [{"error": {"message": "lost", "code": 502}, "message": {"content": ""}}]}, r"502\): lost", 2),
         ({"code": 401, "msg": "no such token"}, r"HTTP 401\): no such token\. It wants a key", 1),
         ({"error": {"message": "maximum context length is 512"}}, "context length is 512", 2),
+        ({"error": {"message": "lost", "code": 502}, "choices": [{"message": {"content": "[]"}}]}, r"502\): lost", 2),
     ],
 )
 def test_an_error_within_a_success_is_that_error(server, body, says, tries, monkeypatch):
@@ -427,6 +443,9 @@ DRAFT = "Is it [1, 2, 30, 40]?"
         {"content": "", "reasoning": f"{DRAFT} No.\n\n{BALL}"},
         {"content": None, "reasoning_content": f"{DRAFT} No.</think>{BALL}"},
         {"content": BALL, "reasoning_content": DRAFT},
+        {"content": [{"type": "text", "text": DRAFT, "thought": True}, None, {"type": "text", "text": BALL}]},
+        {"content": json.loads(BALL)},
+        {"content": None, "tool_calls": [{"function": {"name": "report", "arguments": BALL}}]},
     ],
 )
 def test_the_answer_is_found_in_its_parts_or_where_the_thoughts_are(server, message, monkeypatch):
@@ -441,6 +460,63 @@ def test_the_answer_is_found_in_its_parts_or_where_the_thoughts_are(server, mess
     expected = asking(server, seam=False)(ball(0, 0), "red ball").response
     monkeypatch.setattr(server, "_completion", changed)
     np.testing.assert_array_equal(asking(server, seam=False)(ball(0, 0), "red ball").response, expected)
+
+
+@pytest.mark.parametrize(
+    ("message", "reason", "says"),
+    [
+        ({"content": "[]"}, "content_filter", "stopped because of 'content_filter'"),
+        ({"content": "There is no"}, "SAFETY", "stopped because of 'SAFETY', and says 'There is no'"),
+        ({"content": "[]"}, "error", "stopped because of 'error'"),
+        ({"content": "[]", "refusal": "I cannot help."}, "stop", "says 'I cannot help.'"),
+        ({"content": "There is no sign at first, but look"}, "length", "was cut off; allow more tokens"),
+        ({"content": "No, or perhaps: let me look again"}, "MAX_TOKENS", "was cut off; allow more tokens"),
+        ({"content": "Error: no image in the request"}, "stop", "vision-language model"),
+        ({"content": "", "reasoning_content": f"{DRAFT} I shall look again."}, "stop", "characters of reasoning"),
+    ],
+)
+def test_what_was_withheld_or_cut_did_not_look_in_vain(server, message, reason, says, monkeypatch):
+    made = {"model": "m", "choices": [{"index": 0, "finish_reason": reason, "message": message}]}
+    monkeypatch.setattr(server, "_completion", lambda *_: made)
+    for extractor in ("boxes", "views"):
+        with pytest.raises(AnswerError, match=says):
+            asking(server, extractor=extractor, pixels=112 * 112)(ball(0, 0), "red ball")
+
+
+@pytest.mark.parametrize(
+    ("labels", "count", "says"),
+    [
+        (["red ball", "table"], 1, None),
+        (["a red ball.", "ball"], 1, None),
+        (["blue ball"], 0, None),
+        (["no red ball"], 0, None),
+        (["rote Kugel", "blue ball"], 1, "calls what it found for 'red ball' 'rote Kugel'"),
+        (["", "ball"], 2, None),
+        (["blue ball", "object 1"], 1, None),
+    ],
+)
+def test_what_the_model_calls_something_else_does_not_count(server, labels, count, says):
+    boxes = [{"bbox_2d": [200 * at, 50, 200 * at + 40, 90], "label": label} for at, label in enumerate(labels)]
+    server.answer = lambda request: json.dumps(boxes)
+    perception = asking(server, seam=False)
+    with pytest.warns(UserWarning, match=says) if says else nullcontext():
+        assert len(perception(ball(0, 0), "red ball").detections) == count
+    assert len(perception(ball(0, 0), "red ball").detections) == count, "it warns once"
+
+
+def test_the_first_choice_is_the_one_that_is_numbered_so(server, monkeypatch):
+    choices = [{"index": at, "message": {"content": each}} for at, each in ((1, "[]"), (0, BALL))]
+    monkeypatch.setattr(server, "_completion", lambda *_: {"model": "m", "choices": choices})
+    assert len(asking(server, seam=False)(ball(0, 0), "red ball").detections) == 1
+
+
+def test_a_server_that_counts_no_tokens_for_pictures_is_doubted_once(server, monkeypatch):
+    made = {"model": "m", "choices": [{"message": {"content": "[]"}}], "usage": {"prompt_tokens": 30}}
+    monkeypatch.setattr(server, "_completion", lambda *_: made)
+    perception = asking(server)
+    with pytest.warns(UserWarning, match=r"counts 60 tokens in 2 questions.*did it get the pictures\?"):
+        perception(ball(0, 0), "red ball")
+    perception(ball(0, 0), "red ball")
 
 
 def test_thoughts_that_were_cut_off_are_no_answer(server, monkeypatch):
@@ -470,6 +546,17 @@ def test_what_reasoning_models_refuse_is_left_out_or_named_otherwise(server, nam
     assert name not in body
     assert then is None or body[then] == 77
     assert server.tries == 3, "refused once"
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [(500, "failed to parse grammar"), (404, "No endpoints found that can handle the requested parameters.")],
+)
+def test_a_schema_is_left_out_however_it_is_called(server, status, words, monkeypatch):
+    refused, send = (status, {"error": {"message": words}}), server._send
+    monkeypatch.setattr(server, "_complete", lambda handler, body, complete=server._complete: (
+        send(handler, *refused) if "response_format" in body else complete(handler, body)))  # fmt: skip
+    assert error_deg(asking(server, seam=False, retries=0)(ball(60, 0), "red ball"), 60, 0) < 1.5
 
 
 @pytest.mark.parametrize(
@@ -570,6 +657,7 @@ def test_load_reads_the_name(server):
     [
         ("qwen2.5vl:7b@http://a:11434", "qwen2.5vl:7b", "http://a:11434/v1"),
         ("m@http://a/v1/", "m", "http://a/v1"),
+        ("m@http://a/v1/chat/completions", "m", "http://a/v1"),
         ("m@https://b:8/api/v1", "m", "https://b:8/api/v1"),
         ("org/m", "org/m", "http://localhost:8000/v1"),
         ("who@where@http://[::1]:80", "who@where", "http://[::1]:80/v1"),

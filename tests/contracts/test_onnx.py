@@ -207,6 +207,14 @@ def test_what_gives_no_upright_boxes_is_refused(task, tmp_path):
         ({"output0": end_to_end()["output0"] / np.float32([64] * 4 + [1] * 2)}, "end-to-end", "corners in pixels"),
         ({"output0": end_to_end()["output0"] * np.float32([9] * 4 + [1] * 2)}, "end-to-end", "boxes such as"),
         ({"output0": yolov8()["output0"] * np.nan}, "yolov8", "numbers that are not finite"),
+        (rtdetr() | {"logits": scored(5)[None].astype(np.float32)}, "rtdetr", "probabilities, where logits are wanted"),
+        (listed(False, 0), "torchvision", "classes such as"),
+        ({"output0": end_to_end()["output0"] - np.float32([0, 0, 20, 0, 0, 0])}, "end-to-end", "corners in pixels"),
+        (
+            {"output0": end_to_end()["output0"] / np.float32([64] * 4 + [1] * 2) - np.float32([0.2, 0, 0, 0, 0, 0])},
+            "end-to-end",
+            "corners in pixels",
+        ),
     ],
 )
 def test_answers_that_no_such_network_gives_are_refused(outputs, layout, says, tmp_path):
@@ -215,6 +223,14 @@ def test_answers_that_no_such_network_gives_are_refused(outputs, layout, says, t
         ResponseError, match=rf"d.onnx \(layout {layout}\) gives .*{says}.*state the right layout=\.\.\."
     ):
         detect(SQUARE)
+
+
+def test_one_class_more_than_labels_is_no_softmax_of_rfdetr(tmp_path):
+    outputs = detr()
+    path = onnx_file(tmp_path / "d.onnx", {"labels": outputs["logits"], "dets": outputs["pred_boxes"]})
+    for layout in (None, "detr", "rfdetr"):
+        with pytest.raises(EagorError, match=r"it is none of|as many labels=\.\.\. as there are classes"):
+            OnnxDetector(path, THREE, layout=layout)
 
 
 # --- the picture into the input ---------------------------------------------------------------------------------------

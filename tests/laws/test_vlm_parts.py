@@ -89,6 +89,7 @@ def test_what_was_printed_is_read(entries, frame, order, wrapping):
         '[{"bbox_2d": [[100, 200], [300, 400]]}]',
         '[{"bbox_2d": "[100, 200, 300, 400]"}]',
         '[{"bbox_2d": [300, 400, 100, 200]}]',  # corners swapped
+        '[{"box_2d": [400, 300, 200, 100]}]',
         '[{"bbox_2d": [100, 200, 300, 400]}, {"bbox_2d": [100, 200, 300, 400]}]',  # said twice
         '[{"bbox_2d": [100, 200, 300, 400], "label": "chair"}, {"bbox_2d": [100, 2',  # cut off
         '[{"bbox_2d": [100, 200, 300, 400], "label": "cha',
@@ -113,6 +114,36 @@ def test_what_was_printed_is_read(entries, frame, order, wrapping):
         "椅子在（100，200），（300，400）。",
         '{"Top Left": [100, 200], "bottom-right": [300, 400]}',
         '{"box": "(100, 200), (300, 400)"}',
+        # what four numbers are may be said beside them
+        "[ymin, xmin, ymax, xmax] = [200, 100, 400, 300]",
+        '{"bbox_yxyx": [200, 100, 400, 300]}',
+        "<box_2d>200, 100, 400, 300</box_2d>",
+        '{"bbox_xywh": [100, 200, 200, 200]}',
+        '{"bbox": [100, 200, 200, 200], "format": "xywh"}',
+        "[200, 300, 200, 200] (cx, cy, w, h)",
+        # polygons, ranges, signs
+        '{"polygon": [[100, 200], [300, 250], [250, 400], [120, 390]]}',
+        "(100, 200), (300, 200), (300, 400), (100, 400)",
+        "[100, 200, 300, 200, 300, 400, 100, 400]",
+        '{"x": [100, 300], "y": [200, 400]}',
+        '[{"bbox_2d": ["100", "200", "300", "400"]}]',
+        "[100px, 200px, 300px, 400px]",
+        "[100、200、300、400]",
+        "[100, 200, 300, 400, 0.9, 56]",
+        # other lists, and what is taken back
+        '{"color_rgba": [255, 0, 0, 255], "bbox_2d": [100, 200, 300, 400]}',
+        '{"bbox_2d": [100, 200, 300, 400], "mask": "data:image/png;base64,iVBOR[1,2,3,4]w0KG"}',
+        '[{"bbox_2d": [1, 2, 90, 80], "label": "none"}, {"bbox_2d": [100, 200, 300, 400], "label": "chair"}]',
+        "Answer: [1, 2, 90, 80]\n**Final answer:** [100, 200, 300, 400]",
+        "Like this: [1, 2, 90, 80]\nAnswer: [100, 200, 300, 400]",
+        "Perhaps [1, 2, 90, 80], so \\boxed{[100, 200, 300, 400]}",
+        "<final_answer>[100, 200, 300, 400]</final_answer>, not [1, 2, 90, 80]",
+        # other marks of thoughts
+        "<|START_THINKING|>[1, 2, 90, 80]<|END_THINKING|>[100, 200, 300, 400]",
+        "<|channel>thought\n[1, 2, 90, 80]<channel|>[100, 200, 300, 400]",
+        "<scratchpad>Or <draft>[1, 2, 90, 80]</draft> [5, 6, 70, 80]?</scratchpad>[100, 200, 300, 400]",
+        '<think mode="deep">[1, 2, 90, 80]</think >[100, 200, 300, 400]',
+        "&lt;think&gt;[1, 2, 90, 80]&lt;/think&gt;[100, 200, 300, 400]<explanation>[1, 2, 90, 80]</explanation>",
     ],
 )
 def test_ways_of_writing_one_box(text):
@@ -135,6 +166,7 @@ def test_semicolons_part_boxes():
         ('{"point_2d": [200, 300], "label": "chair"}', "thousand", "xyxy"),
         ('[{"point": [300, 200], "label": "chair"}]', "thousand", "yxyx"),
         ('{"points": [{"x": 0.2, "y": 0.3}]}', "thousand", "xyxy"),
+        ('<points coords="1 1 200 300">chair</points>', "percent", "xyxy"),
         ("x: 200, y: 300", "thousand", "yxyx"),
     ],
 )
@@ -197,6 +229,29 @@ def test_written_scores(text, score):
         "Sandalye bulunamadı.",
         "Det finns ingen stol.",
         "لا توجد كراسي",
+        "N/A",
+        "0 objects found.",
+        "Red chair: not visible",
+        "A kitchen with a table, but no red chair.",
+        "This picture lacks a red chair.",
+        '{"status": "not_found"}',
+        '[{"label": "no red chair"}]',
+        '{"found": false, "bbox": [100, 200, 300, 400]}',
+        '[{"bbox_2d": [0, 0, 1000, 1000], "label": "none"}]',
+        '[{"bbox_2d": [100, 200, 300, 400], "confidence": 0.0}]',
+        "<loc_0><loc_0><loc_0><loc_0>",
+        "<points></points>",
+        "图中无红色椅子。",
+        "検出できませんでした。",
+        "찾지 못했습니다.",
+        "Ich kann den Stuhl nicht finden.",
+        "Não consegui encontrar.",
+        "Я не вижу стула.",
+        "На зображенні немає стільця.",
+        "Žádná židle.",
+        "Ei löytynyt.",
+        "Δεν υπάρχει καρέκλα.",
+        "Nincs szék a képen.",
     ],
 )
 def test_ways_of_saying_that_there_is_none(text):
@@ -216,6 +271,16 @@ def test_ways_of_saying_that_there_is_none(text):
         ("Kein Problem: links.", "links"),
         ("◁think▷ [1, 2, 3, 4] oder", "allow more tokens"),
         ("It spans x: 30%-50% and y: 40% to 80%.", "wanted boxes"),
+        ("[300, 400, 100, 200]", "wrong order.*x, y, width, height"),
+        ("[100, 200, 100, 200]", "no area.*x, y, width, height"),
+        ("No chair is visible; [100, 200, 300, 400] is the closest.", "that there is none, and boxes"),
+        ("[[10.5, 20.0, 30.0, 40.0], [5, 6, 70.2, 80]]", "count percents"),
+        (f"[100, 200, 300, {'9' * 400}]", "outside the frame"),
+        ("Is it [1, 2, 90, 80]? No, wait: [100, 200, 300, 400].", "takes boxes back"),
+        ("No doubt: it stands in the corner.", "wanted boxes"),
+        ("The chair does not have arms; it is at the left.", "wanted boxes"),
+        ("椅子在左边,没有靠背。", "椅子"),
+        ("La chaise n'est pas loin de la table.", "wanted boxes"),
         ("[1200, 1300, 1400, 1500]", "outside the frame 'thousand'"),
         ("[100, 200, 5000, 400]", "outside the frame"),
     ],
@@ -228,6 +293,8 @@ def test_unreadable_answers(text, says):
 def test_pixels_are_those_of_the_picture_that_the_model_saw():
     assert parse_boxes("[448, 112, 672, 224]", "pixels", (448, 896)) == [Box(0.5, 0.25, 0.75, 0.5)]
     assert parse_boxes("[448, 112, 672, 224]", "pixels", (896, 1792)) == [Box(0.25, 0.125, 0.375, 0.25)]
+    with pytest.raises(AnswerError, match="does this model count its pixels"):
+        parse_boxes("[[448, 112, 672, 224], [1500, 112, 1672, 224], [9, 9, 99, 9999]]", "thousand", (896, 1792))
 
 
 @given(st.text(st.sampled_from("[](){}\"':,.-0123456789 eabox_2d<>/\\\n#"), max_size=80) | st.text(max_size=60))
@@ -257,6 +324,31 @@ def test_a_key_written_again_and_again_holds_all(times):
     text = "{" + ", ".join(f'"bbox_2d": {box}' for box in boxes) + "}"
     found = parse_boxes(text, "pixels", (100, 10_000))
     assert [[round(box.x0 * 10_000), 10, round(box.x1 * 10_000), 50] for box in found] == boxes
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "I'm sorry, but I can't see images.",
+        "There is no image attached to your message.",
+        "I don't see an image in this conversation. Please upload one.",
+        "I do not have the ability to see pictures.",
+        "As a text-based assistant, I cannot detect objects.",
+        "The image did not load; I cannot see it.",
+        "The picture is too blurry, I cannot find anything.",
+        "没有收到图片,请重新上传。",
+        "画像が添付されていません。",
+        "Ich kann keine Bilder sehen.",
+        "No puedo ver imágenes.",
+    ],
+)
+def test_a_model_that_saw_no_picture_did_not_look_in_vain(text):
+    with pytest.raises(AnswerError, match="vision-language model"):
+        parse_boxes(text, "thousand", SIZE)
+    with pytest.raises(AnswerError):
+        parse_presence(text)
+    with pytest.raises(AnswerError):
+        parse_presence(text, [("No", -0.1), ("Yes", -3.0)])
 
 
 # --- token probabilities ---------------------------------------------------------------------------------------------
@@ -298,10 +390,24 @@ def test_the_score_is_the_decision_times_the_leading_digits():
         ("是的。", 1),
         ("Nein.", 0),
         ("◁think▷no◁/think▷ Oui", 1),
+        ('{"present": false}', 0),
+        ("No doubt, yes.", 1),
+        ("Yes or no? No.", 0),
+        ("It is not easy to see, but yes.", 1),
+        ("<analysis>no chair so far</analysis>Yes", 1),
+        ("Thought: no, or?\nAnswer: yes", 1),
+        ("存在", 1),
+        ("見当たりません", 0),
     ],
 )
 def test_yes_and_no(text, probability):
     assert parse_presence(text) == probability
+
+
+@pytest.mark.parametrize("text", ["I'm not sure.", "It is not clear.", "Maybe.", "yes/no", "Yes and no."])
+def test_neither_yes_nor_no(text):
+    with pytest.raises(AnswerError, match="wanted yes or no"):
+        parse_presence(text)
 
 
 @given(st.floats(0.01, 0.99), st.floats(0.001, 1))
@@ -467,8 +573,10 @@ def test_what_is_cut_shows_what_is_there(yaw, pitch):
 
 @pytest.mark.parametrize("side", [1e-300, 1e-15, 1e-7])
 def test_boxes_of_no_size_to_speak_of_are_left_out(side):
-    assert parse_boxes(f"[[0.5, 0.5, {0.5 + side!r}, 0.6]]", "unit", SIZE) == []
-    assert parse_boxes(f"[[0.0, 0.0, {side!r}, {side!r}]]", "unit", SIZE) == []
+    for flat in (f"[0.5, 0.5, {0.5 + side!r}, 0.6]", f"[0.0, 0.0, {side!r}, {side!r}]"):
+        assert parse_boxes(f"[{flat}, [0.1, 0.2, 0.3, 0.4]]", "unit", SIZE) == [Box(0.1, 0.2, 0.3, 0.4)]
+        with pytest.raises(AnswerError, match="no area"):
+            parse_boxes(flat, "unit", SIZE)
 
 
 @pytest.mark.parametrize("size", [(28, 56), (56, 56), (90, 64), (33, 47)])

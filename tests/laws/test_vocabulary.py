@@ -222,6 +222,7 @@ def test_no_words_are_no_query(query):
         ("door", ["Door", "Door handle"], ("Door",)),
         ("door handle", ["Door", "Door handle"], ("Door handle",)),
         ("red apple", ["red apple", "apple"], ("red apple",)),
+        ("the red lamp", ["a red lamp", "a lamp"], ("a red lamp",)),
         ("chairs", ["Chair", "chair"], ("Chair", "chair")),
         ("teddybear", ["teddy bear"], ("teddy bear",)),
         ("tür", ["Tür", "Fenster"], ("Tür",)),
@@ -262,6 +263,8 @@ def test_any_text_is_answered_or_refused(text):
         ("visitor", "woman; person", "woman's hat"),
         ("bear", "bears", "teddy bear"),
         ("the sofa by the lamp", "couch", "lamp"),
+        ("lamp", "lamp 0.87; lamp_3; lamp (87%)", "no lamp; not a lamp; a table by the lamp"),
+        ("platform 9", "platform 9", "platform 10; platform 9 3"),
     ],
 )
 def test_what_a_label_says_of_a_query(query, fit, not_fit):

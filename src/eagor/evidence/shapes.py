@@ -64,9 +64,12 @@ def _no_area(box: np.ndarray, grid: Grid) -> ResponseError:
     )
 
 
-def are_fractions(boxes: np.ndarray) -> bool:
-    """Whether boxes ``(n, 4)`` seem to be in fractions of the picture: all lie in its first pixel."""
-    inside = boxes.size > 0 and boxes.min() >= 0 and boxes.max() <= 1
+def are_fractions(boxes: np.ndarray, beyond: float = 0.0) -> bool:
+    """Whether boxes ``(n, 4)`` seem to be in fractions of the picture: all lie in its first pixel.
+
+    `beyond`: the part of the picture by which some may lie outside of it.
+    """
+    inside = boxes.size > 0 and boxes.min() >= -beyond and boxes.max() <= 1 + beyond
     return bool(inside and (boxes != np.round(boxes)).any())
 
 

@@ -20,6 +20,10 @@ Names = Sequence[str] | Mapping[int, str]
 
 _SLACK = 1e-6  # by which rounding may take a probability out of [0, 1]
 
+LABELS = (  # keys of labels in a dictionary, texts before numbers
+    "text_labels", "label_names", "class_names", "class_name", "names", "phrases", "labels", "classes", "class_ids",
+    "class_id", "pred_classes", "category_ids", "categories", "cls",
+)  # fmt: skip
 WANTED = (
     "(boxes, scores) or (boxes, scores, labels); supervision's Detections; Ultralytics' results; a dictionary with "
     "boxes, scores, labels; MediaPipe's results; a list of dictionaries with bbox (x, y, w, h) or box"
@@ -63,12 +67,17 @@ def boxes_of(result: Any, names: Names | None = None) -> RawDetections:
             f"the box {corners[wrong[0]].tolist()} came; wanted x0 < x1 and y0 < y1. If it is x, y, width, height, add "
             "x to the width and y to the height"
         )
-    if are_fractions(corners):
+    if are_fractions(corners, 0.5) or 0 < corners.max(initial=0) <= 1:
         raise ResponseError(
             f"boxes came within {corners.max():.3g} of the corner: they seem to be fractions of the picture. Wanted "
             "pixels: multiply x by its width and y by its height"
         )
     names = names_in(result) if names is None else names
+    if read is _records and not isinstance(names, Mapping | None) and any("category_id" in each for each in result):
+        raise ResponseError(
+            "numbers came as category_id, and names as a list; COCO's begin at 1, and leave some out. Wanted names by "
+            "number, such as {1: 'person', 62: 'chair'}"
+        )
     texts = None if labels is None else _texts(labels, names, len(corners))
     real = np.flatnonzero((corners[:, 2:] > corners[:, :2]).all(axis=1))
     return RawDetections(
@@ -82,18 +91,39 @@ def names_in(result: Any) -> Names | None:
     return getattr(one, "names", None) if _reader(one) is _ultralytics else None
 
 
+def numbered(names: Any) -> dict[int, str]:
+    """Names of classes by number: of a list, of names by number, or of numbers by name. Raises `ResponseError`."""
+    try:
+        if isinstance(names, Mapping):
+            turned = all(isinstance(key, str) and not key.strip().isdecimal() for key in names)
+            return {int(value if turned else key): str(key if turned else value) for key, value in names.items()}
+        if not isinstance(names, str | bytes | set | frozenset):
+            return dict(enumerate(map(str, names)))
+    except (TypeError, ValueError):
+        pass
+    raise ResponseError(f"names of classes came as {shown(names)}; wanted a list, or names by number")
+
+
 def _texts(labels: Any, names: Names | None, count: int) -> list[str]:
     labels = labels if isinstance(labels, list | tuple) else np.ravel(to_numpy(labels)).tolist()
     if len(labels) != count:
         raise ResponseError(f"{count} boxes and {len(labels)} labels came; wanted as many of each")
-    known = names if isinstance(names, Mapping) else dict(enumerate(names or ()))
+    known = {} if names is None else numbered(names)
     texts: list[str] = []
     for each in labels:
-        if isinstance(each, str):
+        each = each.decode("utf-8", "replace") if isinstance(each, bytes) else each
+        if isinstance(each, str) and not (known and each.isdecimal() and each not in known.values()):
             texts.append(each)
             continue
-        if np.ndim(each) or not float(each).is_integer():
-            raise ResponseError(f"the label {shown(each)} came; wanted a text, or the number of a class")
+        try:
+            whole = float(each).is_integer()
+        except (TypeError, ValueError):
+            whole = False
+        if not whole:
+            raise ResponseError(
+                f"the label {shown(each)} came; wanted a text, or the number of a class. If all boxes are what was "
+                "asked for, return boxes and scores alone"
+            )
         if names is None:
             raise ResponseError(
                 f"labels came as numbers, such as {int(each)}; wanted texts, or names=... of the classes. If all boxes "
@@ -101,7 +131,7 @@ def _texts(labels: Any, names: Names | None, count: int) -> list[str]:
             )
         if int(each) not in known:
             raise ResponseError(
-                f"the label {int(each)} came, and names has {len(names)} entries without it; wanted one for each class"
+                f"the label {int(each)} came, and names has {len(known)} entries without it; wanted one for each class"
             )
         texts.append(str(known[int(each)]))
     return texts
@@ -110,7 +140,7 @@ def _texts(labels: Any, names: Names | None, count: int) -> list[str]:
 def _numbers(values: Any, what: str, wanted: str) -> np.ndarray:
     try:
         numbers = np.asarray(to_numpy(values), dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, NotImplementedError, RuntimeError) as error:
         raise ResponseError(f"{what} came as {_kind(values)}; wanted {wanted}") from error
     if not np.isfinite(numbers).all():
         raise ResponseError(f"{what} came that are not finite; wanted numbers")
@@ -141,7 +171,7 @@ def _supervision(result: Any) -> _Read:
 
 
 def _ultralytics(result: Any) -> _Read:
-    boxes = getattr(result, "obb", None) if result.boxes is None else result.boxes
+    boxes = result.boxes if getattr(result, "obb", None) is None else result.obb
     if boxes is None:
         raise ResponseError("Ultralytics' results came with neither boxes nor oriented boxes (obb), as of a classifier")
     corners = getattr(boxes, "xyxy", None)  # of oriented boxes: what holds them
@@ -152,8 +182,8 @@ def _ultralytics(result: Any) -> _Read:
 
 
 def _mapping(result: Mapping[str, Any]) -> _Read:
-    labels = (result.get(key) for key in ("text_labels", "label_names", "labels"))
-    return result["boxes"], result["scores"], next((each for each in labels if each is not None), None)
+    labels = (each for key in LABELS if (each := result.get(key)) is not None)
+    return result["boxes"], result["scores"], next(labels, None)
 
 
 def _mediapipe(result: Any) -> _Read:

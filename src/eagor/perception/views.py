@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
@@ -23,7 +23,7 @@ from eagor.evidence import DetectorModel, Evidence
 from eagor.grids import PerspectiveGrid, tangent_views
 from eagor.perception.colour import share_of
 from eagor.perception.fusion import ViewBox, ViewDetections, combined
-from eagor.perception.results import Names, boxes_of, names_in
+from eagor.perception.results import Names, boxes_of, names_in, numbered
 from eagor.perception.vocabulary import colour_of, fitting, match_class, named, same_name
 from eagor.sources.panorama import checked_picture, cut
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
@@ -110,7 +110,7 @@ class Detector:
     def _know(self, names: Names | None) -> None:
         """What numbers of classes are called, and so what the detector knows."""
         self._names = names
-        self.classes = None if names is None else tuple(names.values() if isinstance(names, Mapping) else names)
+        self.classes = None if names is None else tuple(numbered(names).values())
 
     def __repr__(self) -> str:
         view = self._views[0]

@@ -23,8 +23,8 @@ from eagor.evidence import Evidence
 from eagor.perception.colour import COLOURS, SYNONYMS, Colour, colour_in, is_colour
 
 __all__ = [
-    "by_colour_alone", "colour_of", "fitting", "for_any_words", "is_bare_colour", "match_class", "named", "plain",
-    "same_name", "singular",
+    "by_colour_alone", "colour_of", "contradicts", "fitting", "for_any_words", "is_bare_colour", "match_class", "named",
+    "plain", "same_name", "singular",
 ]  # fmt: skip
 
 _TABLES = toml.decode(Path(__file__).with_name("vocabulary.toml").read_bytes())
@@ -56,6 +56,7 @@ _PROMPT = re.compile(
     r"\A(?:(?:this|here|it|is|an?|the|one|my|good|bad|cropped|blurry|clean|bright|dark|low|high|resolution|quality) )*"
     r"(?:photo|photograph|picture|image|rendering|itap|close up) of (?=\S)"
 )
+_NEGATIVE = {"no", "not", "without", "non"}
 _EVERY = 8  # classes that an error names
 _ROOMS = ("chair", "couch", "bed", "dining table", "tv", "refrigerator", "potted plant", "person")
 
@@ -161,21 +162,24 @@ def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = 
     Otherwise a label fits that names the query's thing, by another name, or more widely or narrowly, too ("fridge" and
     "refrigerator", "person" and "woman"), unless both name colours, and none in common: "chair" and "office chair" fit
     "red chair", "blue chair" does not. What follows a preposition is left out: "the chair by the table" is no table. A
-    label without words says nothing against its box, and fits.
+    label without words says nothing against its box, and fits. Numbers behind a label ("chair 0.87") do not matter
+    where the query has none.
     """
     if wanted is not None:
         return frozenset(label for label in labels if same_name(label, wanted))
     asked, known = _bare(query), {label: _bare(label) for label in labels}
-    noun, colours = " ".join(_noun(asked)[0]), _colours(asked)
+    if not any(word.isdigit() for word in asked):
+        known = {label: _unnumbered(words) for label, words in known.items()}
+    noun = " ".join(_noun(asked)[0])
     exact = any(_same(words, asked) for words in known.values())
 
     def fits(words: list[str]) -> bool:
         if not words or _same(words, asked):
             return True
-        own, name = _colours(words), " ".join(words)
-        if colours and own and colours.isdisjoint(own):
+        if _contradict(words, asked):
             return False
-        more = words[-1:] == asked[-1:] and {*asked} <= {*words}
+        name = " ".join(words)
+        more = _noun(words)[0][-1:] == _noun(asked)[0][-1:] and {*asked} <= {*words}
         narrower = more or (not exact and _looked_up(tuple(words), (noun,))[0])
         # A thing by itself is not the noun that it ends with: a teddy bear is no bear.
         group = GROUPS.get(singular(name), ())
@@ -185,6 +189,17 @@ def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = 
     return frozenset(label for label, words in known.items() if fits(words))
 
 
+def contradicts(label: str, query: str) -> bool:
+    """Whether a label says that its box is not what `query` asks for: "no chair", and "blue chair" for "red chair"."""
+    words, asked = _bare(label), _bare(query)
+    return bool(words) and not _same(words, asked) and _contradict(words, asked)
+
+
+def _contradict(words: list[str], asked: list[str]) -> bool:
+    own, colours = _colours(words), _colours(asked)
+    return words[0] in _NEGATIVE or bool(own and colours and own.isdisjoint(colours))
+
+
 def same_name(label: str, classes: Collection[str]) -> bool:
     """Whether a label is one of the `classes`, as it is or without article, prompt, plural, case and signs."""
     return label in classes or any(_same(_bare(label), _bare(each)) for each in classes)
@@ -192,6 +207,12 @@ def same_name(label: str, classes: Collection[str]) -> bool:
 
 def _same(words: list[str], others: list[str]) -> bool:
     return bool(words) and singular(" ".join(words)) == singular(" ".join(others))
+
+
+def _unnumbered(words: list[str]) -> list[str]:
+    """Without the score or the count behind a label."""
+    last = next((at for at in range(len(words), 1, -1) if not words[at - 1].isdigit()), 1)
+    return words[:last]
 
 
 def _bare(text: str) -> list[str]:
@@ -294,7 +315,8 @@ def _spelt(classes: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
         for way in {whole, singular(whole), whole.replace(" ", "")}:
             exact.setdefault(way, []).append(each)
         without = re.sub(r"\([^)]*\)", "", each)
-        for part in map(plain, [without, *re.split(r"[/;,|]", without)]):
+        bare = " ".join(_asked(whole.split()))  # "a red chair", as detectors of an open vocabulary are given classes
+        for part in map(plain, [bare, without, *re.split(r"[/;,|]", without)]):
             for way in {part, singular(part)} - {""}:
                 parts.setdefault(way, []).append(each)
     return {way: tuple(dict.fromkeys(names)) for way, names in (parts | exact).items()}

@@ -7,6 +7,7 @@ cover the sphere (docs/models.md). Attention needs a local model: `eagor.percept
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -19,7 +20,7 @@ from eagor.errors import AnswerError
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.perception import parse_options, place_of, vlm
-from eagor.perception.endpoint.server import DEFAULT_SERVER, Amount, ChatClient, Count, ServerOptions, part
+from eagor.perception.endpoint.server import DEFAULT_SERVER, Amount, Answer, ChatClient, Count, ServerOptions, part
 from eagor.perception.json_files import checked
 from eagor.perception.vlm import IMAGE, MAX_TOKENS, ChatReply, Message
 from eagor.perception.vlm.answers import parse_presence
@@ -28,6 +29,7 @@ from eagor.perception.vlm.perception import Cost, ModelPerception
 __all__ = ["EndpointOptions", "EndpointPerception", "ServedChat", "chat_from_text", "from_text"]
 
 _LIKELIEST = 10  # alternatives per token whose probabilities are requested
+_SHORT = 5  # words: an answer that was cut behind yes or no
 _SECOND_TRY = 0.5  # temperature after an unreadable answer: at 0 the model would repeat it
 
 
@@ -66,6 +68,7 @@ class EndpointPerception(ModelPerception):
     ) -> None:
         self.options = given = checked(options, EndpointOptions, "a served model")
         self.client = ChatClient(model, address, given, given.concurrency)
+        self._warned = False  # whether a warning said that it may get no pictures
         super().__init__(self, given.extractor, given.per_view, given.seam, calibration, detector)
 
     @property
@@ -89,12 +92,25 @@ class EndpointPerception(ModelPerception):
         """What `read` makes of the answers per text and image; raises `AnswerError` if they cannot be read."""
         schema = {"name": "answer", "schema": vlm.boxes_schema(self.family.frame, self.family.order), "strict": True}
         how = {"response_format": {"type": "json_schema", "json_schema": schema}}
-        return self._answered(images, texts, how, lambda answer: read(answer.text, answer.tokens))
+
+        def whole(answer: Answer) -> Any:
+            boxes = read(answer.text, answer.tokens)
+            if answer.cut and not boxes and not answer.text.rstrip().endswith(("]", "}", "`")):
+                raise _cut_off(answer)
+            return boxes
+
+        return self._answered(images, texts, how, whole)
 
     def maps(self, images: Sequence[np.ndarray], queries: Sequence[str], wrap: bool) -> tuple[np.ndarray, Cost]:
         """The probability that the thing is there, as a single cell per query and image."""
         texts, how = [vlm.ask_presence(query) for query in queries], {"top_logprobs": _LIKELIEST}
-        found, cost = self._answered(images, texts, how, lambda answer: parse_presence(answer.text, answer.verdict))
+
+        def whole(answer: Answer) -> float:
+            if answer.cut and len(answer.text.split()) > _SHORT:
+                raise _cut_off(answer)
+            return parse_presence(answer.text, answer.verdict)
+
+        found, cost = self._answered(images, texts, how, whole)
         return np.array(found)[..., None, None], cost
 
     def _answered(
@@ -115,6 +131,14 @@ class EndpointPerception(ModelPerception):
                 readings.append(read(answers[-1]))
         counts = ([getattr(answer, f"{kind}_tokens") for answer in answers] for kind in ("prompt", "completion"))
         prompt, written = (None if None in each else sum(each) for each in counts)
+        if prompt and 3 * prompt < len(images) * sum(map(len, texts)) and not self._warned:
+            self._warned = True
+            warnings.warn(
+                f"{self.client.shown} counts {prompt} tokens in {len(answers)} questions, which is no more than their "
+                f"text: is {self.client.model()!r} a vision-language model, and did it get the pictures?",
+                UserWarning,
+                stacklevel=6,
+            )
         served, revisions = (sorted({name for answer in answers if (name := getattr(answer, kind))})
                              for kind in ("model", "revision"))  # fmt: skip
         cost = {
@@ -129,6 +153,10 @@ class EndpointPerception(ModelPerception):
         """Look at a grey picture, to test the setup before a long run; ignores an unreadable answer."""
         with suppress(AnswerError):
             self(np.full((self.rows, 2 * self.rows, 3), 128, dtype=np.uint8), "chair")
+
+
+def _cut_off(answer: Answer) -> AnswerError:
+    return AnswerError(f"the model answered {answer.text[:200]!r}, and was cut off; allow more tokens (max_tokens=...)")
 
 
 class ChatOptions(ServerOptions, kw_only=True, frozen=True, forbid_unknown_fields=True):

@@ -31,14 +31,24 @@ from eagor._checks import whole, within
 from eagor._extras import require_extra
 from eagor._files import keep_out, redacted
 from eagor.errors import AnswerError, EagorError, QueryError, ServerError
-from eagor.perception.vlm.answers import Token, means, without_thoughts
+from eagor.perception.vlm.answers import Token, verdict
+from eagor.perception.vlm.thoughts import without_thoughts
 
 DEFAULT_SERVER = "http://localhost:8000/v1"
 _TRIES = "x-stainless-retry-count"  # where the client says how often it asked before
 _SENT = re.compile("host|content-type|content-length|accept|connection|user-agent|x-stainless-.*")  # headers
 _MOST = 32 << 20  # bytes of an answer
 _LONGEST_PAUSE = 30.0  # seconds between two tries at most, unless the server asks for longer
-_FEATURES = {"response_format", "logprobs"}  # that are tried
+# Features that are tried, and how servers name them that refuse them.
+_FEATURES = {"response_format": "response_format|json_schema|schema|grammar|structured|guided", "logprobs": "logprobs"}
+_CUT = {"length", "max_tokens", "max_output_tokens", "model_length", "model_context_window_exceeded"}
+# Why answers end that are none: they were withheld, or something broke.
+_WITHHELD = {
+    "content_filter", "safety", "recitation", "blocklist", "prohibited_content", "spii", "image_safety", "language",
+    "refusal", "sensitive", "guardrail_intervened", "error", "abort", "aborted", "cancelled", "network_error",
+    "insufficient_system_resource", "malformed_function_call", "malformed_response",
+}  # fmt: skip
+_BARE = re.compile(r"\s*(?:[\[{<`|]|\W*\w+\W*\Z)")  # boxes or one word: no more thoughts
 _RENAMED = {"max_tokens": "max_completion_tokens"}  # as OpenAI's reasoning models call it
 
 Count = Annotated[int, msgspec.Meta(ge=1)]
@@ -70,16 +80,16 @@ class Answer(NamedTuple):
     prompt_tokens: int | None
     completion_tokens: int | None
     requests: int
+    cut: bool = False  # by the limit of tokens
 
     @property
     def verdict(self) -> list[Token]:
-        """The alternatives at the first piece, after any thoughts, that means yes or no; [] if there is none."""
-        bare, place = without_thoughts("".join(piece for piece, _ in self.tokens)), 0
+        """The alternatives at the piece that decides between yes and no; [] if there is none."""
+        place, _ = verdict("".join(piece for piece, _ in self.tokens))
         for token, others in zip(self.tokens, self.likeliest, strict=True):
-            piece = bare[place : place + len(token[0])]
-            place += len(token[0])
-            if piece.strip() and means(piece) is not None:
+            if 0 <= place < len(token[0]):
                 return others or [token]
+            place -= len(token[0])
         return []
 
 
@@ -229,7 +239,8 @@ class ChatClient:
         request, model, reason = getattr(error, "request", None), self._model, _message(error)
         count = 1 + int(request.headers.get(_TRIES, 0)) if request is not None else 1
         tries, status = "tried once" if count == 1 else f"tried {count} times", getattr(error, "status_code", None)
-        if model and (status == 404 or (status is not None and "model" in reason.lower())):
+        named = status == 404 or (status is not None and "model" in reason.lower())
+        if model and named and not re.search("multimodal|mmproj|image", reason.lower()):
             with suppress(EagorError):
                 if (served := await self._names(client)) and model not in served:
                     has = f"{self.shown} has no model {model!r} ({reason}); it has {', '.join(map(repr, served))}"
@@ -269,7 +280,10 @@ def _loop(_process: int) -> asyncio.AbstractEventLoop:
 
 
 def checked_address(url: str) -> str:
-    """`url` with ``/v1`` added if it has no path; its password is kept out of output. Raises `EagorError`."""
+    """`url` without ``/chat/completions``, with ``/v1`` added if it has no path; its password is kept out of output.
+
+    Raises `EagorError`.
+    """
     shown = re.sub(r"//[^/]*@", "//***@", str(url).partition("?")[0])
     try:
         parts = urlsplit(str(url).strip())
@@ -284,7 +298,8 @@ def checked_address(url: str) -> str:
     login, at, _ = parts.netloc.rpartition("@")
     if at:  # also as it is sent
         keep_out(unquote(parts.password or ""), login, base64.b64encode(unquote(login).encode()).decode())
-    return urlunsplit(parts._replace(path=parts.path.rstrip("/") or "/v1", fragment=""))
+    path = parts.path.rstrip("/").removesuffix("/chat/completions")
+    return urlunsplit(parts._replace(path=path or "/v1", fragment=""))
 
 
 # --- requests and answers ---------------------------------------------------------------------------------------------
@@ -309,13 +324,21 @@ def _read(found: Any, sent: Mapping[str, Any], silence: bool, tries: int) -> Ans
     choices, who = found["choices"], str(found.get("model") or sent["model"])
     if choices == []:
         raise AnswerError(f"{who} returned no choices; look at the log of its server")
-    choice, message = choices[0], choices[0]["message"]
-    content, reason, probabilities = message.get("content"), choice.get("finish_reason"), choice.get("logprobs")
+    choice = next((each for each in choices if each.get("index") == 0), choices[0])
+    message, reason, probabilities = choice["message"], choice.get("finish_reason"), choice.get("logprobs")
+    content, ended = message.get("content"), str(reason).lower()
     text, thoughts = _text(content), _text(message.get("reasoning_content") or message.get("reasoning"))
-    if not text.strip() and thoughts.strip() and reason != "length":
-        # Servers whose parser waits for the end of thoughts that were never begun: the end of these is the answer.
-        content = text = re.split(r"\n\s*\n", without_thoughts(thoughts).strip() or thoughts.strip())[-1]
+    if not silence and (ended in _WITHHELD or message.get("refusal")):
+        refusal = str(message.get("refusal") or text)[:200]
+        raise AnswerError(f"{who} gave no answer: it stopped because of {reason!r}, and says {refusal!r}")
+    if not text.strip() and message.get("tool_calls"):  # its parser took the model's JSON for a call
+        content = text = "\n".join(str(call["function"]["arguments"]) for call in message["tool_calls"])
         probabilities = None
+    if not text.strip() and thoughts.strip() and ended not in _CUT:
+        # Servers whose parser waits for the end of thoughts that were never begun: the end of these is the answer.
+        last = re.split(r"\n\s*\n", without_thoughts(thoughts).strip() or thoughts.strip())[-1]
+        if silence or _BARE.match(last):
+            content, text, probabilities = last, last, None
     usage = found.get("usage")
     counts = [usage.get(f"{each}_tokens") if isinstance(usage, dict) else None for each in ("prompt", "completion")]
     prompt, answer = (count if whole(count, 0) else None for count in counts)
@@ -329,14 +352,20 @@ def _read(found: Any, sent: Mapping[str, Any], silence: bool, tries: int) -> Ans
     pieces = _pieces(probabilities.get("content") if "logprobs" in sent and probabilities else None)
     tokens, likeliest = [each[:2] for each in pieces], [[one[:2] for one in _pieces(each[2])] for each in pieces]
     revision = str(found.get("system_fingerprint") or "") or None
-    return Answer(text, tokens, likeliest, str(found.get("model") or ""), revision, prompt, answer, tries)
+    model = str(found.get("model") or "")
+    return Answer(text, tokens, likeliest, model, revision, prompt, answer, tries, ended in _CUT)
 
 
 def _text(content: Any) -> str:
     """The text of a message's content, a string or a list of parts; parts with thoughts are left out."""
     if isinstance(content, list):
-        parts = [{"text": part} if isinstance(part, str) else part for part in content]
-        return "".join(_text(part.get("text")) for part in parts if part.get("type", "text") in ("text", "output_text"))
+        if any(isinstance(part, dict) and not {"type", "text"} & part.keys() for part in content):
+            return json.dumps(content)  # the server has read the model's JSON itself
+        parts = [{"text": part} if isinstance(part, str) else part for part in content if part is not None]
+        shown = (
+            part for part in parts if part.get("type", "text") in ("text", "output_text") and not part.get("thought")
+        )
+        return "".join(_text(part.get("text")) for part in shown)
     if content is not None and not isinstance(content, str):
         raise TypeError(f"the answer is {content!r}")
     return content or ""
@@ -381,7 +410,7 @@ def _error_within(body: str) -> Any:
         return None
     choices = found.get("choices")
     if isinstance(choices, list) and choices:
-        return choices[0].get("error") if isinstance(choices[0], dict) else None
+        return found.get("error") or (choices[0].get("error") if isinstance(choices[0], dict) else None)
     fault = next((found[key] for key in ("message", "detail", "msg", "error_msg") if found.get(key)), None)
     return found.get("error") or (fault and not choices and {"message": fault, "code": found.get("code")})
 
@@ -391,8 +420,10 @@ def _refused(error: Any, used: set[str]) -> set[str]:
     if getattr(error, "status_code", None) not in (400, 404, 422, 500, 501):
         return set()
     reason = _message(error).lower()
-    named = {name for name in used & (_FEATURES | {*_RENAMED, "temperature"}) if name in reason}
-    return named or (used & _FEATURES if error.status_code in (400, 422, 501) else set())
+    ways = _FEATURES | {name: name for name in (*_RENAMED, "temperature")}
+    named = {name for name in used & ways.keys() if re.search(ways[name], reason)}
+    unnamed = error.status_code in (400, 422, 501) or "requested parameters" in reason
+    return named or (used & _FEATURES.keys() if unnamed else set())
 
 
 def _message(error: Any) -> str:

@@ -152,6 +152,8 @@ class OnnxDetector:
         self._check(all(np.isfinite(each).all() for each in outputs), "numbers that are not finite")
         layout, count = self._layout, len(self._names)
         batched = layout.outputs(count, 0)[0][0] == 1
+        shares = layout.logits and 0 <= outputs[1].min() <= outputs[1].max() <= 1
+        self._check(not shares, "probabilities, where logits are wanted")
         single = [(each[0] if batched else each).astype(np.float32, copy=False) for each in outputs]
         boxes, scores, *numbers = (each.astype(np.float64) for each in layout.read(single, count, self.threshold))
         if layout.centred:
@@ -163,11 +165,15 @@ class OnnxDetector:
         boxes, scores = boxes[rows], np.clip(scores[reach], 0, 1)
         numbers = numbers[0][rows] if numbers else columns[0]
         classes = np.rint(numbers).astype(np.int64)
-        known = (np.abs(numbers - classes) <= SLACK) & (classes >= 0) & (classes < count)
+        known = (np.abs(numbers - classes) <= SLACK) & (classes >= (not self._names[0])) & (classes < count)
         self._check(known.all(), f"classes such as {numbers[:3].tolist()} of {count} that have labels")
         inverted = (boxes[:, :2] > boxes[:, 2:]).any(axis=1)
         middles = (boxes[:, :2] + boxes[:, 2:]) / 2 / self.size[::-1]
-        right = 2 * inverted.sum() <= len(boxes) and not are_fractions(boxes) and (np.abs(middles - 0.5) <= 1.5).all()
+        right = (
+            2 * inverted.sum() < max(len(boxes), 1)
+            and not are_fractions(boxes, 0.5)
+            and (np.abs(middles - 0.5) <= 1.5).all()
+        )
         self._check(right, f"boxes such as {boxes[:1].round(3).tolist()}, where corners in pixels are wanted")
         return boxes, scores, classes
 

@@ -35,7 +35,8 @@ class Layout:
     - `read`: from these outputs without the axis of the batch, the number of classes and the least score: boxes
       ``(n, 4)``, and scores ``(n, C)`` for each class, or ``(n,)`` and the numbers ``(n,)`` of the classes.
     - `centred`: boxes are centre and size, else corners. `fractions`: of the input's sides, else pixels.
-    - `first`: number of the first name of a list of labels. `suppressed`: one box is left for each thing.
+    - `first`: number of the first name of a list of labels. `suppressed`: one box is left for each thing. `logits`:
+      the second output is no probabilities.
     """
 
     title: str
@@ -44,6 +45,7 @@ class Layout:
     centred: bool = False
     fractions: bool = False
     suppressed: bool = True
+    logits: bool = False
     fit: str = "stretch"
     values: str = "unit"
     size: int = 640
@@ -81,17 +83,17 @@ LAYOUTS: dict[str, Layout] = {
     "detr": Layout(
         "boxes (1, n, 4): centre, size as fractions; logits (1, n, C + 1), the last for nothing (DETR)",
         lambda c, more: [(1, None, 4), (1, None, c + 1)], lambda o, c, t: (o[0], softmax(o[1], axis=-1)[:, :-1]),
-        centred=True, fractions=True, values="imagenet", size=800,
+        centred=True, fractions=True, logits=True, values="imagenet", size=800,
     ),
     "rtdetr": Layout(
         "boxes (1, n, 4): centre, size as fractions; logits (1, n, C) (RT-DETR, D-FINE)",
         lambda c, more: [(1, None, 4), (1, None, c)], lambda o, c, t: (o[0], expit(o[1])),
-        centred=True, fractions=True,
+        centred=True, fractions=True, logits=True,
     ),
     "rfdetr": Layout(
         "the same, from colours standardised as ImageNet's (RF-DETR, Deformable DETR)",
         lambda c, more: [(1, None, 4), (1, None, c)], lambda o, c, t: (o[0], expit(o[1])),
-        centred=True, fractions=True, values="imagenet", size=560,
+        centred=True, fractions=True, logits=True, values="imagenet", size=560,
     ),
     "rtdetr-table": Layout(
         "one output (1, n, 4 + C): centre, size as fractions, classes (RT-DETR by Ultralytics)",
@@ -164,6 +166,8 @@ def _match_outputs(name: str, outputs: Mapping[str, np.ndarray], classes: int, m
 
     Of two with the same shape, boxes are known by their name, and labels by whole numbers.
     """
+    if name == "detr" and "dets" in outputs:  # RF-DETR with one class more than there are labels: no softmax
+        return None
     picked: list[str] = []
     for place, shape in enumerate(LAYOUTS[name].outputs(classes, more)):
         fits = [

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -25,11 +26,14 @@ from eagor.grids import OVERLAP, Grid, PatchGrid, PerspectiveGrid, depth_inside,
 from eagor.perception.fusion import spread_evidence
 from eagor.perception.vlm import ask_boxes, phrase
 from eagor.perception.vlm.answers import Box, Token, parse_boxes
+from eagor.perception.vocabulary import contradicts, fitting, plain, same_name
 from eagor.sources.panorama import checked_picture, cut, resized
 from eagor.sphere import angular_distance
 
 SAME = math.radians(5)  # largest distance between two boxes of one small thing; the extent of large things is added
 REACH = math.sqrt(3)  # half the width of a box over its standard deviation
+MOST_LABELS = 8  # in a warning
+_GENERAL = {"thing", "object", "target", "item", "instance", "region", "detection"}  # in labels that say nothing
 _SAMPLES = 3  # along each side of a cell that the responses of views are projected to
 Cost = Mapping[str, object]  # tokens, requests and the like, for the source of evidence
 
@@ -68,6 +72,7 @@ class ModelPerception:
     ) -> None:
         self.model, self.seam, self.calibration, self.detector = model, seam, calibration, detector
         self._asked = extractor, per_view
+        self._strange_queries: set[str] = set()  # queries for which a warning named labels of the model's own
 
     @property
     def extractor(self) -> str:
@@ -127,7 +132,8 @@ class ModelPerception:
 
             texts = [ask_boxes(query, family.frame, family.order) for query in queries]
             boxes, cost = self.model.boxes(images, texts, read)
-            found = [self._of_boxes(plan, answers, stamp) for answers in boxes]
+            asked = zip(boxes, queries, strict=True)
+            found = [self._of_boxes(plan, self._fitting(answers, query), stamp) for answers, query in asked]
         else:
             maps, cost = self.model.maps(images, queries, isinstance(plan.crops[0].grid, PatchGrid))
             responses = (combined(answers, plan.crops, plan.cells) for answers in maps)
@@ -136,6 +142,24 @@ class ModelPerception:
         took = round(1000 * (time.perf_counter() - began), 3)
         source: dict[str, Any] = {**how, "pixels": list(images[0].shape[:2]), **cost, "milliseconds": took}
         return [replace(evidence, source=source) for evidence in found]
+
+    def _fitting(self, answers: Sequence[Sequence[Box]], query: str) -> list[list[Box]]:
+        """The boxes of each picture without those that the model itself calls something else.
+
+        Where it calls some as they were asked for, others have to fit; else (it may write another language) all count
+        whose labels do not contradict the query, and a warning names the labels, once for each query.
+        """
+        labels = {box.label for boxes in answers for box in boxes if box.label}
+        exact = any(same_name(label, [query]) for label in labels)
+        others = {each for each in labels - fitting(query, labels) if _GENERAL.isdisjoint(plain(each).split())}
+        wrong = {label for label in others if exact or contradicts(label, query)}
+        strange = {each for each in others - wrong if {*plain(query).split()}.isdisjoint(plain(each).split())}
+        if strange and query not in self._strange_queries:
+            self._strange_queries.add(query)
+            shown = ", ".join(map(repr, sorted(strange)[:MOST_LABELS]))
+            text = f"the model calls what it found for {query!r} {shown}; it counts all the same"
+            warnings.warn(text, UserWarning, stacklevel=5)
+        return [[box for box in boxes if box.label not in wrong] for boxes in answers]
 
     def _of_boxes(self, plan: InferencePlan, answers: Sequence[Sequence[Box]], stamp: float | None) -> Evidence:
         if self.calibration is not None:
