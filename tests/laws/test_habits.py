@@ -356,6 +356,17 @@ def test_time_lets_habits_go_as_distance_does():
     assert found[0.0] < found[10.0] < found[1e4]
 
 
+def test_being_hidden_costs_its_share_once_for_each_view_point():
+    """From a share of the view points a thing cannot be seen: all empty looks from one cost no more than that."""
+    model = replace(MODEL, detection_probability=0.7, hidden=0.4, kept_within=0.1)
+    tracker = DirectionTracker(FLAT)
+    for k in range(12):
+        tracker.add_pose(k, np.eye(3), [10.0 * (k // 4), 0, 0])  # four looks from each of three view points
+        tracker.observe(look([], k, model))
+        cost = math.log(0.4 + 0.6 * 0.3 ** (k % 4 + 1)) + k // 4 * math.log(0.4 + 0.6 * 0.3**4)
+        assert odds(tracker.estimate(k)) == pytest.approx(cost, abs=1e-6)
+
+
 # --- drift ------------------------------------------------------------------------------------------------------------
 
 

@@ -15,7 +15,6 @@ from eagor.sphere import unit
 
 HEAVY = 0.002  # of the belief: cells that hold more are refined
 NEAR = math.radians(20)  # of a peak: within this angle it is the same thing, which parallax may move
-RIPPLE = 0.15  # nats: between the nodes of a patch, splines swing so much beside a steep flank
 FINEST = math.radians(0.02)  # of a peak's place
 # The nine points about a place, in steps, and what of their values gives the slopes ``(2,)`` and the second derivatives
 # ``(3,)`` along, across and mixed, of a quadratic (Savitzky and Golay, Analytical Chemistry 36(8), 1964).
@@ -150,18 +149,16 @@ class Density(Masses):
         return mass / mass.sum(), layout.directions
 
     def _refined(self, tops: np.ndarray) -> np.ndarray:
-        """The highest points ``(m, 3)`` of the field beside `tops` ``(m, 3)``."""
-        found, of_nodes, reach = self._climbed(tops), tops.copy(), np.ones(len(tops))
+        """The highest points ``(m, 3)`` of the field beside `tops` ``(m, 3)``: in a patch, by its nodes alone."""
+        found, free = tops.copy(), np.ones(len(tops), dtype=bool)
         for place, direction in enumerate(tops):
             for patch in self.field.patches:
                 places, inside = patch.places(direction)
                 if inside:
-                    of_nodes[place], reach[place] = _top_of_patch(patch, places), math.cos(float(patch.spacing.min()))
+                    found[place], free[place] = _top_of_patch(patch, places), False
                     break
-        near = np.flatnonzero(np.einsum("mi,mi->m", of_nodes, found) > reach)
-        if len(near):
-            near = near[self.field(found[near]) - self.field(of_nodes[near]) < RIPPLE]
-            found[near] = of_nodes[near]
+        if free.any():
+            found[free] = self._climbed(tops[free])
         return found
 
     def _climbed(self, tops: np.ndarray) -> np.ndarray:

@@ -31,8 +31,8 @@ Detector = Annotated[
         "spread=DEG,...",
         "Error model of the detector (how-to/detector-errors): habit=A+B or detection_probability=P, "
         "false_alarms_per_look=N, look_alikes=N, look_alike_habit=A+B, kept_for=SECONDS, kept_within=METRES, "
-        "spread=DEG (differs in each look), offset=DEG (stays at a place), spread_of_size=S, offset_of_size=S, "
-        "parts=P, prior_correct=P.",
+        "hidden=SHARE, spread=DEG (differs in each look), offset=DEG (stays at a place), spread_of_size=S, "
+        "offset_of_size=S, parts=P, prior_correct=P.",
     ),
 ]
 Axes = Annotated[

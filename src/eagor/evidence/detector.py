@@ -102,11 +102,14 @@ def habits(
     look_alike_habit: tuple[float, float],
     kept_for: float | None,
     kept_within: float | None,
+    hidden: float,
 ) -> Habits:
     """The habits with these numbers, the fields of `DetectorModel`."""
     levels, shares = LEVELS, _weights(habit)
     if detection_probability is not None:
         levels, shares = np.array([detection_probability]), np.ones(1)
+    if hidden:
+        levels, shares = np.append(0.0, levels), np.append(hidden, (1 - hidden) * shares)
     if look_alikes is None:
         look_alikes = LOOK_ALIKES if detection_probability is None else 0.0
     alike_levels, alike_shares = LEVELS, (1 - EQUALS) * _weights(look_alike_habit) + EQUALS * _weights(habit)
@@ -144,7 +147,7 @@ def _is_beta(found: object) -> bool:
     return isinstance(found, tuple) and len(found) == 2 and all(within(each, *BETA) for each in found)
 
 
-RESPONSES = habits(1.0, HABIT, 0.0, LOOK_ALIKE_HABIT, None, None)  # of response maps, whose looks just add up
+RESPONSES = habits(1.0, HABIT, 0.0, LOOK_ALIKE_HABIT, None, None, 0.0)  # of response maps, whose looks just add up
 
 
 CLUTTER_FLOOR = 1e-3  # least relative density of false alarms: no single detection is a proof
@@ -180,6 +183,8 @@ class DetectorModel:
       where the thing is, and where a look-alike is.
     - `kept_for`, `kept_within`: seconds, and metres of the camera's way, in which places lose their habits
       (`eagor.evidence.detector`). None: they last.
+    - `hidden`: the share of view points from which a thing cannot be seen, behind a wall or a door: about 0 in one
+      room, about 0.5 on a way through several. A habit like the others: it is drawn anew within `kept_within`.
     - `offset`: radians (standard deviation per axis), an error on top of `spread` that a place keeps: a box that sits
       beside the thing does so in the next look. No number of looks averages it out.
     - `spread_of_size`, `offset_of_size`: what a box or a mask adds to `spread` and to `offset`, as shares of the
@@ -205,6 +210,7 @@ class DetectorModel:
     look_alike_habit: tuple[float, float] = LOOK_ALIKE_HABIT
     kept_for: float | None = KEPT_FOR
     kept_within: float | None = KEPT_WITHIN
+    hidden: float = 0.0
     offset: float = OFFSET
     spread_of_size: float = 1.0
     offset_of_size: float = OFFSET_OF_SIZE
@@ -232,6 +238,7 @@ class DetectorModel:
                 above(self.prior_correct, 0, 1) and self.prior_correct < 1,
                 "a share of the boxes, above 0 and below 1",
             ),
+            "hidden": (within(self.hidden, 0, 1) and self.hidden < 1, "a share of the view points, from 0, below 1"),
             "offset": (within(self.offset, 0, math.radians(60)), "radians, from 0 to 60 degrees"),
             "spread_of_size": (
                 within(self.spread_of_size, LEAST_OF_SIZE, 2),
@@ -267,6 +274,7 @@ class DetectorModel:
             self.look_alike_habit,
             self.kept_for,
             self.kept_within,
+            self.hidden,
         )
 
     def ratios(self, scores: np.ndarray | None, count: int) -> np.ndarray:

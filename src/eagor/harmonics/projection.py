@@ -74,7 +74,9 @@ def synthesise(degree: int, coefficients: Array, where: Grid | ErpWindow | Array
             over_columns = xp.take(over_columns, table_like(where.columns, coefficients), axis=1)
         rings = _by_order(lambda table, part: part @ table[..., rows], degree, whole.height, None, packed)
         rings = xp.reshape(rings, (2 * count, -1))
-        return xp.reshape(xp.matrix_transpose(rings) @ over_columns, (*batch, *where.shape))
+        # A product for each map is too small for OpenBLAS to wake its threads, which would wait for each other.
+        maps = xp.reshape(xp.matrix_transpose(rings), (-1, where.shape[0], 2 * count))
+        return xp.reshape(maps @ over_columns, (*batch, *where.shape))
     points = where.directions if isinstance(where, PerspectiveGrid | FisheyeGrid) else as_float(where)
     check_directions(points)
     if xp is np:
