@@ -48,7 +48,8 @@ def played(seed: int, walls: float, told: float) -> tuple[bool, float, float]:
             near = GRID.directions @ truth > math.cos(math.radians(15))
             held = estimate.presence * float((estimate.density(GRID) * GRID.weights)[near].sum())
             scores.append(math.log(max(held if here else 1 - estimate.presence, LEAST)))
-            errors.append(math.degrees(angular_distance(estimate.direction, truth)))
+            known = estimate.direction is not None
+            errors.append(math.degrees(angular_distance(estimate.direction, truth)) if known else 90.0)
     return here, float(np.mean(scores)), float(np.mean(errors))
 
 

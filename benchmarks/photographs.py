@@ -9,6 +9,7 @@ photograph is turned by known rotations, 40 frames a second apart (--labels has 
 
 - yaw: level, 9 degrees a frame; tumble: all axes, the seam and both poles crossed, 20 degrees a frame.
 - large: as yaw, 5760 x 2880; jpeg: as tumble, JPEG at quality 50.
+- ordinary: as yaw, an ordinary camera of 80 degrees, which sees the thing in a quarter of the frames.
 - tilt: as yaw, the mount is tilted by 10 degrees and the poses do not say so.
 - drift: as yaw, the heading of the poses drifts by 1 degree a second; drift-told: the tracker is told so.
 - sight: as tumble, poses from the pictures alone (`eagor.odometry.visual`).
@@ -46,23 +47,24 @@ from scipy.spatial.transform import Rotation
 from eagor.evidence import DetectorModel, Evidence, parse_model
 from eagor.evidence.detections import View
 from eagor.evidence.shapes import WHOLE_SPHERE
-from eagor.grids import ErpGrid
+from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.lab.agents.methods import NAMES, Estimator, TrackerEstimator, make_estimator
 from eagor.lab.eval.detector_fit import fitted_model
 from eagor.lab.eval.labelled_looks import LabelledLook
 from eagor.odometry.visual import VisualOdometer
 from eagor.perception.coco import CLASSES, DETECTOR
 from eagor.perception.fusion import SphericalDetection, fuse_views, pieces_of, spread_evidence
-from eagor.sources.panorama import read_panorama, turn
+from eagor.sources.panorama import cut, read_panorama, turn
 from eagor.sphere import angular_distance, direction, unit, world_R_body
 from eagor.tracking import Estimate, TrackerConfig
 
 FRAMES, STEP, TUMBLE = 40, math.radians(9), math.radians(20)
 TILT = math.radians(10)
-SEEN = ("yaw", "tumble", "large", "jpeg", "tilt")  # what has to be looked at; the others use the same looks
+SEEN = ("yaw", "tumble", "large", "jpeg", "ordinary", "tilt")  # what has to be looked at; the others use the same looks
 LOOKS_OF = {"drift": "yaw", "drift-told": "yaw", "sight": "tumble"}
 CONDITIONS = (*SEEN, *LOOKS_OF)
 FITTED_IN, USUAL_ALARMS = ("yaw", "tumble"), 0.2  # false alarms in a look of a usual detector
+ORDINARY = PerspectiveGrid(480, 640, math.radians(80), np.eye(3))
 BOX = 0.3  # score from which on a single box would be believed
 GRID = ErpGrid(90, 180)  # of the body frame, for the mass about the targets
 OURS = re.compile(r"eagor([:,]|$)")
@@ -106,6 +108,9 @@ def pictures(photograph: np.ndarray, condition: str) -> Iterator[np.ndarray]:
         yield from (np.roll(large, round(5760 * STEP * k / math.tau), axis=1) for k in range(FRAMES))
         return
     for pose in poses(condition):
+        if condition == "ordinary":
+            yield cut(photograph, replace(ORDINARY, body_R_view=pose))[0]
+            continue
         picture = turn(photograph, pose.T)
         if condition == "jpeg":
             buffer = io.BytesIO()
@@ -131,7 +136,7 @@ def look(folder: Path, files: Sequence[Path], wanted: Sequence[tuple[str, str]])
             for frame, picture in enumerate(pictures(photograph, condition) if frames else ()):
                 if frame not in frames:
                     continue
-                seen = views.detect(picture, say[frame])
+                seen = views.detect(picture, say[frame], grid=ORDINARY if condition == "ordinary" else None)
                 of_class = ((name, fuse_views(pieces_of(seen, {name}))) for name in CLASSES)
                 found = {name: [stored(thing) for thing in found] for name, found in of_class if found}
                 entry: dict[str, Any] = {"photograph": name, "condition": condition, "frame": frame, "seen": found}
@@ -166,7 +171,8 @@ class Case:
 
     def evidence(self, frame: int, model: DetectorModel) -> Evidence:
         """The look of one frame, read with `model`."""
-        return spread_evidence(self.things[frame], model, View(WHOLE_SPHERE), float(frame))
+        shown = ORDINARY if self.condition == "ordinary" else WHOLE_SPHERE
+        return spread_evidence(self.things[frame], model, View(shown), float(frame))
 
 
 def read_cases(files: Sequence[Path], conditions: Sequence[str], photographs: Marked) -> list[Case]:
