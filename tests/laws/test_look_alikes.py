@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from strategies import estimate_after, points_look, random_directions
 
-from eagor._values import altered
 from eagor.evidence import Evidence
-from eagor.evidence.detector import ClutterRate, DetectorModel, Spread
+from eagor.evidence.detector import DetectorModel, Spread
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
 from eagor.tracking.config import MotionModel, TrackerConfig
-from eagor.tracking.look_alikes import DRIFT, LEAST, LookAlikes, LookAlikesByDrift
+from eagor.tracking.look_alikes import DRIFT, LEAST, LookAlikes
 from eagor.tracking.scan import Scan
 from eagor.tracking.tracker import DirectionTracker
 
@@ -55,12 +54,6 @@ def test_alone_a_place_is_as_likely_as_the_field_says(found, looks):
     field = hypotheses.standing.log_other_intensity[hypotheses.standing.places.cells.reshape(-1)[cell]]
     assert angular_distance(known.directions[0, 0], HERE) < math.radians(12)
     assert float(known.odds.max()) == pytest.approx(math.log(math.expm1(field)), abs=0.25)
-
-
-def test_before_any_look_they_may_be_anywhere():
-    known = LookAlikes.prior(MODEL.habits, None)
-    mean = float(MODEL.habits.alike_levels @ MODEL.habits.alike_shares)
-    assert density(known, random_directions(5, 1)) == pytest.approx(0.7 * mean)
 
 
 def test_one_between_the_cells_is_known():
@@ -141,16 +134,6 @@ def test_a_place_draws_its_habit_anew_and_a_drift_widens_it():
     drifted = known.after(100.0, math.radians(1), None)
     grown = np.trace(drifted.covariances[0, 0]) - np.trace(known.covariances[0, 0])
     assert grown == pytest.approx(2 * math.radians(10) ** 2)
-
-
-def test_another_detector_keeps_the_places_and_learns_their_habits_anew():
-    known = after([look([HERE], stamp) for stamp in range(10)]).hypotheses.look_alikes
-    habits = replace(MODEL, look_alikes=1.4, look_alike_habit=(1.0, 1.0)).habits
-    other = known.for_sensor(habits)
-    assert other.odds == pytest.approx(known.odds)
-    assert other.levels[0] == pytest.approx(habits.alike_shares)
-    assert other.hidden.sum() == pytest.approx(2 * known.hidden.sum())
-    assert known.for_sensor(known.habits) is known
 
 
 def test_what_is_hardly_there_is_forgotten():
@@ -253,34 +236,3 @@ def test_a_drift_that_is_told_is_believed():
     assert drifting(0.0, config=replace(LEARNT, drift=0.02))[0].drift == 0.02
     alone = replace(MODEL, look_alikes=0, detection_probability=0.8)
     assert drifting(1.0, model=alone)[0].drift == 0
-
-
-def test_before_any_look_one_odometry_in_ten_drifts_untold():
-    prior = LookAlikesByDrift.prior(MODEL.habits, None, None)
-    assert prior.weights == pytest.approx([0.9, 0.1])
-    assert prior.drifts.tolist() == [0, DRIFT]
-    assert prior.drift == 0
-
-
-def test_what_one_place_explains_is_not_explained_again():
-    """The density of a look's detections, for no place, one, and one that is written down twice."""
-    known = after([look([HERE], stamp) for stamp in range(12)]).hypotheses.look_alikes
-    best = int(known.odds.argmax())
-    names = "points", "covariances", "shares", "odds", "levels", "boxes"
-    none, once, twice = (
-        altered(known, **{name: getattr(known, name)[[best] * count] for name in names}) for count in range(3)
-    )
-    scan = Scan.of([look([HERE], 99)], FLAT.degree, 99.0, np.eye(3), None)
-    alarms = ClutterRate.prior(MODEL)
-
-    def evidence(places):
-        return places.evidence(places.heard(scan, SPREAD), alarms, np.zeros(1))
-
-    number, heard = float(alarms.weights @ alarms.numbers), once.heard(scan, SPREAD)
-    new, own = float(heard.new.sum()), float(heard.own[0, 0])
-    there = float(known.levels[best] @ known.habits.alike_levels / (1 + math.exp(-known.odds[best])))
-    assert evidence(none) == pytest.approx(math.log(number + new))
-    assert evidence(once) == pytest.approx(math.log((1 - there) * (number + new) + own))
-    assert evidence(once) > evidence(none) + 2
-    # Either of the two was found, and the other was missed.
-    assert evidence(twice) == pytest.approx(math.log((1 - there) ** 2 * (number + new) + 2 * (1 - there) * own))

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.belief.ranged import log_ranges
-from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.detector import DetectorModel
 from eagor.harmonics.peaks import decoding_grid
@@ -109,23 +108,6 @@ def test_after_long_enough_all_is_as_at_the_start():
     assert waited.presence == pytest.approx(0.25, abs=1e-3)
     assert waited.moving == pytest.approx(motion.moving, abs=1e-3)
     assert passed(hypotheses, 0.0, motion) is hypotheses
-
-
-@given(
-    st.lists(st.tuples(st.floats(0, 2 * math.pi), st.floats(-1.5, 1.5), st.floats(0.0, 5.0)), min_size=1, max_size=8)
-)
-@settings(max_examples=15)
-def test_weights_and_densities_stay_probabilities(looks):
-    motion = MotionModel()
-    hypotheses = prior(motion)
-    for azimuth, elevation, elapsed in looks:
-        towards = direction(azimuth, elevation) if elapsed < 4 else None
-        hypotheses = seen(passed(hypotheses, elapsed, motion), towards)
-        assert hypotheses.weights.sum() == pytest.approx(1)
-        assert (hypotheses.weights >= 0).all()
-        assert (hypotheses.wandering.densities > 0).all()
-        means = np.einsum("mij,ij->m", hypotheses.wandering.densities, GRID.weights) / (4 * math.pi)
-        assert np.allclose(means, 1)
 
 
 # --- what a look says -------------------------------------------------------------------------------------------------
@@ -233,22 +215,3 @@ def test_a_target_that_comes_to_stand_is_found_where_it_stands():
     assert estimate.moving < 0.3
     assert math.degrees(angular_distance(estimate.direction, direction(4.0, 0.0))) < 1
     assert math.degrees(estimate.credible_angle) < 10
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("wander", 0.1),
-        ("wander", (0.1, 0.0)),
-        ("wander", (4.0,)),
-        ("wander", ("fast",)),
-        ("start", -0.1),
-        ("stop", math.nan),
-        ("jump", math.inf),
-        ("birth", "often"),
-        ("death", 1e3),
-    ],
-)
-def test_a_motion_without_a_meaning_is_refused(name, value):
-    with pytest.raises(EagorError, match=f"MotionModel: {name} = .*; wanted"):
-        MotionModel(**{name: value})

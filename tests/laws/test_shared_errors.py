@@ -72,32 +72,6 @@ def test_looks_at_nothing_share_nothing():
     assert tracker.estimate(1.0).hypotheses.shared.angle() == pytest.approx(math.radians(0.5))
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2, 3), (3, 1, 0, 2)])
-def test_the_order_of_looks_does_not_matter(order):
-    config = TrackerConfig(target_motion=MotionModel.still(), history=100.0)
-    tracker = DirectionTracker(config)
-    for stamp in range(5):
-        tracker.add_pose(float(stamp), world_R_body(0.1 * stamp**2), np.array([0.3 * stamp, 0.0, 0.0]))
-    for stamp in order:
-        how = model(0.2 + 0.3 * stamp)
-        tracker.observe(Evidence.from_points([unit([3.0 - 0.3 * stamp, 1.0, 0.0])], detector=how, stamp=float(stamp)))
-    shared = tracker.estimate(4.0).hypotheses.shared
-    assert shared.angle() == pytest.approx(0.011, abs=0.005)
-    expected = after_in_order(config)
-    assert shared.angle() == pytest.approx(expected.angle(), rel=1e-12)
-    assert np.allclose(shared.scatter, expected.scatter, atol=1e-12)
-
-
-def after_in_order(config):
-    tracker = DirectionTracker(config)
-    for stamp in range(5):
-        tracker.add_pose(float(stamp), world_R_body(0.1 * stamp**2), np.array([0.3 * stamp, 0.0, 0.0]))
-    for stamp in range(4):
-        how = model(0.2 + 0.3 * stamp)
-        tracker.observe(Evidence.from_points([unit([3.0 - 0.3 * stamp, 1.0, 0.0])], detector=how, stamp=float(stamp)))
-    return tracker.estimate(4.0).hypotheses.shared
-
-
 def walked(offset_deg, looks=60, way=2.0, thing=(0.0, 3.0, 0.0)):
     tracker = DirectionTracker(STILL)
     for count in range(looks):
@@ -145,24 +119,6 @@ def tracked(points):
 
 def test_points_that_disagree_are_signs_of_false_alarms():
     assert tracked([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]]).presence < tracked([[1, 0, 0]]).presence + 0.1
-
-
-# --- two places -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("missed", "least"), [(0, 0.35), (1, 0.25), (3, 0.12)])
-def test_one_miss_among_eighty_looks_leaves_the_second_place_its_share(missed, least):
-    rng, tracker = np.random.default_rng(1), DirectionTracker()
-    first, second = np.array([0.0, 0.0]), np.array([math.radians(140), 0.0])
-    without = set(rng.choice(np.arange(5, 77), missed, replace=False).tolist())
-    for stamp in range(80):
-        noise = math.radians(0.5) * rng.standard_normal((2, 2))
-        seen = [direction(*(place + off)) for place, off in zip((first, second), noise, strict=True)]
-        kept = 1 if stamp in without else 2
-        look = Evidence.from_points(seen[:kept], scores=[0.45, 0.40][:kept], stamp=float(stamp))
-        tracker.observe(look)
-    modes = tracker.estimate(79.0).modes
-    assert sum(mode.weight for mode in modes if angular_distance(mode.direction, direction(*second)) < 0.2) > least
 
 
 # --- the answer is the highest point ----------------------------------------------------------------------------------

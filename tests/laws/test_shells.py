@@ -49,15 +49,6 @@ def test_no_step_is_pure_rotation(seed, R):
     assert np.allclose(translate(5, c, RANGES, R, np.zeros(3)), RealHarmonics(5).rotate(c, R), atol=1e-12)
 
 
-@given(st.integers(0, 100), rotations(), STEPS)
-@settings(max_examples=20)
-def test_turning_first_and_stepping_then_is_one_step(seed, R, step):
-    """The displacement is given in the new frame."""
-    c, basis = shells(5, seed), RealHarmonics(5)
-    apart = translate(5, basis.rotate(c, R), RANGES, np.eye(3), step)
-    assert np.allclose(translate(5, c, RANGES, R, step), apart, atol=1e-10)
-
-
 @given(st.integers(0, 50), rotations(), STEPS)
 @settings(max_examples=20)
 def test_the_warp_commutes_with_turning_the_world(seed, R, step):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eagor import DetectorModel, DirectionTracker, Evidence, MotionModel, TrackerConfig
-from eagor.evidence.detector import ClutterRate, Spread
+from eagor.evidence.detector import ClutterRate
 from eagor.grids import ErpGrid
 from eagor.sphere import angular_distance, rotation, unit
 from eagor.tracking.moving import TurningTarget
@@ -91,15 +91,6 @@ def test_a_look_is_weighed_by_bayes_rule(aside):
     assert gain == pytest.approx(math.log(total), abs=0.1)
     away = np.sum(np.abs(after.density(GRID.directions) - product / total) * GRID.weights) / (4 * math.pi)
     assert float(away) / 2 < 0.12, "of the mass lies elsewhere"
-
-
-def test_what_is_foretold_for_each_scale_of_the_spread_is_the_mean_of_its_ratio():
-    before = followed(6, 0.1).after(1.0, 0.05, 0.0)
-    seen = look([rotation((0, 1, 0), angle) @ circling(6) for angle in (0.1, 2.0)])
-    seen = seen.scan.read(seen.alarms, Spread.unsure())
-    ratios = seen.at(GRID.directions, 0.0, seen.spread.scales).gains(PD)
-    expected = np.tensordot(ratios, before.density(GRID.directions) * GRID.weights, axes=2) / (4 * math.pi)
-    assert np.allclose(before.updated(seen.sightings(PD))[2], expected, rtol=0.06)
 
 
 def test_turning_the_world_turns_the_belief():
