@@ -14,7 +14,6 @@ import pytest
 from flat_world import in_the_flat  # noqa: F401 (a fixture for every test)
 from gymnasium.utils.env_checker import check_env
 
-import eagor.lab.tasks
 from eagor.errors import EagorError, WorldError
 from eagor.lab.envs.episodes import EpisodeSpec
 from eagor.lab.envs.rules import (
@@ -36,11 +35,6 @@ SETTINGS = {"waypoint": {"rules": SHORT_LEGS}}
 def make(task, **settings):
     name = {"waypoint": "WaypointFollowing", "navigation": "MapFreeNavigation", "tracking": "TargetTracking"}[task]
     return gymnasium.make(f"Eagor/{name}-v0", disable_env_checker=True, **(SETTINGS.get(task, {}) | settings))
-
-
-def test_the_environments_are_registered():
-    assert set(eagor.lab.tasks.ENVIRONMENTS) <= set(gymnasium.registry)
-    eagor.lab.tasks.register()  # twice does no harm
 
 
 @pytest.mark.parametrize(

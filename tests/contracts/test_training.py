@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from flat_world import in_the_flat  # noqa: F401 (a fixture for every test)
 from gymnasium.wrappers import FilterObservation, FlattenObservation, RescaleAction
-from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordVectorStatistics
 
 import eagor.lab.tasks  # noqa: F401 (registers the environments)
 from eagor.errors import WorldError
@@ -69,22 +68,6 @@ def test_ppo_learns_in_every_environment(name, flat_vector):
     assert len(model.ep_info_buffer) >= 1, "an episode ended, and its statistics were kept"
     assert all(math.isfinite(each["r"]) for each in model.ep_info_buffer)
     assert all(bool(value.isfinite().all()) for value in model.policy.state_dict().values())
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_vectors_go_on_after_an_episodes_end(name):
-    envs = gymnasium.make_vec(f"Eagor/{name}-v0", 2, "sync", rules=RULES[name], panorama=16)
-    envs = RecordVectorStatistics(envs)
-    envs.action_space.seed(0)
-    observation, _ = envs.reset(seed=3)
-    assert observation["panorama"].shape == (2, 16, 32, 3)
-    ended = 0
-    while ended < 3:
-        observation, reward, _, _, info = envs.step(envs.action_space.sample())
-        assert np.isfinite(reward).all()
-        assert envs.observation_space.contains(observation)
-        ended += int(info["_episode"].sum()) if "episode" in info else 0
-    envs.close()
 
 
 def test_a_start_far_from_the_origin_is_refused():

@@ -122,7 +122,7 @@ def test_depth_inside_is_the_distance_to_the_unseen(grid):
         (lambda: PerspectiveGrid(4, 4, 0.0), "needs 0 < hfov < pi"),
         (lambda: PerspectiveGrid(10, 10, 90), "radians"),
         (lambda: PerspectiveGrid(10, 10, 1.0, -np.eye(3)), "reflection"),
-        (lambda: FisheyeGrid(0, 1.0), "at least one row"),
+        (lambda: FisheyeGrid(0, 1.0), "size >= 1"),
         (lambda: FisheyeGrid(10, 7.0), "radians"),
     ],
 )

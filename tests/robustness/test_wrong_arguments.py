@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -120,11 +119,6 @@ def test_rounding_of_a_stamp_is_no_mistake() -> None:
     tracker = eagor.DirectionTracker()
     tracker.observe(seen(3 * 0.1))  # 0.30000000000000004
     assert tracker.estimate(0.3).stamp == 3 * 0.1
-
-
-def test_a_region_can_be_pickled() -> None:
-    region = eagor.Belief.uniform(7).update(seen()).credible_region(0.9)
-    assert pickle.loads(pickle.dumps(region)).contains([0.0, 1, 0]) == region.contains(np.array([0.0, 1, 0]))
 
 
 def test_a_distance_is_not_surer_than_a_shell() -> None:
