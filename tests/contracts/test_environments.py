@@ -80,24 +80,6 @@ def test_navigation_starts_facing_away_and_scores_as_habitat_does():
         assert info["num_steps"] <= 500
 
 
-def test_a_wall_stops_a_step_without_sliding_and_bends_it_with():
-    ends = {}
-    for sliding in (False, True):
-        env = make("navigation", panorama=None, rules=NavigationRules(sliding=sliding, max_steps=200))
-        env.reset(seed=4)
-        body = env.unwrapped.body
-        for _ in range(60):  # always north-east in the world
-            before, heading = body.xy.copy(), math.remainder(0.7 - body.yaw, 2 * math.pi)
-            _, _, terminated, truncated, info = env.step(np.array([heading, 9.0]))
-            assert np.hypot(*(body.xy - before)) <= 0.25 + 1e-9, "a step is no longer, whatever is asked for"
-            if terminated or truncated:
-                break
-        ends[sliding] = body.xy.copy()
-        assert env.unwrapped.place.ground.is_free(body.xy)
-        assert info["collisions"]["count"] > 0
-    assert not np.allclose(ends[False], ends[True])
-
-
 def test_the_observation_is_of_the_camera_and_the_truth_of_the_world():
     env = make("waypoint", panorama=16)
     observation, info = env.reset(seed=5)

@@ -13,14 +13,12 @@ from PIL import Image
 
 from eagor.errors import EagorError, FormatError, ImageError
 from eagor.grids import PerspectiveGrid
-from eagor.lab.agents.models import load_chat
 from eagor.lab.tasks.hstar import View, open_panorama, parse_action, render_view, system_text, turn_text
 from eagor.lab.tasks.hstar.agents import VlmAgent, open_detector
 from eagor.lab.tasks.hstar.bench import CAUSES, HOS, HPS, cause_of, read_episodes, run_episode, tag_of
 from eagor.lab.tasks.published import head_of, phrase_of, thing_of
 from eagor.lab.tasks.task import check_task, configure
 from eagor.perception import load
-from eagor.perception.endpoint import ServedChat
 from eagor.perception.partial import infer_view
 from eagor.perception.vlm import IMAGE
 
@@ -177,17 +175,6 @@ def test_pictures_are_looked_at_through_any_perception(tmp_path):
     assert np.mean([record["views"] for record in found]) < 7
 
 
-def test_runs_repeat_and_seeds_differ(tmp_path):
-    folder = hstar_data.write(tmp_path, targets={"hall": {"red": hstar_data.TARGETS["hall"]["red"]}})
-    told = {"agent": "eagor", "perception": "truth"}
-
-    def said(**more):
-        return [[step["would"] for step in record["steps"]] for record in played(folder, **told, **more)]
-
-    assert said() == said()
-    assert said() != said(seed=1)
-
-
 # Words and causes
 
 
@@ -289,13 +276,3 @@ def test_prompts_say_what_the_protocol_dictates(kind):
     assert turn_text("Find it", View(0.0, 0.0), None).startswith(
         f"[initial observation]:\n{IMAGE}\nHuman Instruction: Find it\n"
     )
-
-
-def test_models_are_named_in_one_line():
-    chat = load_chat("Qwen/Qwen2.5-VL-7B-Instruct@http://a:8000?temperature=0.5")
-    assert isinstance(chat, ServedChat)
-    assert (chat.client.model(), chat.client.address) == ("Qwen/Qwen2.5-VL-7B-Instruct", "http://a:8000/v1")
-    assert chat.options.temperature == 0.5
-    for spec, words in (("m@nowhere", "not the address"), ("no_such:thing", "import")):
-        with pytest.raises(EagorError, match=words):
-            load_chat(spec)

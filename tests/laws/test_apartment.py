@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import at_most
 
-from eagor.errors import WorldError
 from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
 from eagor.lab.worlds.apartment.building import carve
@@ -137,11 +136,6 @@ def test_doorways_and_open_leaves_stay_clear(seed):
     for doorway in apartment(seed)[0].doorways:
         clear = [from_rectangle(doorway.approach(0.6)), *([leaf_footprint(doorway)] if doorway.leaf else [])]
         assert [things[i].category for i in np.flatnonzero(overlaps(np.array(clear), boxes).any(axis=0))] == []
-
-
-def test_a_negative_seed_is_refused():
-    with pytest.raises(WorldError, match="-1"):
-        generate(-1)
 
 
 @pytest.mark.parametrize("seed", [*SEEDS, *MORE, 1016, 1864, 4406])

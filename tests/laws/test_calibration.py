@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from detections_made_up import detected
-from hypothesis import given
-from hypothesis import strategies as st
 
 from eagor.errors import EagorError
 from eagor.evidence import Evidence
@@ -14,7 +12,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import PatchGrid
 from eagor.lab.envs.episodes import Episode, EpisodeSpec
-from eagor.lab.eval.calibration import TASKS, at_places, counted, fit, make_runners, places_of, record, score
+from eagor.lab.eval.calibration import TASKS, counted, fit, make_runners, record, score
 from eagor.lab.eval.labelled_looks import development_specs
 from eagor.lab.tasks.sim.rollout import Rollout, Step
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
@@ -61,13 +59,6 @@ def detecting(seed, steps=24, height=0.0, **made):
         for look, other in zip(looks, others, strict=True)
     ]
     return episode_of(seed, moments, looks[0].world_R_body @ looks[0].targets[0])
-
-
-@given(st.lists(st.floats(0.01, 1), min_size=5, max_size=5))
-def test_every_number_has_its_place(places):
-    calibration = at_places(Calibration(), np.array(places))
-    assert places_of(calibration) == pytest.approx(places, abs=5e-3)  # three digits are kept
-    assert at_places(Calibration(), places_of(Calibration())) == Calibration(), "where the search starts"
 
 
 def test_honest_beliefs_score_best():

@@ -73,20 +73,6 @@ def test_information_is_that_of_the_cells_that_the_view_shows(seed, pitch, turn)
     assert agents._information(p, new, pitch)[turn] == pytest.approx(wanted[0], abs=1e-9)
 
 
-@pytest.mark.parametrize("elsewhere", [1e-12, 0.3, 1.0])
-def test_the_prior_is_even_by_the_share_elsewhere(elsewhere, monkeypatch):
-    monkeypatch.setattr(agents, "TILT", 5.0)
-    monkeypatch.setattr(agents, "HEIGHT", 80.0)
-    even = CELLS.weights / CELLS.weights.sum()
-    prior = EagorAgent("hos", empty, elsewhere=elsewhere).prior
-    assert prior.sum() == pytest.approx(1)
-    assert float((prior / even).min()) == pytest.approx(elsewhere), "far from the mean only the even part is left"
-    assert np.isfinite(EagorAgent("hos", empty, elsewhere=elsewhere).tells()).all()
-    top = np.degrees(CELLS.latitudes) > 60
-    assert prior[top].sum() == pytest.approx(1 - elsewhere * (1 - even[top].sum()), abs=1e-3)
-    np.testing.assert_allclose(EagorAgent("hps", empty).prior, CELLS.weights)
-
-
 @pytest.mark.parametrize("pitch", [-60, -30, 0, 30, 50])
 @pytest.mark.parametrize("size", [4, 10, 24])
 def test_one_clear_look_outweighs_what_was_not_looked_at(pitch, size):

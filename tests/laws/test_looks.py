@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from eagor import Calibration, DetectorModel, Evidence
 from eagor.grids import ErpGrid
-from eagor.lab.agents.search_space import LEAST, Chance
+from eagor.lab.agents.search_space import Chance
 from eagor.sphere import direction
 from eagor.tracking.next_view import information
 
@@ -60,15 +60,6 @@ def test_a_response_has_the_chance_that_its_calibration_states():
     assert chance.left(3.0) == 1, "what a response map repeats does not fade"
 
 
-def test_only_what_was_covered_counts():
-    coverage = np.zeros(GRID.shape)
-    coverage[:, :4] = 1.0
-    found = Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=0.0, coverage=coverage)
-    whole = Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=0.0)
-    assert Chance.of(whole, 0.5).recall > 0.05
-    assert Chance.of(found, 0.5).recall == pytest.approx(Chance.of(whole, 0.5).recall)
-
-
 # Of a beta distribution (a, b): its mean, and the correlation 1 / (a + b + 1) of two draws with one share.
 @pytest.mark.parametrize(("stated", "recall", "repeats"), [(0.8, 0.8, 0.0), (None, 2 / 3.5, 1 / 4.5)])
 def test_a_detector_has_the_chance_that_its_model_states(stated, recall, repeats):
@@ -78,10 +69,3 @@ def test_a_detector_has_the_chance_that_its_model_states(stated, recall, repeats
     assert chance.recall == pytest.approx(recall, abs=0.001)  # eight levels stand for the beta distribution
     assert chance.repeats == pytest.approx(repeats, abs=0.02)
     assert chance.left(0.4) == pytest.approx(math.exp(-0.5 / 10 - 0.4 / 2))
-
-
-@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
-def test_a_response_whose_silence_says_nothing_still_finds_things(level):
-    read = Calibration(floor=0.5, neutral=0.0)
-    chance = Chance.of(Evidence.from_response(np.full(GRID.shape, level), GRID, read, stamp=0.0), 0.5)
-    assert chance.recall == LEAST

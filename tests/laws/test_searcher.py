@@ -16,14 +16,13 @@ from eagor.lab.agents.search_space import (
     FloorMap,
     SteeringInput,
 )
-from eagor.lab.agents.steering import Searcher, search_config, steering_for
+from eagor.lab.agents.steering import Searcher, steering_for
 from eagor.lab.envs.places import Place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.tasks.sim.navigation import backtracking_rate
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.render import Renderer
 from eagor.sphere import world_R_body
-from eagor.tracking import TrackerConfig
 
 HEIGHT, STEP = 1.25, 0.25
 CAMERA, CHANCE = Camera(), Chance()
@@ -164,12 +163,6 @@ def test_it_searches_both_rooms_whatever_its_looks_can_find_and_does_not_go_to_a
         early = np.array(places)[: int((np.array(places)[:, 0] > 4.5).argmax())]
         gone = np.hypot(*np.diff(early, axis=0).T).sum()
         assert gone < 2.0 * np.hypot(*(early[-1] - early[0])) + 2.0
-
-
-def test_our_tracker_expects_what_is_hidden_to_appear_while_the_body_searches():
-    base = TrackerConfig()
-    assert search_config(NavigationRules(birth_rate=0.2), base).target_motion.birth == 0.2
-    assert search_config(NavigationRules(policy="follow"), base) is base
 
 
 def test_steps_that_lead_back_count():

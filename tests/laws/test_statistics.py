@@ -69,15 +69,6 @@ def test_cluster_bootstrap_holds_the_truth_where_the_plain_one_is_far_too_sure()
     assert clustered / 150 > 0.85
 
 
-def test_bootstrap_takes_any_statistic_and_repeats_itself():
-    values = generator(5).exponential(size=99)
-    first, again = (statistics.bootstrap_interval(values, generator(6), statistic=np.median) for _ in range(2))
-    assert first == again
-    assert first.low <= np.median(values) <= first.high
-    singles = statistics.bootstrap_interval(values, generator(6), groups=np.arange(99), statistic=np.median)
-    assert singles == first
-
-
 def test_bootstrap_groups_of_unequal_size_weigh_each_value_alike():
     found = statistics.bootstrap_interval([0, 0, 0, 1], generator(), groups=["a", "a", "a", "b"])
     assert (found.low, found.high) == (0.0, 1.0)
