@@ -150,3 +150,41 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
 )
 def test_usage_errors_say_what_to_do(words, said):
     assert said in refused(*words)
+
+
+# --- a part of a run is called one, and how it goes on is said ---
+
+
+@pytest.fixture
+def part(folder, tmp_path):
+    """The words of a run of which three cases are done."""
+    words = ("run", "hstar-hos", "--data", folder, "--perception", "truth", "--out", tmp_path / "run")
+    answer(*words, "--limit", "3")
+    return words, tmp_path / "run"
+
+
+def test_a_report_of_a_part_of_a_run_says_so(part):
+    words, out = part
+    said = bench("report", out)
+    told = " ".join(said.stderr.split())
+    assert f"{out} has 3 of 16 records; the figures are about these" in told
+    assert "without --limit and --shard, plays the rest" in told
+    assert "3 of 16 cases" in (out / "report.html").read_text()
+    assert "Records: 3 of 16 with results, 0 could not be run" in (out / "tables.md").read_text()
+    assert answer("report", out)["runs"] == [{"folder": str(out), "records": 3, "planned": 16}]
+    answer(*words)
+    assert bench("report", out).stderr == ""
+
+
+def test_an_interrupted_run_says_how_it_goes_on(part, monkeypatch):
+    words, out = part
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("eagor.lab.eval.runner.run", interrupted)
+    done = bench(*words)
+    assert done.returncode == 130
+    said = " ".join(done.stderr.split())
+    assert f"3 of 16 units are in {out}; the same command goes on from there" in said
+    assert said.endswith("eagor: interrupted")

@@ -14,7 +14,7 @@ from eagor.grids import PatchGrid
 from eagor.perception.truth import WIDEST, Noise, TruthPerception
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
 
-PERSISTENCES = [0.0, 0.3, 0.8]
+PERSISTENCES = [0.0, 0.8]
 IDEAL, MODERATE = Noise.parse("ideal"), Noise.parse("moderate")
 
 
