@@ -289,16 +289,10 @@ def test_the_check_of_tasks_finds(task, says, monkeypatch):
         check_simulation(task, world="hall")
 
 
-def test_a_task_that_cannot_be_looked_up_says_what_there_is(monkeypatch):
+def test_a_task_that_cannot_be_looked_up_says_what_there_is():
     names = "waypoint, navigation, tracking, hstar-hos, hstar-hps, osr, eagle360, turntable"
     with pytest.raises(EagorError, match=f"no task 'chess'; known are {names}"):
         load("chess")
-    monkeypatch.setitem(tasks.BUILT_IN, "spin", "eagor_example:TURNTABLE")
-    with pytest.raises(EagorError, match=r"'spin'.*is the task 'turntable'; wanted .*whose name is that of the entry"):
-        load("spin")
-    monkeypatch.setitem(tasks.BUILT_IN, "spin", "eagor_example:hall")
-    with pytest.raises(EagorError, match="is a function; wanted"):
-        load("spin")
 
 
 # --- perceptions with one fault --------------------------------------------------------------------------------------
@@ -398,7 +392,9 @@ def test_so_does_a_simulated_one():
 def test_a_task_may_be_named_by_its_class_and_has_the_name_that_it_is_found_by(monkeypatch):
     monkeypatch.setitem(tasks.BUILT_IN, "numbers", "small_task:Numbers")
     assert isinstance(load("numbers"), small_task.Numbers)
-    for name, value, says in (("digits", "small_task:Numbers", "'numbers'"), ("none", "math:pi", "a float")):
+    for name, value, says in (
+        ("digits", "small_task:Numbers", "the task 'numbers'"), ("spin", "eagor_example:hall", "a function"),
+    ):  # fmt: skip
         monkeypatch.setitem(tasks.BUILT_IN, name, value)
         with pytest.raises(EagorError, match=f"{name}.* is .*{says}; wanted"):
             load(name)

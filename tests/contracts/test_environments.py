@@ -169,25 +169,6 @@ def test_rules_that_nothing_can_be_played_under_are_refused(kind, rules, says):
         msgspec.convert(rules, kind)
 
 
-@pytest.mark.parametrize(
-    ("task", "rules"),
-    [
-        ("tracking", TrackingRules(steps=2)),
-        ("tracking", TrackingRules(steps=3, gone=(0.5, 1.0))),
-        ("navigation", NavigationRules(max_steps=1, nearest=0)),
-        ("waypoint", WaypointRules(leg_steps=1)),
-    ],
-)
-def test_rules_at_their_bounds_can_be_written_read_and_played(task, rules):
-    config = {"task": task, "perception": "truth", "rows": 32, "rules": msgspec.to_builtins(rules)}
-    config |= {"camera": {"radius": 0, "turn": 360}, "disturbances": {"latency": 0}}
-    runner = Runner(config)
-    assert runner.rules == rules
-    for number in range(3):
-        record = runner.run_episode(EpisodeSpec(task, "apartment", 7, number, number), ["centroid"])
-        assert record["methods"]["centroid"]["metrics"]
-
-
 def test_bad_input_says_what_was_wanted():
     with pytest.raises(WorldError, match="render_mode"):
         navigation.MapFreeNavigationEnv(render_mode="human")

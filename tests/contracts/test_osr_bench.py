@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 import osr_data
 import pytest
 
-from eagor.errors import EagorError, FormatError
+from eagor.errors import FormatError
 from eagor.lab.tasks.osr import DIRECTION, MAP, SUFFIXES
 from eagor.lab.tasks.osr import load as load_scenes
 from eagor.lab.tasks.osr.bench import Eagor, Reply, Vlm, record_of, seen_layout
@@ -170,18 +169,6 @@ def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
                 assert reply.notes["problem"].startswith("not seen")
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"agent": "oracle", "labels": "mine"}, "wanted both, corrected, official"),
-        ({"agent": "eagor", "perception": "truth"}, "truth reads what a simulator knows"),
-    ],
-)
-def test_bad_settings_say_what_is_wanted(data: Path, settings: dict[str, Any], words: str) -> None:
-    with pytest.raises(EagorError, match=words):
-        config(data, **settings)
-
-
 def test_what_is_no_such_data_says_so(tmp_path: Path, data: Path) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
@@ -191,14 +178,3 @@ def test_what_is_no_such_data_says_so(tmp_path: Path, data: Path) -> None:
     path.write_text('{"conversation": [{"question": "Why?", "answer": "so"}]}')
     with pytest.raises(FormatError, match="known are"):
         load_scenes(data, "qa")
-
-
-def test_turns_without_numbers_and_counts_that_are_numbers_are_read(tmp_path: Path) -> None:
-    (tmp_path / "room").mkdir()
-    turns = [
-        {"question": osr_data.counting("chair"), "answer": 0},
-        {"question": osr_data.counting("table"), "answer": "2"},
-    ]
-    (tmp_path / "room" / "room_qa.json").write_text(json.dumps({"conversation": turns}))
-    (scene,) = load_scenes(tmp_path, "qa")
-    assert [(question.id, question.answer) for question in scene.questions] == [("room/qa/0", "0"), ("room/qa/1", "2")]

@@ -8,9 +8,6 @@ import hstar_data
 import pytest
 
 from eagor.lab.eval import log
-from eagor.lab.eval.results import made, summarise
-from eagor.lab.eval.tables import failed_lines
-from eagor.lab.tasks import task
 
 bench, answer, refused = (partial(run, "bench") for run in (commands.eagor, commands.answer, commands.refused))
 
@@ -107,22 +104,6 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
     assert "No case failed" in bench("failures", place / "oracle").stdout
     assert "tables.md is in the way" in refused("report", place / "ours", "--out", tmp_path / "tables.md")
-
-
-def numbers(records, monkeypatch):
-    monkeypatch.setitem(task.BUILT_IN, "numbers", "small_task:NUMBERS")
-    return made({"task": "numbers", "agent": "right"}, [{"attempt": 1, **record} for record in records])
-
-
-def test_a_task_that_names_no_causes_has_failures_all_the_same(monkeypatch):
-    records = [
-        {"key": case, "case": case, "cluster": "a", "status": "ok", "tags": ["odd"], "score": score, "answer": "7"}
-        for case, score in (("a1", 1.0), ("a2", 0.0))
-    ]
-    run = numbers([*records, {"key": "a3", "status": "failed", "error": "torn"}], monkeypatch)
-    part = summarise(run)["answers"]["right"]
-    assert part["causes"] == part["tags"]["odd"]["causes"] == {"wrong": 1}
-    assert failed_lines(run) == ["a2  wrong  [odd]  '': 7"]
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):

@@ -329,14 +329,6 @@ def test_concentration_inverts_the_mean_length(kappa):
     assert concentration(mean_length(kappa)) == pytest.approx(kappa, rel=1e-6)
 
 
-def test_von_mises_fisher_noise_is_a_convolution_of_concentrations():
-    """Two predictions of variance s^2 each are, for sharp densities, nearly one of 2 s^2."""
-    sharp = VonMisesFisherFilter(eta=np.array([0.0, 2000.0, 0.0]), noise=0.1)
-    twice, once = sharp.predict(np.eye(3)).predict(np.eye(3)), VonMisesFisherFilter(sharp.eta, noise=0.1 * math.sqrt(2))
-    assert np.linalg.norm(twice.eta) == pytest.approx(np.linalg.norm(once.predict(np.eye(3)).eta), rel=0.02)
-    assert 1 / np.linalg.norm(twice.eta) == pytest.approx(1 / 2000 + 2 * 0.1**2, rel=0.03)
-
-
 @pytest.mark.parametrize("target", [(0, 0.1, 1.0), (-1, 0, 0), (0.5, 0.5, -0.7)], ids=["pole", "seam", "low"])
 def test_histogram_diffusion_widens_by_the_variance_it_is_told_everywhere(target):
     """1 - |mean| of a Gaussian on the tangent plane is its variance per axis: it must grow by sigma^2, poles or not."""
@@ -353,16 +345,6 @@ def test_histogram_diffusion_widens_by_the_variance_it_is_told_everywhere(target
     assert np.sum(np.exp(wide.log_density(FILTER_GRID.directions)) * FILTER_GRID.weights) == pytest.approx(1, abs=1e-9)
     assert resultant(wide) / resultant(narrow) == pytest.approx(mean_length(sigma**-2), abs=2e-3)
     assert degrees(wide.direction(), narrow.direction()) < 0.3
-
-
-def test_particles_without_noise_keep_their_places_exactly():
-    """Turned there and back, without roughening, they are where they were; the caller's generator is left alone."""
-    rng = np.random.default_rng(8)
-    state = rng.bit_generator.state
-    start = ParticleFilter.uniform(500, rng, roughening=0.0)
-    turn = rotation((1, 2, 3), 2.0)
-    np.testing.assert_allclose(start.predict(turn).predict(turn.T).particles, start.particles, atol=1e-12)
-    assert rng.bit_generator.state == state
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,10 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import PatchGrid
 from eagor.lab.envs.episodes import Episode, EpisodeSpec
-from eagor.lab.eval.calibration import TASKS, counted, fit, make_runners, record, score
+from eagor.lab.eval.calibration import TASKS, counted, fit, score
 from eagor.lab.eval.labelled_looks import development_specs
 from eagor.lab.tasks.sim.rollout import Rollout, Step
 from eagor.perception.calibrated import Calibrated, from_json, read_calibrated
-from eagor.perception.truth import TruthPerception
 from eagor.sphere import direction, world_R_body
 from eagor.tracking.config import TrackerConfig
 
@@ -115,16 +114,6 @@ def test_episodes_alternate_and_stay_among_the_development_seeds():
     for count, seed in ((4, 2000), (40, 1995)):
         with pytest.raises(EagorError, match="results"):
             development_specs(TASKS, count, seed, 2)
-
-
-def test_a_recording_asks_for_what_is_there_and_for_what_is_not():
-    runner = make_runners("truth:ideal")["waypoint"]
-    runner.perception = TruthPerception("ideal", rows=72)  # finer than things: coarse cells lie beside their middles
-    found = record(runner, development_specs(TASKS, 1, 100, 2)[0])
-    peaks = np.array([[np.max(m.evidence.response), np.max(m.other.response)] for m in found.steps])
-    seen = np.array(found.truth["visible"])
-    assert peaks[seen, 0].mean() > 0.9
-    assert peaks[:, 1].max() == 0
 
 
 def test_several_processes_find_the_same(monkeypatch):

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import rotations
 
-from eagor.belief import Belief
 from eagor.errors import EagorError, ResponseError
 from eagor.evidence import Evidence, coverage
 from eagor.evidence.averaging import averaged
@@ -207,16 +206,6 @@ def test_a_box_points_to_its_middle(azimuth_deg, elevation_deg):
     assert np.degrees(angular_distance(brightest(Evidence.from_boxes([box], grid)), target)) < 3.5
 
 
-@pytest.mark.parametrize("fov_deg", [150, 360])
-def test_boxes_in_a_large_fisheye_are_drawn_on_a_coarse_copy(fov_deg):
-    image = FisheyeGrid(1200, math.radians(fov_deg), rotation((0, 1, 0), -0.6))
-    meant = image.unproject(np.array(700.0), np.array(500.0))
-    look = Evidence.from_boxes([[680, 480, 720, 520]], image)
-    assert max(look.grid.shape) <= 180
-    belief = Belief.uniform(15).update(look)
-    assert math.degrees(angular_distance(belief.mode(), meant)) < 1
-
-
 def test_boxes_in_a_view_and_several_boxes():
     grid = PerspectiveGrid(1080, 1920, math.radians(100), rotation((0, 0, 1), 1.0))
     evidence = Evidence.from_boxes([[1500, 500, 1600, 600], [200, 500, 260, 560]], grid, scores=[0.9, 0.4])
@@ -376,11 +365,6 @@ def test_bad_detections_are_refused(make, text):
         make()
 
 
-def test_one_box_is_a_table_of_one():
-    one, row = (Evidence.from_boxes(boxes, VIEW) for boxes in ([[10, 10, 20, 20]], [10, 10, 20, 20]))
-    assert np.array_equal(one.log_ratio, row.log_ratio)
-
-
 def test_a_mask_on_a_fisheye_of_the_whole_sphere_ends_where_the_mask_does():
     """The corners of its square repeat directions that were seen."""
     grid = FisheyeGrid(80, 2 * math.pi)
@@ -425,20 +409,6 @@ def test_a_small_thing_keeps_its_height_where_ratios_are_averaged_and_loses_it_w
         at = RealHarmonics(15).synthesise(evidence.coefficients(15), small)
         assert least * high < at < most * high
         assert math.degrees(angular_distance(brightest(evidence), found)) < 4.5
-
-
-@given(st.floats(0.02, 1), st.floats(0.5, 8), st.floats(1.5, 12), st.integers(0, 3))
-@settings(max_examples=20, deadline=None)
-def test_averaging_conserves_the_mean_ratio_and_stays_within_the_ratios(floor, temperature, degrees, seed):
-    """A kernel moves likelihood ratios about; it makes none."""
-    response = np.random.default_rng(seed).random(PATCHES.shape) ** 8
-    calibration = Calibration(floor, 0.05, temperature)
-    log_ratio = calibration.log_ratio(response)
-    values, grid = averaged(log_ratio, PATCHES, math.radians(degrees), calibration.empty, calibration.full)
-    before, after = ((np.exp(v) * g.weights).sum() for v, g in ((log_ratio, PATCHES), (values, grid)))
-    assert after == pytest.approx(before, rel=0.02)
-    assert values.min() >= log_ratio.min() - 0.06
-    assert values.max() <= log_ratio.max() + 0.06
 
 
 @pytest.mark.parametrize(

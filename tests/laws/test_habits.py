@@ -12,7 +12,6 @@ from scipy.special import betaln, logsumexp
 from strategies import estimate_after, points_look, random_directions, rotations
 
 from eagor.belief.bank import Bank, Shown
-from eagor.evidence import Evidence
 from eagor.evidence.detector import ClutterRate, DetectorModel, Spread
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import direction, unit, world_R_body
@@ -90,14 +89,6 @@ def test_one_miss_among_eighty_looks_decides_nothing():
     always = apart(80, 80)
     assert [apart(80 - missed, 80) for missed in (1, 3)] == pytest.approx([always] * 2, abs=0.05)
     assert apart(40, 80) < always - 1, "half of the looks is another matter"
-
-
-@pytest.mark.parametrize("beta", [(1e-3, 1e-3), (1e-3, 500.0), (500.0, 1e-3), (500.0, 500.0)])
-def test_the_extremes_of_habits_have_levels_too(beta):
-    habits = replace(MODEL, habit=beta).habits
-    assert habits.shares.sum() == pytest.approx(1)
-    assert habits.mean == pytest.approx(beta[0] / sum(beta), abs=0.07)
-    assert ((habits.levels >= 0) & (habits.levels <= 1)).all()
 
 
 # --- a bank -----------------------------------------------------------------------------------------------------------
@@ -332,29 +323,3 @@ def test_a_drift_that_is_told_does_not_make_a_look_alike_sure():
     exact = odds(after(looks))
     drifting = odds(after(looks, replace(FLAT, drift=math.radians(1))))
     assert drifting == pytest.approx(exact, abs=0.5)
-
-
-def test_the_answer_is_the_heaviest_mode_though_a_light_one_beside_it_is_sharper():
-    """A thing that each look finds, with a wide box, and 18 degrees beside it what most looks take for it, narrow."""
-    wide, narrow, random = math.radians(7), math.radians(2), np.random.default_rng(4)
-    model = DetectorModel(
-        false_alarms_per_look=0.02, spread=math.radians(0.5), spread_of_size=0.25, offset_of_size=0.25,
-        score_ratios=((0.2, 0.3), (0.7, 40.0)), look_alikes=0.5, habit=(0.25, 0.15), look_alike_habit=(0.35, 1.2),
-    )  # fmt: skip
-    grid, tracker, beside = ErpGrid(512, 1024), DirectionTracker(TrackerConfig()), direction(0.5 + 0.33, 0.1)
-    for stamp in range(30):
-        seen = [(HERE, wide, 0.65), *([(beside, narrow, 0.35)] if random.random() < 0.75 else [])]
-        boxes = [grid_box(grid, unit(at + 0.2 * half * random.standard_normal(3)), half) for at, half, _ in seen]
-        scores = np.array([score for *_, score in seen])
-        tracker.observe(Evidence.from_boxes(np.array(boxes), grid, scores=scores, detector=model, stamp=float(stamp)))
-        estimate = tracker.estimate(float(stamp))
-        assert np.array_equal(estimate.direction, estimate.modes[0].direction)
-        assert math.degrees(math.acos(estimate.direction @ HERE)) < 5
-
-
-def grid_box(grid, centre, half):
-    """x0, y0, x1, y1 of a box that goes `half` radians to each side, in pixels."""
-    height, width = grid.shape
-    x, y, _ = grid.project(centre)
-    dx, dy = half / math.tau * width, half / math.pi * height
-    return x - dx, y - dy, x + dx, y + dy

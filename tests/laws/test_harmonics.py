@@ -163,16 +163,6 @@ def test_batches_are_loops():
     assert np.allclose(basis.analyse(maps, PatchGrid(8, 16))[1, 2], basis.analyse(maps[1, 2], PatchGrid(8, 16)))
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_precision_is_kept(dtype):
-    basis = RealHarmonics(7)
-    values = np.random.default_rng(0).random((37, 74)).astype(dtype)
-    c = basis.analyse(values, PatchGrid(37, 74))
-    assert c.dtype == dtype
-    assert basis.synthesise(c, ErpGrid(8, 16)).dtype == dtype
-    assert np.allclose(c, basis.analyse(values.astype(np.float64), PatchGrid(37, 74)), atol=2e-6)
-
-
 def test_wrong_shapes_say_what_was_wanted():
     basis = RealHarmonics(7)
     with pytest.raises(GridError, match="37, 74"):

@@ -21,7 +21,6 @@ from eagor.lab.tasks.hstar.agents import (
     SimulatedDetector,
     ViewEvidence,
     _shown_by,
-    stated,
 )
 from eagor.perception.truth import Noise
 from eagor.tracking.next_view import information
@@ -96,16 +95,6 @@ def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(
     assert fall(here, here) == pytest.approx(1.5 * once, rel=0.05)
     assert fall(here, away, here) == pytest.approx(1.75 * once, rel=0.05)
     assert fall(here, here, here) == pytest.approx(2.0 * once, rel=0.05)
-
-
-def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief(monkeypatch):
-    shares = np.linspace(0, 1, 101).tolist()
-    said = [stated(share) for share in shares]
-    assert all(0 < p < 1 for p in said)
-    assert (np.diff(said) >= 0).all()
-    monkeypatch.setattr(agents, "SHIFT", 0.0)
-    monkeypatch.setattr(agents, "SLOPE", 1.0)
-    assert [stated(share) for share in shares[1:-1]] == pytest.approx(shares[1:-1])
 
 
 # The next view

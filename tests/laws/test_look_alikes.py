@@ -108,14 +108,6 @@ def test_a_step_of_the_body_shifts_them_and_tells_their_range():
     assert density(on, elsewhere, sharp, position).max() < 1
 
 
-def test_with_positions_from_the_middle_on_the_places_may_stand_at_any_range():
-    known = after([look([HERE], stamp) for stamp in range(5)]).hypotheses.look_alikes
-    ranged = known.ranged(np.geomspace(0.5, 12, 10))
-    assert ranged.points.shape == (len(known), 10, 3)
-    assert ranged.shares.sum(axis=1) == pytest.approx(1)
-    assert density(ranged, [HERE, THERE]) == pytest.approx(density(known, [HERE, THERE]), rel=1e-6)
-
-
 def test_where_nobody_looked_they_are_as_many_as_before():
     view = PerspectiveGrid(60, 80, math.radians(70))
     known = after([look([], stamp, grid=view) for stamp in range(12)]).hypotheses.look_alikes
@@ -123,17 +115,6 @@ def test_where_nobody_looked_they_are_as_many_as_before():
     ahead, behind = density(known, [[1, 0, 0], [-1, 0, 0]])
     assert ahead < before / 3
     assert behind == pytest.approx(before)
-
-
-def test_a_place_draws_its_habit_anew_and_a_drift_widens_it():
-    model = replace(MODEL, kept_for=10.0)
-    known = after([look([HERE], stamp, model) for stamp in range(10)]).hypotheses.look_alikes
-    later = known.after(1000.0, 0.0, None)
-    assert later.levels[0] == pytest.approx(model.habits.alike_shares)
-    assert later.odds == pytest.approx(known.odds)
-    drifted = known.after(100.0, math.radians(1), None)
-    grown = np.trace(drifted.covariances[0, 0]) - np.trace(known.covariances[0, 0])
-    assert grown == pytest.approx(2 * math.radians(10) ** 2)
 
 
 def test_what_is_hardly_there_is_forgotten():

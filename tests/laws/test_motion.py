@@ -88,18 +88,6 @@ def test_nothing_known_stays_so(elapsed):
     assert after.moving == pytest.approx(MotionModel().moving), "and so are start and stop"
 
 
-def test_time_may_pass_in_pieces():
-    motion = MotionModel()
-    begun = seen(seen(prior(motion), direction(0.4, 0.1)), direction(0.4, 0.1))
-    once = passed(begun, 2.0, motion)
-    pieces = begun
-    for elapsed in (0.3, 0.9, 0.1, 0.7):
-        pieces = passed(pieces, elapsed, motion)
-    assert np.allclose(once.weights, pieces.weights, atol=2e-3)
-    where = GRID.directions.reshape(-1, 3)[::7]
-    assert np.allclose(np.exp(once.field(where)), np.exp(pieces.field(where)), rtol=0.2, atol=0.02)
-
-
 def test_after_long_enough_all_is_as_at_the_start():
     motion = MotionModel(birth=0.01, death=0.03)
     hypotheses = told(motion, lambda step: direction(0.4, 0.1), 6)
@@ -154,16 +142,6 @@ def test_a_standing_target_is_taken_for_one_and_a_wandering_one_for_one():
     assert roaming.moving > 0.8
     assert still.presence > 0.99
     assert roaming.presence > 0.99
-
-
-def test_where_nothing_moves_there_is_only_standing():
-    hypotheses = told(STILL, lambda step: direction(0.3, 0.0), 4)
-    assert hypotheses.wandering.densities.shape[0] == 0
-    assert hypotheses.moving == 0
-    assert len(hypotheses.weights) == 2
-    plain = passed(hypotheses, 100.0, STILL)
-    assert np.allclose(plain.weights, hypotheses.weights)
-    assert np.array_equal(plain.standing.field.values, hypotheses.standing.field.values)
 
 
 @pytest.mark.parametrize("alikes", [0.0, 0.7])

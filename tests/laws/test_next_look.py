@@ -12,7 +12,7 @@ from eagor import Evidence
 from eagor.errors import GridError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.live.events import Answer, ImageReceived, NextLooks
-from eagor.sphere import angular_distance, direction, world_R_body
+from eagor.sphere import angular_distance, world_R_body
 from eagor.tracking import Heights, TurningCamera, TurningRig
 from eagor.tracking.next_view import tell, views_of
 
@@ -116,14 +116,6 @@ def test_things_are_looked_for_where_they_usually_are():
 def test_numbers_out_of_range_are_refused(wrong, says):
     with pytest.raises(GridError, match=says):
         wrong()
-
-
-def test_directions_are_in_the_body_frame():
-    for yaw in (0.0, 75.0):
-        pose = world_R_body(math.radians(yaw))
-        found = looked(pose, found=np.array([[1.0, 0.1, 0.0]])).next_look(CAMERA)
-        np.testing.assert_allclose(direction(np.array(found.azimuth), np.array(found.elevation)), found.direction)
-        assert found.turn == pytest.approx(float(angular_distance(found.direction, np.array([1.0, 0, 0]))), abs=1e-6)
 
 
 def side(*yaws, fov=60):

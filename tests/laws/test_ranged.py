@@ -122,17 +122,6 @@ def test_the_distance_of_one_of_two_is_not_that_of_the_other():
     assert nowhere.sum() == pytest.approx(1)
 
 
-@given(rotations())
-@settings(max_examples=10)
-def test_a_prior_turns_with_the_body(R):
-    look = Evidence.from_points([direction(0.4, -0.2)], 100.0, [0.9], calibration=Calibration())
-    blank = RangedBelief.uniform(7)
-    belief = RangedBelief(blank.shells, blank.ranges, height_prior(7, blank.ranges, 1.25)).update(look)
-    turned = belief.predict(R)
-    assert np.degrees(angular_distance(turned.mode(), R @ belief.mode())) < 0.3
-    assert turned.distance() == pytest.approx(belief.distance(), rel=1e-3)
-
-
 def test_batches_are_loops():
     one, two = (walk(np.array([1.0, y, 0.1]), 3, np.array([0.2, 0, 0]), degree=7)[0] for y in (2.0, -1.0))
     batch = RangedBelief(np.stack([one.shells, two.shells]), one.ranges)

@@ -65,13 +65,6 @@ def test_the_error_of_the_mount_and_that_of_boxes_add_by_their_squares():
     assert math.degrees(after(300, model(0.6), off).credible_angle) == pytest.approx(CONE, rel=0.12)
 
 
-def test_looks_at_nothing_share_nothing():
-    how, tracker = model(0.5), DirectionTracker(STILL)
-    tracker.observe(Evidence.from_points([[1, 0, 0]], detector=how, stamp=0.0))
-    tracker.observe(Evidence.from_points(np.zeros((0, 3)), detector=model(5.0), stamp=1.0))
-    assert tracker.estimate(1.0).hypotheses.shared.angle() == pytest.approx(math.radians(0.5))
-
-
 def walked(offset_deg, looks=60, way=2.0, thing=(0.0, 3.0, 0.0)):
     tracker = DirectionTracker(STILL)
     for count in range(looks):
@@ -91,11 +84,6 @@ def test_the_distance_has_the_offset_over_the_parallax():
     assert plain.distance_spread
     across = 2.0 / math.sqrt(12) / off.distance  # the deviation of a way of 2 m, as seen from the thing
     assert off.distance_spread**2 == pytest.approx(plain.distance_spread**2 + (math.radians(2) / across) ** 2, rel=0.15)
-
-
-def test_a_camera_that_does_not_walk_knows_no_distance_whatever_is_shared():
-    stands = walked(2.0, way=0.0)
-    assert stands.distance_spread == pytest.approx(walked(0.0, way=0.0).distance_spread, rel=0.1)
 
 
 # --- a second detection that agrees ----------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ from strategies import at_most, directions, random_directions
 
 from eagor.errors import EagorError, GridError, ImageError, QueryError, RotationError
 from eagor.grids import PatchGrid
-from eagor.perception.truth import WIDEST, Noise, TruthPerception
+from eagor.perception.truth import Noise, TruthPerception
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
 
 PERSISTENCES = [0.0, 0.8]
@@ -140,19 +140,6 @@ def test_without_a_colour_in_the_query_nothing_is_confused():
     (reports,) = looks(SCENE, IDS, "red chair", noise, 1)
     kinds = ["found"] * 4 + ["category"] * 4 + ["colour"] * 4
     assert [(r.kind, r.thing) for r in reports] == list(zip(kinds, range(12), strict=True))
-
-
-def test_what_surrounds_us_is_found_but_mistaken_for_nothing():
-    (report,) = episode([Thing("wall")]).detect(np.zeros((18, 36), dtype=np.int64), "wall")
-    assert np.linalg.norm(report.direction) == pytest.approx(1), "all around has some direction"
-    labels = [Thing("floor", "red"), Thing("ceiling", "blue"), Thing("chair", "red")]
-    ids = discs(np.array([[0, 0, -1.0], [0, 0, 1], [1, 0, 0]]), radius=1.4)
-    noise = Noise(false_alarm=1, confuse_colour=1, persistence=1)
-    (reports,) = looks(labels, ids, "red chair", noise, 1)
-    assert [(r.kind, r.thing) for r in reports] == [("found", 2), ("false alarm", None)]
-    (floor,) = looks(labels, ids, "floor", IDEAL, 1)[0]
-    assert np.trace(floor.covariance) > WIDEST**2
-    assert floor.direction == pytest.approx([0, 0, -1], abs=0.3)
 
 
 def test_a_false_alarm_stays_with_its_thing_while_that_is_in_view():

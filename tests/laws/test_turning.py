@@ -124,25 +124,6 @@ def test_what_circles_is_followed_better_than_by_wandering_alone():
     assert last.moving > 0.9
 
 
-def test_a_heading_that_drifts_is_borne():
-    """Poses that drift by a degree a second: all that stands seems to turn."""
-
-    def drifting(step):
-        return rotation((0, 0, 1), math.radians(step)) @ unit(np.array([1.0, 0.3, -0.2]))
-
-    ours, last = follow(MotionModel(), drifting, 60)
-    theirs, _ = follow(MotionModel(turn=()), drifting, 60)
-    assert ours[-15:].mean() < 6
-    assert ours[-15:].mean() < 0.8 * theirs[-15:].mean()
-    assert last.mass_above(drifting(59)) < 0.95
-
-
-def test_what_stands_is_not_said_to_turn():
-    place = unit(np.array([1.0, 0.3, -0.2]))
-    _, last = follow(MotionModel(), lambda step: place)
-    assert last.moving < 0.2
-
-
 @pytest.mark.parametrize(("stated", "scale"), [(8, 1.0), (16, 0.5)])
 @pytest.mark.parametrize("speed", [4, 10])
 def test_a_turn_is_not_taken_for_a_wide_spread(stated, scale, speed):

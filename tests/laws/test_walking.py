@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 pytest.importorskip("cyclonedds")
 
 from eagor.lab.worlds.painted import painted_room
-from eagor.live.events import Answer, Fault, PoseReceived
+from eagor.live.events import Answer, Fault
 from eagor.perception.colour import ColourPerception
 from eagor.robots.safety import walking as policy
 from eagor.robots.safety.gate import GateStatus, Mode
 from eagor.robots.safety.walking import ControllerState, Odometer, TargetView, WalkSettings, steer, walk
-from eagor.sources import Pose
 from eagor.tracking import DirectionTracker
 
 RULES = WalkSettings()
@@ -101,12 +100,6 @@ def test_only_the_time_that_the_gate_lets_it_walk_counts_as_stuck(free, words):
         state, command = walk(RULES, state, view, held=index % 20 >= 20 * free)
     assert words in command.words
     assert command.doing == ("walking" if words == "it walks" else "holding")
-
-
-def test_it_follows_what_goes_away():
-    path, commands = played(None, goals=lambda now: (2.0 if now < 20 else 3.5, 0.0))
-    assert commands[int(19 / STEP)].doing == "arrived"
-    assert math.dist(path[-1][:2], (3.5, 0)) == pytest.approx(RULES.distance, abs=0.12)
 
 
 def test_without_a_distance_it_goes_slowly_and_only_so_far():
@@ -193,11 +186,3 @@ def test_ages_grow_by_what_the_answer_took_and_faults_of_devices_are_handed_on()
     }  # fmt: skip
     assert step.command.doing in ("turning", "walking")
     assert steered(pose_age=None)[0]["pose_age"] is None  # a still camera
-
-
-def test_the_odometer_tells_of_poses_as_they_come():
-    guard = Guarded()
-    odometer = Odometer(guard, lambda: 10.02)
-    odometer.take(PoseReceived(10.01, Pose(10.0, np.eye(3), np.array([1.99, 0.0, 0.3]))), ())
-    assert guard == {"pose": pytest.approx(0.02)}
-    assert odometer.xy == pytest.approx((1.99, 0.0))

@@ -199,20 +199,6 @@ def test_a_flood_of_looks_is_bounded_and_nothing_of_it_is_lost():
     tracker.observe(look(0.9505))  # late, and kept
 
 
-def test_late_looks_find_their_place_between_states_that_are_not_kept():
-    stamps = [0.1 * number for number in range(30)]
-    late, timely = DirectionTracker(LIGHT), DirectionTracker(LIGHT)
-    for stamp in stamps:
-        if stamp != stamps[11]:
-            late.observe(look(stamp))
-            late.estimate(stamp)
-    late.observe(look(stamps[11], -AHEAD))
-    for stamp in stamps:
-        timely.observe(look(stamp, -AHEAD if stamp == stamps[11] else AHEAD))
-    a, b = late.estimate(3.0), timely.estimate(3.0)
-    np.testing.assert_allclose(a.log_density(np.eye(3)), b.log_density(np.eye(3)), rtol=1e-9)
-
-
 def test_views_of_one_moment_are_bounded():
     tracker = DirectionTracker(LIGHT)
     for _ in range(VIEWS):
