@@ -199,14 +199,6 @@ def test_evidence_of_another_kind_is_brought_to_the_belief(kind, of, values):
             assert close(late.coefficients, of.uniform(7).update(plain, R).coefficients, 20 * tolerance)
 
 
-def test_evidence_of_another_device_is_brought_to_the_belief():
-    there = array_api_strict.Device("device1")
-    belief = Belief.uniform(5, like=array_api_strict.zeros(1, dtype=array_api_strict.float64, device=there))
-    look = Evidence.from_response(array_api_strict.ones((8, 16), dtype=array_api_strict.float64), PatchGrid(8, 16))
-    assert belief.update(look).coefficients.device == there
-    assert Belief.uniform(5, like=torch.zeros(1, device="meta")).plus(torch.ones(36)).coefficients.is_meta
-
-
 def test_shells_of_other_arrays(kind):
     make, tolerance = kind
     c = np.stack([field(6, k) for k in range(14)])

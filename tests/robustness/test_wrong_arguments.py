@@ -106,15 +106,6 @@ def test_a_mistake_is_told_where_it_is_made(name: str) -> None:
         make()
 
 
-def test_boxes_at_the_seam_are_no_mistake() -> None:
-    boxes = [[1000, 200, 20, 250], [-24, 200, 20, 250], [1000, 200, 1044, 250]]
-    first, *others = (Evidence.from_boxes([box], WIDE).detections for box in boxes)
-    assert first is not None
-    for other in others:
-        assert other is not None
-        np.testing.assert_allclose(other.directions, first.directions, atol=1e-12)
-
-
 def test_rounding_of_a_stamp_is_no_mistake() -> None:
     tracker = eagor.DirectionTracker()
     tracker.observe(seen(3 * 0.1))  # 0.30000000000000004
