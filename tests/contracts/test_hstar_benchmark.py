@@ -15,7 +15,7 @@ from eagor.lab.tasks.hstar.agents import VlmAgent
 from eagor.lab.tasks.hstar.bench import CAUSES, HOS, HPS, cause_of, read_episodes, run_episode, tag_of
 from eagor.lab.tasks.published import head_of, phrase_of, thing_of
 from eagor.lab.tasks.task import check_task, configure
-from eagor.perception.vlm import IMAGE
+from eagor.perception.vlm import IMAGE, ChatReply
 
 MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
 
@@ -204,8 +204,19 @@ def episode_of(tmp_path, scene="hall", start=0):
     return next(e for e in found if e.cluster == f"{scene}/0" and e.start == start)
 
 
+class Scripted:
+    """A model that says what it was given, and keeps what it was shown."""
+
+    def __init__(self, *texts):
+        self.texts, self.seen = list(texts), []
+
+    def __call__(self, messages):
+        self.seen.append(list(messages))
+        return ChatReply(self.texts.pop(0), 100, 10)
+
+
 def test_a_model_turns_is_told_where_it_looks_and_submits(tmp_path):
-    chat = hstar_data.Scripted(
+    chat = Scripted(
         "<think>left</think><answer>rotate(50,0)</answer>",
         "hm",
         "<answer>submit(55,-3)</answer>",
@@ -227,13 +238,13 @@ def test_a_model_turns_is_told_where_it_looks_and_submits(tmp_path):
 
 def test_a_model_that_never_submits_runs_out_of_turns_or_of_form(tmp_path):
     for text, reason in (("<answer>rotate(10,0)</answer>", "budget"), ("no idea", "format")):
-        chat = hstar_data.Scripted(*[text] * 10)
+        chat = Scripted(*[text] * 10)
         record = run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, 5, 36))
         assert (record["score"], record["views"], record["reason"], record["cause"]) == (0.0, 10, reason, reason)
 
 
 def test_the_model_is_shown_a_window_of_the_conversation(tmp_path):
-    chat = hstar_data.Scripted(*["<answer>rotate(10,0)</answer>"] * 10)
+    chat = Scripted(*["<answer>rotate(10,0)</answer>"] * 10)
     run_episode(episode_of(tmp_path), VlmAgent(episode_of(tmp_path), chat, 2, 36))
     assert max(map(len, chat.seen)) == 4  # the system message and 2 * window - 1 others
     assert all(messages[0].role == "system" and messages[-1].role == "user" for messages in chat.seen)

@@ -81,7 +81,7 @@ def test_the_published_estimate_is_the_first_moment_of_the_log_field():
     assert np.allclose(only_degree_one.mean_direction(), belief.mean_direction()), "it depends on degree 1 alone"
 
 
-@pytest.mark.parametrize(("degree", "height"), [(7, 3), (7, 20), (15, 10), (15, 60), (31, 30)])
+@pytest.mark.parametrize(("degree", "height"), [(7, 20), (15, 60), (31, 30)])
 def test_regions_entropy_and_presence_match_a_fine_quadrature(degree, height):
     c = field(degree, degree + height, width=0.12)
     c *= height / np.ptp(RealHarmonics(degree).synthesise(c, ErpGrid(64, 128)))

@@ -37,7 +37,7 @@ def after(looks, how, config=STILL, rate=0.0, where=(1.0, 0.0, 0.0), step=0.05):
 
 
 @given(st.floats(0.3, 4.0), directions())
-@settings(max_examples=15)
+@settings(max_examples=6)
 def test_equal_looks_saturate_at_the_offset(offset, where):
     cones = [after(looks, model(offset), where=where).credible_angle for looks in (30, 100, 300)]
     assert cones == sorted(cones, reverse=True)

@@ -378,14 +378,14 @@ def test_the_weight_of_a_mode_is_the_mass_around_it(seed):
             assert inside == pytest.approx(mode.weight, abs=0.03)
 
 
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("grid", [ErpGrid(64, 128), PatchGrid(90, 180)])
-def test_the_density_integrates_to_one_and_agrees_with_the_log_density(seed, grid):
+@pytest.mark.parametrize("seed", range(6))
+def test_the_density_integrates_to_one_and_agrees_with_the_log_density(seed):
     estimate = seeded(seed)
-    density, log = estimate.density(grid), estimate.log_density(grid.directions)
-    assert np.sum(density * grid.weights) == pytest.approx(1, abs=1e-9)
-    smooth = np.abs(np.exp(log) - density) < 0.1 * np.exp(log) + 0.01
-    assert (density * grid.weights)[smooth].sum() + np.minimum(np.exp(log) * grid.weights, 1)[~smooth].sum() > 0.5
+    for grid in (ErpGrid(64, 128), PatchGrid(90, 180)):
+        density, log = estimate.density(grid), estimate.log_density(grid.directions)
+        assert np.sum(density * grid.weights) == pytest.approx(1, abs=1e-9)
+        smooth = np.abs(np.exp(log) - density) < 0.1 * np.exp(log) + 0.01
+        assert (density * grid.weights)[smooth].sum() + np.minimum(np.exp(log) * grid.weights, 1)[~smooth].sum() > 0.5
     fine, view = ErpGrid(1024, 2048), PerspectiveGrid(20, 30, 1.2)
     assert np.sum(np.exp(estimate.log_density(fine.directions)) * fine.weights) == pytest.approx(1, abs=0.03)
     assert np.allclose(estimate.density(view), np.exp(estimate.log_density(view.directions)))

@@ -11,7 +11,7 @@ from strategies import at_most, directions, random_directions
 
 from eagor.errors import EagorError, GridError, ImageError, QueryError, RotationError
 from eagor.grids import PatchGrid
-from eagor.perception.truth import Noise, TruthPerception
+from eagor.perception.truth import Noise, TruthPerception, ramp
 from eagor.sphere import angular_distance, direction, rotation, world_R_body
 
 PERSISTENCES = [0.0, 0.8]
@@ -130,6 +130,12 @@ def test_displacements_have_the_spread_asked_for_on_both_axes(persistence):
     assert abs(np.corrcoef(errors.T)[0, 1]) < 4.5 / math.sqrt(effective)
 
 
+def test_small_things_are_found_as_often_as_their_size_says():
+    assert ramp(np.array([0.2, 0.25, 0.625, 1.0, 3.0]), 1.0) == pytest.approx([0, 0, 0.5, 1, 1])
+    tiny, enough = (discs([[1, 0, 0]], radius, rows=360) for radius in (0.02, 0.1))  # a patch of 18 rows is 0.17 wide
+    assert [len(looks([Thing("chair")], ids, "chair", Noise(smallest=0.2), 1)[0]) for ids in (tiny, enough)] == [0, 1]
+
+
 # --- what is confused with what --------------------------------------------------------------------------------------
 
 
@@ -140,6 +146,13 @@ def test_without_a_colour_in_the_query_nothing_is_confused():
     (reports,) = looks(SCENE, IDS, "red chair", noise, 1)
     kinds = ["found"] * 4 + ["category"] * 4 + ["colour"] * 4
     assert [(r.kind, r.thing) for r in reports] == list(zip(kinds, range(12), strict=True))
+
+
+def test_what_surrounds_us_is_mistaken_for_nothing():
+    labels = [Thing("floor", "red"), Thing("ceiling", "blue"), Thing("chair", "red")]
+    ids = discs(np.array([[0, 0, -1.0], [0, 0, 1], [1, 0, 0]]), radius=1.4)
+    (reports,) = looks(labels, ids, "red chair", Noise(false_alarm=1, confuse_colour=1, persistence=1), 1)
+    assert [(r.kind, r.thing) for r in reports] == [("found", 2), ("false alarm", None)]
 
 
 def test_a_false_alarm_stays_with_its_thing_while_that_is_in_view():
@@ -208,6 +221,15 @@ def test_the_answer_is_the_gaussian_that_is_reported(azimuth, elevation, spread)
     assert np.allclose(np.linalg.eigvalsh(report.covariance), [0, variance, variance], atol=1e-9)
     away = angular_distance(PatchGrid(18, 36).directions, report.direction)
     assert np.allclose(response, np.maximum(report.score * np.exp(-0.5 * away**2 / variance), 0.1), atol=2e-6)
+
+
+def test_the_blob_has_the_shape_of_what_is_visible():
+    """A rectangle of azimuth a and elevation b on the horizon has the variances a^2 / 12 and b^2 / 12."""
+    ids = np.full((180, 360), -1)
+    ids[85:95, 160:200] = 0
+    (report,) = episode([Thing("sofa")]).detect(ids, "sofa")
+    expected = np.diag([0, math.radians(40) ** 2 / 12, math.radians(10) ** 2 / 12])
+    assert np.allclose(report.covariance, expected + (math.pi / 36) ** 2 * np.diag([0, 1, 1]), rtol=0.01, atol=1e-9)
 
 
 # --- turning ---------------------------------------------------------------------------------------------------------
