@@ -102,7 +102,11 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
+    off = [case["error"] for case in failed["cases"]]
+    assert off == sorted(off, reverse=True), "the worst come first"
     assert "No case failed" in bench("failures", place / "oracle").stdout
+    for words in (("compare", place / "ours", place / "ours", "--methods"), ("failures", place / "ours", "--method")):
+        assert "has one agent" in refused(*words, "eagor")
     assert "tables.md is in the way" in refused("report", place / "ours", "--out", tmp_path / "tables.md")
 
 

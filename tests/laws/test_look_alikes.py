@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from strategies import estimate_after, points_look, random_directions
 
+from eagor._values import altered
 from eagor.evidence import Evidence
-from eagor.evidence.detector import DetectorModel, Spread
+from eagor.evidence.detector import ClutterRate, DetectorModel, Spread
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit
 from eagor.tracking.config import MotionModel, TrackerConfig
@@ -117,6 +118,13 @@ def test_where_nobody_looked_they_are_as_many_as_before():
     assert behind == pytest.approx(before)
 
 
+def test_another_detector_keeps_the_places_and_expects_as_many_others_as_it_states():
+    known = after([look([HERE], stamp) for stamp in range(10)]).hypotheses.look_alikes
+    other = known.for_sensor(replace(MODEL, look_alikes=1.4, look_alike_habit=(1.0, 1.0)).habits)
+    assert other.odds == pytest.approx(known.odds)
+    assert other.hidden.sum() == pytest.approx(2 * known.hidden.sum())
+
+
 def test_what_is_hardly_there_is_forgotten():
     """A single detection, and then none at all."""
     looks = [look([HERE] if stamp == 0 else [], stamp) for stamp in range(3)]
@@ -217,3 +225,27 @@ def test_a_drift_that_is_told_is_believed():
     assert drifting(0.0, config=replace(LEARNT, drift=0.02))[0].drift == 0.02
     alone = replace(MODEL, look_alikes=0, detection_probability=0.8)
     assert drifting(1.0, model=alone)[0].drift == 0
+
+
+def test_what_one_place_explains_is_not_explained_again():
+    """The density of a look's detections, for no place, one, and one that is written down twice."""
+    known = after([look([HERE], stamp) for stamp in range(12)]).hypotheses.look_alikes
+    best = int(known.odds.argmax())
+    names = "points", "covariances", "shares", "odds", "levels", "boxes"
+    none, once, twice = (
+        altered(known, **{name: getattr(known, name)[[best] * count] for name in names}) for count in range(3)
+    )
+    scan = Scan.of([look([HERE], 99)], FLAT.degree, 99.0, np.eye(3), None)
+    alarms = ClutterRate.prior(MODEL)
+
+    def evidence(places):
+        return places.evidence(places.heard(scan, SPREAD), alarms, np.zeros(1))
+
+    number, heard = float(alarms.weights @ alarms.numbers), once.heard(scan, SPREAD)
+    new, own = float(heard.new.sum()), float(heard.own[0, 0])
+    there = float(known.levels[best] @ known.habits.alike_levels / (1 + math.exp(-known.odds[best])))
+    assert evidence(none) == pytest.approx(math.log(number + new))
+    assert evidence(once) == pytest.approx(math.log((1 - there) * (number + new) + own))
+    assert evidence(once) > evidence(none) + 2
+    # Either of the two was found, and the other was missed.
+    assert evidence(twice) == pytest.approx(math.log((1 - there) ** 2 * (number + new) + 2 * (1 - there) * own))

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from box_scenes import scene_of, shell, thing
 
+from eagor.evidence import Calibration, Evidence
 from eagor.evidence.detector import DetectorModel
+from eagor.grids import ErpGrid
 from eagor.lab.agents.search_space import (
     CONTACT,
     FLOOR,
@@ -22,7 +24,7 @@ from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.tasks.sim.navigation import backtracking_rate
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.render import Renderer
-from eagor.sphere import world_R_body
+from eagor.sphere import direction, world_R_body
 
 HEIGHT, STEP = 1.25, 0.25
 CAMERA, CHANCE = Camera(), Chance()
@@ -170,3 +172,30 @@ def test_steps_that_lead_back_count():
     there_and_back = np.concatenate([straight, straight[-2::-1]])
     rates = [backtracking_rate(way, 0.25) for way in (straight, there_and_back, straight[:1])]
     assert rates == pytest.approx([0.0, 0.5, 0.0])
+
+
+# --- what chance evidence states to find a thing ---
+
+GRID = ErpGrid(16, 32)
+
+
+def test_a_response_has_the_chance_that_its_calibration_states():
+    response = np.zeros(GRID.shape)
+    response[8, 16] = 1.0
+    read = Calibration(floor=0.2, neutral=0.1, temperature=2, persistence=0.6)
+    chance = Chance.of(Evidence.from_response(response, GRID, read, stamp=0.0), 0.5)
+    silent = float(np.asarray(Evidence.from_response(np.zeros(GRID.shape), GRID, read, stamp=0.0).log_ratio)[0, 0])
+    assert chance.recall == pytest.approx(1 - math.exp(silent), rel=1e-5)
+    assert (chance.repeats, chance.elapsed) == (0.6, 0.5)
+    assert chance.left(3.0) == 1, "what a response map repeats does not fade"
+
+
+# Of a beta distribution (a, b): its mean, and the correlation 1 / (a + b + 1) of two draws with one share.
+@pytest.mark.parametrize(("stated", "recall", "repeats"), [(0.8, 0.8, 0.0), (None, 2 / 3.5, 1 / 4.5)])
+def test_a_detector_has_the_chance_that_its_model_states(stated, recall, repeats):
+    model = DetectorModel(detection_probability=stated, habit=(2.0, 1.5), kept_for=10.0, kept_within=2.0)
+    found = Evidence.from_points(direction(0.3, 0.1)[None], scores=np.array([0.9]), detector=model, stamp=0.0)
+    chance = Chance.of(found, 0.5)
+    assert chance.recall == pytest.approx(recall, abs=0.001)  # eight levels stand for the beta distribution
+    assert chance.repeats == pytest.approx(repeats, abs=0.02)
+    assert chance.left(0.4) == pytest.approx(math.exp(-0.5 / 10 - 0.4 / 2))
