@@ -19,8 +19,7 @@ from eagor.lab.worlds.ground import BESIDE, Ground
 from eagor.lab.worlds.scene import STRUCTURE
 
 SEEDS = (0, 3, 5, 1007)
-MORE = tuple(pytest.param(seed, marks=pytest.mark.slow) for seed in (11, 21))
-seeds = pytest.mark.parametrize("seed", [*SEEDS, *MORE])
+seeds = pytest.mark.parametrize("seed", SEEDS)
 scene = cache(lambda seed: apartment(seed)[2])
 apartment = cache(build)  # the plan, the pieces, and the scene
 
@@ -57,11 +56,10 @@ def test_a_plan_divides_a_rectangle_into_rooms_that_doors_join(seed):
         assert sum(room == OUTSIDE for room in window.boundary.rooms) == 1
 
 
-@pytest.mark.parametrize("seed", [SEEDS[0], pytest.param(SEEDS[1], marks=pytest.mark.slow)])
-def test_the_same_seed_gives_the_same_scene(seed):
-    again = generate(seed)
-    assert again.hash == scene(seed).hash
-    assert again.source == f"apartment {VERSION} seed {seed}"
+def test_the_same_seed_gives_the_same_scene():
+    again = generate(0)
+    assert again.hash == scene(0).hash
+    assert again.source == f"apartment {VERSION} seed 0"
     assert again.facts["family"] in FAMILIES
     assert again.hash != scene(SEEDS[3]).hash
 
@@ -129,7 +127,7 @@ def test_pieces_keep_to_their_footprints_rooms_and_heights(seed):
         assert inside.any(axis=1).all(), (piece.category, room.name)
 
 
-@pytest.mark.parametrize("seed", [*SEEDS, *MORE, 1016, 1864, 4406])
+@pytest.mark.parametrize("seed", [*SEEDS, 1016, 1864, 4406])
 def test_whatever_can_be_a_target_has_free_ground_beside_it(seed):
     made = scene(seed)
     ground = Ground.from_scene(made)

@@ -249,6 +249,17 @@ def test_with_positions_parallax_gives_distance():
     assert degrees(tracker.estimate(12.0).direction, truth) < 2
 
 
+def test_a_look_from_before_the_first_position_does_not_disable_distance():
+    """The first pose has a position; a look that was taken a moment before it is placed there."""
+    target, tracker = np.array([2.0, 2.0, 0.2]), DirectionTracker()
+    tracker.observe(look(unit(target), -0.1))
+    position, pose = walk(tracker, target)
+    estimate = tracker.estimate(11.0)
+    # One more look than in the walk without it: as near as its own spread of a tenth says.
+    assert estimate.distance == pytest.approx(np.linalg.norm(target - position), rel=0.1)
+    assert degrees(estimate.direction, pose.T @ (target - position)) < 2
+
+
 def test_a_known_floor_tells_distance_at_once():
     down, found = direction(0.5, math.radians(-15)), {}
     for floor in (None, 0.0, -0.8):
