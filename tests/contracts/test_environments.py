@@ -113,6 +113,21 @@ def test_navigation_starts_facing_away_and_scores_as_habitat_does():
         assert info["num_steps"] <= 500
 
 
+def test_a_wall_stops_a_step_without_sliding_and_bends_it_with():
+    ends = []
+    for sliding in (False, True):
+        env = make("navigation", panorama=None, rules=NavigationRules(sliding=sliding, max_steps=30))
+        env.reset(seed=4)
+        body, over = env.unwrapped.body, [False]
+        while not any(over):  # always north-east in the world
+            before = body.xy.copy()
+            _, _, *over, info = env.step(np.array([math.remainder(0.7 - body.yaw, 2 * math.pi), 9.0]))
+            assert np.hypot(*(body.xy - before)) <= 0.25 + 1e-9, "a step is no longer, whatever is asked for"
+        assert info["collisions"]["count"] > 0
+        ends.append(body.xy)
+    assert not np.allclose(*ends)
+
+
 def test_the_observation_is_of_the_camera_and_the_truth_of_the_world():
     env = make("waypoint", panorama=16)
     observation, info = env.reset(seed=5)

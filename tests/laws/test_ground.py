@@ -210,6 +210,24 @@ def test_a_wall_is_no_way_to_what_stands_or_hangs_behind_it(thick):
         assert field.distance([3.0, y]) == pytest.approx(behind, abs=0.35)
 
 
+def test_without_a_free_cell_beside_it_the_nearest_of_the_room_counts_and_none_is_no_way():
+    # A vase in the middle of a table two metres deep; and one in a closed room.
+    table, vase = thing("table", (4, 2, 0), (6, 4, 0.8)), thing("vase", (4.95, 2.95, 0.8), (5.05, 3.05, 1.0))
+    wall = thing("wall", (2, 0, 0), (2.1, 6, 2.5))
+    shut = thing("chair", (1, 3, 0), (1.4, 3.4, 0.9), "shut")
+    rooms = (
+        Room("shut", "study", np.array([[0, 0, 2, 6.0]])),
+        Room("open", "study", np.array([[2, 0, 8, 6.0]])),
+    )
+    for known in ((), rooms):
+        ground = plan(table, vase, wall, shut, rooms=known)
+        field = ground.footprint(vase)
+        assert field.distance([3.5, 3.0]) == pytest.approx(1.45, abs=0.06)
+        assert np.isinf(ground.footprint(shut).metres).all()
+        assert not np.isnan(field.metres).any()
+        assert np.isinf(field.union(ground.footprint(shut)).distance([1.0, 1.0]))
+
+
 # --- paths and steps ---
 
 
