@@ -5,12 +5,26 @@ import signal
 import subprocess
 import sys
 
+import hstar_data
 import pytest
 from processes import alive, sessions_of, wait_for
 
 from eagor.lab.eval import log
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
+
+MODEL = """
+import time
+from pathlib import Path
+
+def silent():
+    return answer
+
+def answer(messages):
+    (Path(__file__).parent / "asked").touch()
+    time.sleep(600)
+"""
+
 
 STARTED = []
 
@@ -27,16 +41,17 @@ def _nobody_goes_on():
             run.communicate()
 
 
-def begun(*words):
+def begun(*words, path=""):
     """The command in a session of its own, heeding signals whatever the shell around the tests does."""
 
     def heed():
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
 
+    paths = os.pathsep.join([str(path), *(entry for entry in sys.path if entry)])
     run = subprocess.Popen(
         [sys.executable, "-m", "eagor", *map(str, words)],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"},
+        env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -77,13 +92,28 @@ def test_a_run_that_is_ended_says_so_keeps_its_results_and_leaves_nobody(tmp_pat
     assert {record["status"] for record in after} == {"ok"}
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 @pytest.mark.slow
-def test_a_run_on_ray_that_is_killed_leaves_nobody(tmp_path):
-    """Some of Ray's servers wait a minute for one that has gone."""
+def test_a_run_on_ray_that_is_ended_at_any_time_leaves_nobody(tmp_path, number):
+    """Ray takes SIGTERM for itself while it begins, and some of its servers wait a minute for one that has gone."""
     words = ("bench", "run", "waypoint", "--perception", "truth", "--episodes", 500, "--workers", 2)
     run = begun(*words, "--engine", "ray", "--out", tmp_path / "run", "--json")
+    wait_for(lambda: any("gcs_server" in each for each in alive(sessions_of(run.pid)).values()))
+    if number == signal.SIGTERM:
+        assert ended(run, number) == TOLD[number]
+        return
     wait_for(lambda: kept(tmp_path / "run"))
     sessions = sessions_of(run.pid)
     run.kill()
     run.communicate()
     wait_for(lambda: not alive(sessions))
+
+
+@pytest.mark.slow
+def test_threads_that_wait_for_a_silent_model_hold_nobody_up(tmp_path):
+    (tmp_path / "silent_model.py").write_text(MODEL)
+    data = hstar_data.write(tmp_path / "data")
+    words = ("--agent", "vlm", "--model", "silent_model:silent", "--engine", "threads", "--workers", 3)
+    run = begun("bench", "run", "hstar-hos", "--data", data, *words, "--out", tmp_path / "run", path=tmp_path)
+    wait_for((tmp_path / "asked").exists)
+    assert ended(run, signal.SIGINT) == TOLD[signal.SIGINT]
