@@ -118,6 +118,16 @@ def test_unrelated_directions_do_not_agree(seed, count):
     assert estimate_relative_rotation(old, new, area=float(grid.weights.sum())) is None
 
 
+@given(st.integers(0, 20))
+@settings(max_examples=6, deadline=None)
+def test_one_thing_seen_in_two_rooms_is_no_agreement(seed):
+    random = np.random.default_rng(seed)
+    thing = noisy(random, np.tile(scattered(random, 1), (40, 1)), 0.1)
+    old = np.concatenate([scattered(random, 20), thing])
+    new = np.concatenate([scattered(random, 20), thing @ Rotation.random(rng=random).as_matrix()])
+    assert estimate_relative_rotation(old, new) is None
+
+
 @pytest.mark.parametrize("share", [0.1, 0.25])
 def test_what_is_fixed_to_the_camera_does_not_stop_it(share):
     """A tripod over a share of the sphere, with five times as many points as the room has there."""
