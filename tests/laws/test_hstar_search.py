@@ -61,7 +61,7 @@ def test_what_was_not_looked_at_keeps_its_odds_and_what_was_loses(views):
 @given(st.integers(0, 2**32 - 1), st.sampled_from(PITCHES), st.integers(0, len(YAWS) - 1))
 @settings(max_examples=12)
 def test_information_is_that_of_the_cells_that_the_view_shows(seed, pitch, turn):
-    """Where the view has turned to; what a look tells is tested by its definition in test_looks."""
+    """Where the view has turned to; what a look tells is tested by its definition in test_next_look."""
     rng = np.random.default_rng(seed)
     p = rng.dirichlet(np.full(CELLS.height * CELLS.width, 0.05)).reshape(CELLS.shape)
     new = rng.uniform(0.2, 1.0, CELLS.shape)
