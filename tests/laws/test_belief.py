@@ -15,7 +15,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.harmonics import RealHarmonics
 from eagor.harmonics.peaks import decoding_grid
-from eagor.sphere import angular_distance, direction, rotation
+from eagor.sphere import angular_distance, direction, rotation, unit
 
 SEEDS = st.integers(0, 500)
 FINE = ErpGrid(384, 768)
@@ -102,6 +102,20 @@ def test_regions_entropy_and_presence_match_a_fine_quadrature(degree, height):
     assert belief.log_density(np.array([1.0, 0, 0])) == pytest.approx(float(belief.log_density(np.eye(3))[0]))
     assert belief.credible_region(0.9).contains(belief.mode())
     assert np.sum(np.exp(belief.log_density(FINE.directions)) * FINE.weights) == pytest.approx(1, abs=2e-3)
+
+
+@pytest.mark.parametrize("height", [1e3, 1e6])
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.3, -0.5, 0.6), (0.0, 0.05, 1.0)])
+def test_regions_of_thousands_of_nats(axis, height):
+    """As docs/promises.md has it."""
+    axis, degree = unit(np.array(axis)), 7
+    grid = decoding_grid(degree)
+    belief = Belief(height * RealHarmonics(degree).analyse(grid.directions @ axis, grid))
+    # Of exp(k cos(angle)) the cone with 1 - cos(angle) = -log(1 - mass) / k holds the mass.
+    cap = math.log(10) / height
+    region = belief.credible_region(0.9)
+    assert region.area == pytest.approx(2 * math.pi * cap, rel=0.03)
+    assert region.threshold == pytest.approx(math.log(height / (2 * math.pi)) - math.log(10), abs=0.1)
 
 
 @pytest.mark.parametrize("kind", ["numpy", "torch"])
