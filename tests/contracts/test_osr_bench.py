@@ -178,3 +178,14 @@ def test_what_is_no_such_data_says_so(tmp_path: Path, data: Path) -> None:
     path.write_text('{"conversation": [{"question": "Why?", "answer": "so"}]}')
     with pytest.raises(FormatError, match="known are"):
         load_scenes(data, "qa")
+
+
+def test_turns_without_numbers_and_counts_that_are_numbers_are_read(tmp_path: Path) -> None:
+    (tmp_path / "room").mkdir()
+    turns = [
+        {"question": osr_data.counting("chair"), "answer": 0},
+        {"question": osr_data.counting("table"), "answer": "2"},
+    ]
+    (tmp_path / "room" / "room_qa.json").write_text(json.dumps({"conversation": turns}))
+    (scene,) = load_scenes(tmp_path, "qa")
+    assert [(question.id, question.answer) for question in scene.questions] == [("room/qa/0", "0"), ("room/qa/1", "2")]

@@ -247,6 +247,14 @@ def test_a_world_that_begins_black_begins_with_the_first_thing_seen():
     assert odometer.add(PatternRoom(6).panorama(np.eye(3))).lost
 
 
+def test_a_level_odometer_gives_headings():
+    room, odometer = PatternRoom(7), VisualOdometer(level=True)
+    for index in range(4):
+        turned = odometer.add(room.panorama(world_R_body(0.7 * index), (0.2 * index, 0, 0)))
+        assert np.allclose(turned.world_R_body[2], [0, 0, 1])
+        assert gap(turned.world_R_body, world_R_body(0.7 * index)) < 0.3
+
+
 # --- ordinary cameras ---
 
 LENS = Lens("phone", (256, 192), (200.0, 202.0), (130.0, 94.0), (-0.25, 0.08, 0.001, -0.002, 0.0))

@@ -132,7 +132,7 @@ def test_displacements_have_the_spread_asked_for_on_both_axes(persistence):
 
 def test_small_things_are_found_as_often_as_their_size_says():
     assert ramp(np.array([0.2, 0.25, 0.625, 1.0, 3.0]), 1.0) == pytest.approx([0, 0, 0.5, 1, 1])
-    tiny, enough = (discs([[1, 0, 0]], radius, rows=360) for radius in (0.02, 0.1))  # a patch of 18 rows is 0.17 wide
+    tiny, enough = (discs([[1, 0, 0]], radius, rows=360) for radius in (0.02, 0.05))  # a patch of 18 rows is 0.17 wide
     assert [len(looks([Thing("chair")], ids, "chair", Noise(smallest=0.2), 1)[0]) for ids in (tiny, enough)] == [0, 1]
 
 
