@@ -15,7 +15,7 @@ from eagor.evidence.detections import View
 from eagor.evidence.detector import LOOK_ALIKES, DetectorModel
 from eagor.grids import ErpGrid
 from eagor.lab.eval.detector_fit import assign, fit_detector, fitted_model, log_score
-from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook
+from eagor.lab.eval.labelled_looks import DetectionTable, LabelledLook, segments
 from eagor.sphere import FORWARD, unit
 
 NOTHING = np.zeros((0, 3))
@@ -75,6 +75,23 @@ def test_what_a_box_errs_by_its_size_is_told_from_what_it_errs_anyhow():
     assert model.offset_of_size == pytest.approx(0.4, rel=0.25)
     assert model.spread == pytest.approx(0.01, rel=0.25)
     assert model.offset == pytest.approx(0.02, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "metres", "wanted"),
+    [
+        ([0, 50, 70, 120], [0, 0, 0, 0], [0, 0, 1, 1]),
+        ([0, 1, 2, 3], [0, 0.6, 1.2, 1.4], [0, 0, 1, 1]),
+        ([0, 30, 31], [0, 0.4, 0.6], [0, 0, 1]),
+    ],
+    ids=["seconds", "metres", "both"],
+)
+def test_a_view_lasts_as_long_as_its_habits(stamps, metres, wanted):
+    looks = [
+        LabelledLook(Evidence.from_points([]), NOTHING, at, "a", np.eye(3), np.array([x, 0.0, 0.0]))
+        for at, x in zip(stamps, metres, strict=True)
+    ]
+    assert segments(looks, BASE).tolist() == wanted
 
 
 def test_the_fit_mends_looks_that_it_has_not_seen():

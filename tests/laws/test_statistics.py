@@ -46,6 +46,15 @@ def test_a_share_of_single_cases_is_wilsons_but_for_students_quantile():
         statistics.share_interval(np.ones(5), np.zeros(5))
 
 
+def test_bootstrap_holds_the_truth_as_often_as_it_says():
+    rng = generator(1)
+    hits = 0
+    for _ in range(300):
+        found = statistics.bootstrap_interval(rng.normal(5, 2, 60), rng, level=0.8, resamples=300)
+        hits += found.low <= 5 <= found.high
+    assert 0.72 < hits / 300 < 0.86
+
+
 def test_cluster_bootstrap_holds_the_truth_where_the_plain_one_is_far_too_sure():
     rng = generator(2)
     plain = clustered = 0
