@@ -1,20 +1,25 @@
 """H*Bench as a benchmark: its files as published, the contract, its agents, and models that talk."""
 
+import math
 import random
 import shutil
 from pathlib import Path
 
 import hstar_data
+import msgspec
 import numpy as np
 import pytest
 from PIL import Image
 
 from eagor.errors import EagorError, FormatError
-from eagor.lab.tasks.hstar import View, open_panorama, parse_action, system_text, turn_text
-from eagor.lab.tasks.hstar.agents import VlmAgent
+from eagor.grids import PerspectiveGrid
+from eagor.lab.tasks.hstar import View, open_panorama, parse_action, render_view, system_text, turn_text
+from eagor.lab.tasks.hstar.agents import VlmAgent, open_detector
 from eagor.lab.tasks.hstar.bench import CAUSES, HOS, HPS, cause_of, read_episodes, run_episode, tag_of
 from eagor.lab.tasks.published import head_of, phrase_of, thing_of
 from eagor.lab.tasks.task import check_task, configure
+from eagor.perception import load
+from eagor.perception.partial import infer_view
 from eagor.perception.vlm import IMAGE, ChatReply
 
 MINI = Path(__file__).parents[2] / ".." / "shared" / "bench_samples" / "hstar_mini"
@@ -88,6 +93,20 @@ def test_a_picture_is_turned_by_its_orientation_tag_even_onto_its_side(tmp_path)
     whole.transpose(Image.Transpose.ROTATE_90).save(folder / "hos_bench" / "hall" / "pano.png", exif=tag)
     episode = next(each for each in read_episodes(folder, "hos") if each.scene == "hall")
     assert np.array_equal(open_panorama(episode.panorama), np.asarray(whole))
+
+
+def test_a_perception_is_not_shown_the_cross(tmp_path):
+    episode = read_episodes(
+        hstar_data.write(tmp_path, targets={"hall": {"red": ([170.0, 190.0], [-5.0, 5.0])}}), "hos"
+    )[0]
+    asked = msgspec.structs.replace(episode, item=episode.item | {"task": "Find the green square"})
+    perception = load("colour")
+    view = View(0.0, 0.0)
+    drawn = render_view(open_panorama(asked.panorama), 0.0, 0.0, 54)
+    ahead = PerspectiveGrid(54, drawn.shape[1], math.radians(100))
+    assert infer_view(perception, drawn, ahead, "green square").response.max() > 0.5
+    seen = open_detector(perception, asked, 0, 54)(view).evidence
+    assert seen.response.max() < 0.2
 
 
 # The contract

@@ -9,7 +9,7 @@ import pytest
 from eagor.errors import TimeError
 from eagor.evidence import Evidence
 from eagor.sphere import world_R_body
-from eagor.tracking import DirectionTracker
+from eagor.tracking import DirectionTracker, TrackerConfig
 from eagor.tracking.refresh import Follower, Refresh
 
 LEFT = np.array([0.0, 1.0, 0.0])
@@ -78,6 +78,12 @@ def test_stamps_of_looks_are_clipped_to_the_poses(follower):
     assert follower.placed(seen(None)).stamp is None
     with pytest.raises(TimeError):
         follower.observe(seen(None))
+
+
+def test_a_belief_without_ranges_takes_no_positions():
+    follower = Follower(TrackerConfig(ranges=None))
+    follower.move(0.0, np.eye(3), np.array([0.0, 0.0, 1.2]))
+    assert follower.tracker.pose_at(0.0)[1] is None
 
 
 def test_an_answer_is_written_down_in_plain_numbers(follower):

@@ -17,7 +17,7 @@ from eagor.lab.eval.report import compare
 from eagor.lab.eval.results import OURS, RESAMPLES, SEED, Run, Value, holm, interval, made, ordered, summarise
 from eagor.lab.tasks.published import score_metric
 from eagor.lab.tasks.task import load
-from eagor.statistics import bootstrap_interval, paired_difference
+from eagor.statistics import bootstrap_interval, paired_difference, share_interval
 
 MAKERS = {"waypoint": runs.waypoint, "navigation": runs.navigation, "tracking": runs.tracking}
 FEW = ("grid", "eagor_paper", "vmf", "eagor")
@@ -118,6 +118,24 @@ def test_variants_are_compared_with_what_they_vary():
     made_of = tables.variant_tables(found.task, summary)
     assert [table.title for table in made_of] == ["Variants of eagor: degree", "Variants of eagor_paper: decode"]
     assert [row.head for row in made_of[0].rows] == ["eagor (as it is)", "eagor:degree=7", "eagor:degree=15"]
+
+
+def test_strata_divide_the_episodes(navigation):
+    _, summary = navigation
+    for labels in summary["strata"].values():
+        assert sum(part["episodes"] for part in labels.values()) == summary["episodes"]
+        for name in summary["methods"]:
+            parts = [(part["methods"][name]["sr"], part["counts"][name]["sr"]) for part in labels.values()]
+            whole = sum(value * count for value, count in parts) / sum(count for _, count in parts)
+            assert whole == pytest.approx(summary["methods"][name]["sr"])
+
+
+def test_shares_have_the_interval_of_a_share_of_whole_apartments(navigation):
+    found, summary = navigation
+    played = [r for r in found.records if r["status"] == "ok" and "grid" in r["methods"]]
+    outcomes = [r["methods"]["grid"]["metrics"]["success"] for r in played]
+    wanted = share_interval(outcomes, [r["episode"]["seed"] for r in played])
+    assert summary["intervals"]["grid"]["sr"] == pytest.approx([100 * wanted.low, 100 * wanted.high])
 
 
 @settings(max_examples=20)

@@ -199,3 +199,19 @@ def test_a_detector_has_the_chance_that_its_model_states(stated, recall, repeats
     assert chance.recall == pytest.approx(recall, abs=0.001)  # eight levels stand for the beta distribution
     assert chance.repeats == pytest.approx(repeats, abs=0.02)
     assert chance.left(0.4) == pytest.approx(math.exp(-0.5 / 10 - 0.4 / 2))
+
+
+def test_only_what_was_covered_counts():
+    coverage = np.zeros(GRID.shape)
+    coverage[:, :4] = 1.0
+    found = Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=0.0, coverage=coverage)
+    whole = Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=0.0)
+    assert Chance.of(whole, 0.5).recall > 0.05
+    assert Chance.of(found, 0.5).recall == pytest.approx(Chance.of(whole, 0.5).recall)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+def test_a_response_whose_silence_says_nothing_still_finds_things(level):
+    read = Calibration(floor=0.5, neutral=0.0)
+    chance = Chance.of(Evidence.from_response(np.full(GRID.shape, level), GRID, read, stamp=0.0), 0.5)
+    assert chance.recall == LEAST

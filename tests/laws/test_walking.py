@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 pytest.importorskip("cyclonedds")
 
 from eagor.lab.worlds.painted import painted_room
-from eagor.live.events import Answer, Fault
+from eagor.live.events import Answer, Fault, PoseReceived
 from eagor.perception.colour import ColourPerception
 from eagor.robots.safety import walking as policy
 from eagor.robots.safety.gate import GateStatus, Mode
 from eagor.robots.safety.walking import ControllerState, Odometer, TargetView, WalkSettings, steer, walk
+from eagor.sources import Pose
 from eagor.tracking import DirectionTracker
 
 RULES = WalkSettings()
@@ -186,3 +187,11 @@ def test_ages_grow_by_what_the_answer_took_and_faults_of_devices_are_handed_on()
     }  # fmt: skip
     assert step.command.doing in ("turning", "walking")
     assert steered(pose_age=None)[0]["pose_age"] is None  # a still camera
+
+
+def test_the_odometer_tells_of_poses_as_they_come():
+    guard = Guarded()
+    odometer = Odometer(guard, lambda: 10.02)
+    odometer.take(PoseReceived(10.01, Pose(10.0, np.eye(3), np.array([1.99, 0.0, 0.3]))), ())
+    assert guard == {"pose": pytest.approx(0.02)}
+    assert odometer.xy == pytest.approx((1.99, 0.0))
