@@ -23,13 +23,13 @@ def panorama(targets, height=180, width=400):
     return image
 
 
-def entries(targets, paths=False, **more):
+def entries(targets, paths=False):
     found = []
     for colour, (yaws, pitches) in targets.items():
         item = {"task": f"Find the {colour} square", "yaw": yaws}
         if not paths:
             item["pitch"] = pitches
-        found.append(item | {"initial yaw": [0, 90, 180, 270], "level": [0, 1, 2, 2]} | more)
+        found.append(item | {"initial yaw": [0, 90, 180, 270], "level": [0, 1, 2, 2]})
     return found
 
 
@@ -42,22 +42,6 @@ def write(folder, split="hos_bench", targets=None, suffix="png", paths=False, st
         items = [{k: v for k, v in item.items() if k not in strip} for item in entries(squares, paths)]
         (place / "annotation.json").write_text(json.dumps(items), encoding="utf-8")
     return folder
-
-
-class Scripted:
-    """A model that says what it was given, and keeps what it was shown."""
-
-    def __init__(self, *texts):
-        self.texts, self.seen = list(texts), []
-
-    def __call__(self, messages):
-        from eagor.perception.vlm import ChatReply
-
-        self.seen.append(list(messages))
-        text = self.texts.pop(0)
-        if isinstance(text, Exception):
-            raise text
-        return ChatReply(text, 100, 10)
 
 
 def patient():

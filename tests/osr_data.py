@@ -29,7 +29,6 @@ from eagor.lab.tasks.osr import (
 )
 from eagor.lab.tasks.osr.geometry import Detection, SceneLayout, Spot, layout_from, place
 
-LEAST = 5  # categories: with fewer the benchmark does not ask about distances and directions
 NAME = "ReplicaPano-made-here"
 TRUTH = "physical_truth.json"  # of each thing the name, where its middle is (x right, y forward), and how high
 PLACES: dict[str, list[Spot]] = {
@@ -47,46 +46,27 @@ def write(tmp_path: Path) -> Path:
     folder = tmp_path / "data" / "nested" / NAME
     folder.mkdir(parents=True)
     Image.fromarray(np.full((64, 128, 3), 90, dtype=np.uint8)).save(folder / "rgb.png")
-    write_scene(folder, PLACES, published_layout(PLACES), ["bed", "piano"], 8, np.random.default_rng(5))
+    bodies = [{"name": name, "xy": [-y, x], "z_centre": 0.35} for name, where in PLACES.items() for x, y in where]
+    (folder / TRUTH).write_text(json.dumps({"objects": bodies}))
+    layout = layout_from({name: [(x, -y) for x, y in where] for name, where in PLACES.items()})  # mirrored
+    counts = {name: len(where) for name, where in PLACES.items()}
+    (folder / "cognitive_map.json").write_text(json.dumps({"cognitive_map": grid_of(layout), "class_count": counts}))
+    rng = np.random.default_rng(5)
+    for kind, absent in (("qa", []), ("qa_with_negative", ["bed", "piano"])):
+        turns = [
+            {"turn_id": number, "question": question, "answer": answer, "skills_tested": skill}
+            for number, (skill, question, answer) in enumerate(conversation(layout, counts, [*counts, *absent], rng))
+        ]
+        turns.append({**turns[-1], "turn_id": 99, "answer": ""})
+        entry = {"image_id": f"data/{NAME}/rgb.png", "pre_prompt": "", "conversation": turns}
+        (folder / f"{NAME}_{kind}.json").write_text(json.dumps(entry))
     return tmp_path / "data"
 
 
-def published_layout(places: Mapping[str, Sequence[Spot]]) -> Layout:
-    """The layout of places (x forward, y left) as published: mirrored."""
-    return layout_from({name: [(x, -y) for x, y in where] for name, where in places.items()})
-
-
-def write_scene(
-    folder: Path,
-    places: Mapping[str, Sequence[Spot]],
-    layout: Layout,
-    absent: Sequence[str],
-    most: int,
-    rng: np.random.Generator,
-) -> None:
-    """Write the files of a scene, without a picture: true places (x forward, y left), layout, and questions.
-
-    `absent`: what the files with negative questions ask for, too. The last turn of each file has an empty answer.
-    """
-    bodies = [{"name": name, "xy": [-y, x], "z_centre": 0.35} for name, where in places.items() for x, y in where]
-    (folder / TRUTH).write_text(json.dumps({"objects": bodies}))
-    counts = {name: len(where) for name, where in places.items()}
-    (folder / "cognitive_map.json").write_text(json.dumps({"cognitive_map": grid_of(layout), "class_count": counts}))
-    for kind, more in (("qa", []), ("qa_with_negative", absent)):
-        asked = conversation(layout, counts, [*counts, *more], most, rng)
-        turns = [
-            {"turn_id": number, "question": question, "answer": answer, "skills_tested": skill}
-            for number, (skill, question, answer) in enumerate(asked)
-        ]
-        turns.append({**turns[-1], "turn_id": 99, "answer": ""})
-        entry = {"image_id": f"data/{folder.name}/rgb.png", "pre_prompt": "", "conversation": turns}
-        (folder / f"{folder.name}_{kind}.json").write_text(json.dumps(entry))
-
-
 def conversation(
-    layout: Layout, counts: Mapping[str, int], names: Sequence[str], most: int, rng: np.random.Generator
+    layout: Layout, counts: Mapping[str, int], names: Sequence[str], rng: np.random.Generator
 ) -> Iterator[tuple[str, str, object]]:
-    """Skill, question and answer: the map, how many of each of `names`, then `most` distances and `most` directions.
+    """Skill, question and answer: the map, how many of each of `names`, then eight distances and eight directions.
 
     As published, where all `names` are present nothing is asked that an error would answer.
     """
@@ -97,7 +77,7 @@ def conversation(
     order = rng.permutation(len(three))
     for skill, question, label in ((DISTANCE, distance, distance_label), (DIRECTION, direction, direction_label)):
         asked = ((skill, question(*three[at]), label(layout, *three[at])) for at in order)
-        yield from itertools.islice((q for q in asked if q[2] and not (complete and q[2].endswith("picture."))), most)
+        yield from itertools.islice((q for q in asked if q[2] and not (complete and q[2].endswith("picture."))), 8)
 
 
 def counting(name: str) -> str:

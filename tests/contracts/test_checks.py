@@ -10,7 +10,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-import small_task
 from box_scenes import scene_of, shell, thing
 from rooms import two_rooms
 
@@ -19,6 +18,7 @@ from eagor.evidence import Evidence
 from eagor.grids import ErpGrid, PatchGrid
 from eagor.lab import worlds
 from eagor.lab.tasks import task as tasks
+from eagor.lab.tasks.published import PublishedTask, score_metric
 from eagor.lab.tasks.sim import rollout
 from eagor.lab.tasks.sim.rollout import check_simulation
 from eagor.lab.tasks.task import Sample, load
@@ -227,10 +227,6 @@ def planned(**changes):
     return env(plan=plan)
 
 
-def measured(change):
-    return replace(TURNTABLE, measure=lambda played: change(example.measure(played)))
-
-
 def sideways(self, ids):
     """The truth in the world's axes."""
     found = example.TurntableEnv._info(self, ids)
@@ -289,16 +285,10 @@ def test_the_check_of_tasks_finds(task, says, monkeypatch):
         check_simulation(task, world="hall")
 
 
-def test_a_task_that_cannot_be_looked_up_says_what_there_is(monkeypatch):
+def test_a_task_that_cannot_be_looked_up_says_what_there_is():
     names = "waypoint, navigation, tracking, hstar-hos, hstar-hps, osr, eagle360, turntable"
     with pytest.raises(EagorError, match=f"no task 'chess'; known are {names}"):
         load("chess")
-    monkeypatch.setitem(tasks.BUILT_IN, "spin", "eagor_example:TURNTABLE")
-    with pytest.raises(EagorError, match=r"'spin'.*is the task 'turntable'; wanted .*whose name is that of the entry"):
-        load("spin")
-    monkeypatch.setitem(tasks.BUILT_IN, "spin", "eagor_example:hall")
-    with pytest.raises(EagorError, match="is a function; wanted"):
-        load("spin")
 
 
 # --- perceptions with one fault --------------------------------------------------------------------------------------
@@ -354,17 +344,42 @@ def test_the_check_of_perceptions_finds(perception, says):
 # --- tasks with published data, with one fault -----------------------------------------------------------------------
 
 
-class Good(small_task.Numbers):
-    """A task whose members a test may replace."""
+class Numbers(PublishedTask):
+    """As small as one can be: each file asks for a number, and holds the answer."""
+
+    name, title, what = "numbers", "Numbers", "say the number"
+    agents = {"right": "says what the file says"}  # noqa: RUF012
+    metrics = (score_metric("overall", "Overall", "share of right answers", lambda record: record["score"]),)
+
+    def info(self, data):
+        return {"files": len(list(Path(data).glob("*.txt")))}
+
+    def samples(self, config):
+        files = sorted(Path(config.data).glob("*.txt"))
+        return [Sample(file.stem, file.stem[0], file.read_text()) for file in files]
+
+    def runner(self, config):
+        return lambda payload: {"case": payload, "cluster": payload[0], "score": 1.0}
+
+    def score(self, sample, prediction, config):
+        return {"case": sample.id, "cluster": sample.group, "score": float(prediction["text"] == sample.payload)}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The data of `Numbers`."""
+    for name in ("a1", "a2", "b1"):
+        (tmp_path / f"{name}.txt").write_text(name)
+    return str(tmp_path)
 
 
 def faulty(faults):
     """A task whose records have these faults."""
-    return other(runner=lambda self, config: lambda payload: Good.runner(self, config)(payload) | faults)
+    return other(runner=lambda self, config: lambda payload: Numbers.runner(self, config)(payload) | faults)
 
 
 def other(**members):
-    return type("Other", (Good,), members)()
+    return type("Other", (Numbers,), members)()
 
 
 SAMPLES = [Sample("a1", "a", "a1")]
@@ -384,8 +399,8 @@ BROKEN = {
 }
 
 
-def test_a_small_task_keeps_the_contract(tmp_path):
-    records = tasks.check_task(Good(), data=str(small_task.write(tmp_path)))
+def test_a_small_task_keeps_the_contract(folder):
+    records = tasks.check_task(Numbers(), data=folder)
     assert [record["score"] for record in records] == [1.0, 1.0, 1.0]
 
 
@@ -396,18 +411,20 @@ def test_so_does_a_simulated_one():
 
 
 def test_a_task_may_be_named_by_its_class_and_has_the_name_that_it_is_found_by(monkeypatch):
-    monkeypatch.setitem(tasks.BUILT_IN, "numbers", "small_task:Numbers")
-    assert isinstance(load("numbers"), small_task.Numbers)
-    for name, value, says in (("digits", "small_task:Numbers", "'numbers'"), ("none", "math:pi", "a float")):
+    monkeypatch.setitem(tasks.BUILT_IN, "numbers", f"{__name__}:Numbers")
+    assert isinstance(load("numbers"), Numbers)
+    for name, value, says in (
+        ("digits", f"{__name__}:Numbers", "the task 'numbers'"), ("spin", "eagor_example:hall", "a function"),
+    ):  # fmt: skip
         monkeypatch.setitem(tasks.BUILT_IN, name, value)
         with pytest.raises(EagorError, match=f"{name}.* is .*{says}; wanted"):
             load(name)
 
 
 @pytest.mark.parametrize(("task", "says"), BROKEN.values(), ids=BROKEN)
-def test_the_check_of_every_task_finds(task, says, tmp_path):
+def test_the_check_of_every_task_finds(task, says, folder):
     with pytest.raises(AssertionError, match=says):
-        tasks.check_task(task, data=str(small_task.write(tmp_path)))
+        tasks.check_task(task, data=folder)
 
 
 def test_a_setting_is_named_with_what_it_can_be(tmp_path):

@@ -172,17 +172,3 @@ def test_states_without_a_pose_are_left_out_and_named_and_without_a_time_stamped
         newest = state.wait(20)
         assert newest.position.tolist() == [1.0, 2.0, 3.0]
         assert newest.stamp == newest.received
-
-
-def test_a_message_that_reaches_both_readers_counts_once():
-    """Writers that announce no type reach the readers of both forms."""
-    with published(idl.ShortSportModeState) as (link, send, state, came):
-        send(sport_state(5))  # the long form, on the reader of the short one alone
-        state.wait(20)
-        other = link.publish("rt/sportmodestate", raw(idl.SportModeState))
-        wait_for(lambda: other.readers)
-        for _ in range(4):
-            send(sport_state(5))
-        send(sport_state(5, error_code=7, short=True))
-        wait_for(lambda: len(came) >= 2)
-        assert [each.error_code for each in came] == [0, 7]

@@ -26,7 +26,6 @@ pytestmark = [
     pytest.mark.skipif(find_spec("habitat_sim") is None, reason=f"Habitat-Sim is not installed; {HOW_TO_GET}"),
     pytest.mark.filterwarnings("default::DeprecationWarning"),  # its own, and those of its bindings
 ]
-HERE = (2.0, 2.9, 1.25)
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import numpy as np
 import osr_data
 import pytest
 
-from eagor.errors import EagorError, FormatError
+from eagor.errors import FormatError
 from eagor.lab.tasks.osr import DIRECTION, MAP, SUFFIXES
 from eagor.lab.tasks.osr import load as load_scenes
 from eagor.lab.tasks.osr.bench import Eagor, Reply, Vlm, record_of, seen_layout
@@ -168,18 +168,6 @@ def test_what_is_not_seen_is_guessed_and_said_so(data: Path) -> None:
             if question.skill == DIRECTION and not {"tv", "sofa"} >= set(question.names):
                 assert reply.text in ("Front Left", "Front Right")
                 assert reply.notes["problem"].startswith("not seen")
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"agent": "oracle", "labels": "mine"}, "wanted both, corrected, official"),
-        ({"agent": "eagor", "perception": "truth"}, "truth reads what a simulator knows"),
-    ],
-)
-def test_bad_settings_say_what_is_wanted(data: Path, settings: dict[str, Any], words: str) -> None:
-    with pytest.raises(EagorError, match=words):
-        config(data, **settings)
 
 
 def test_what_is_no_such_data_says_so(tmp_path: Path, data: Path) -> None:

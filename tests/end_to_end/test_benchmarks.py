@@ -8,9 +8,6 @@ import hstar_data
 import pytest
 
 from eagor.lab.eval import log
-from eagor.lab.eval.results import made, summarise
-from eagor.lab.eval.tables import failed_lines
-from eagor.lab.tasks import task
 
 bench, answer, refused = (partial(run, "bench") for run in (commands.eagor, commands.answer, commands.refused))
 
@@ -105,24 +102,12 @@ def test_reports_comparisons_and_failures(runs, tmp_path):
     assert overall["difference"] == pytest.approx(100 - ours["overall"])
     failed = answer("failures", place / "ours")
     assert sum(failed["causes"].values()) == round(16 * (1 - ours["overall"] / 100))
+    off = [case["error"] for case in failed["cases"]]
+    assert off == sorted(off, reverse=True), "the worst come first"
     assert "No case failed" in bench("failures", place / "oracle").stdout
+    for words in (("compare", place / "ours", place / "ours", "--methods"), ("failures", place / "ours", "--method")):
+        assert "has one agent" in refused(*words, "eagor")
     assert "tables.md is in the way" in refused("report", place / "ours", "--out", tmp_path / "tables.md")
-
-
-def numbers(records, monkeypatch):
-    monkeypatch.setitem(task.BUILT_IN, "numbers", "small_task:NUMBERS")
-    return made({"task": "numbers", "agent": "right"}, [{"attempt": 1, **record} for record in records])
-
-
-def test_a_task_that_names_no_causes_has_failures_all_the_same(monkeypatch):
-    records = [
-        {"key": case, "case": case, "cluster": "a", "status": "ok", "tags": ["odd"], "score": score, "answer": "7"}
-        for case, score in (("a1", 1.0), ("a2", 0.0))
-    ]
-    run = numbers([*records, {"key": "a3", "status": "failed", "error": "torn"}], monkeypatch)
-    part = summarise(run)["answers"]["right"]
-    assert part["causes"] == part["tags"]["odd"]["causes"] == {"wrong": 1}
-    assert failed_lines(run) == ["a2  wrong  [odd]  '': 7"]
 
 
 def test_the_list_and_what_a_folder_holds(folder, tmp_path):
@@ -150,3 +135,41 @@ def test_the_list_and_what_a_folder_holds(folder, tmp_path):
 )
 def test_usage_errors_say_what_to_do(words, said):
     assert said in refused(*words)
+
+
+# --- a part of a run is called one, and how it goes on is said ---
+
+
+@pytest.fixture
+def part(folder, tmp_path):
+    """The words of a run of which three cases are done."""
+    words = ("run", "hstar-hos", "--data", folder, "--perception", "truth", "--out", tmp_path / "run")
+    answer(*words, "--limit", "3")
+    return words, tmp_path / "run"
+
+
+def test_a_report_of_a_part_of_a_run_says_so(part):
+    words, out = part
+    said = bench("report", out)
+    told = " ".join(said.stderr.split())
+    assert f"{out} has 3 of 16 records; the figures are about these" in told
+    assert "without --limit and --shard, plays the rest" in told
+    assert "3 of 16 cases" in (out / "report.html").read_text()
+    assert "Records: 3 of 16 with results, 0 could not be run" in (out / "tables.md").read_text()
+    assert answer("report", out)["runs"] == [{"folder": str(out), "records": 3, "planned": 16}]
+    answer(*words)
+    assert bench("report", out).stderr == ""
+
+
+def test_an_interrupted_run_says_how_it_goes_on(part, monkeypatch):
+    words, out = part
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("eagor.lab.eval.runner.run", interrupted)
+    done = bench(*words)
+    assert done.returncode == 130
+    said = " ".join(done.stderr.split())
+    assert f"3 of 16 units are in {out}; the same command goes on from there" in said
+    assert said.endswith("eagor: interrupted")

@@ -31,19 +31,12 @@ def files(tmp_path_factory):
     In each a picture of a fridge, taken for one every other time; the camera turns and rolls.
     """
     folder, rng = tmp_path_factory.mktemp("files"), np.random.default_rng(0)
-    names = ("looks.jsonl", "truth.jsonl", "poses.csv")
-    with (
-        (folder / names[0]).open("w") as looks,
-        (folder / names[1]).open("w") as truths,
-        (folder / names[2]).open("w") as poses,
-    ):
-        poses.write("stamp,yaw_deg,pitch_deg,roll_deg\n")
+    with (folder / "looks.jsonl").open("w") as looks, (folder / "truth.jsonl").open("w") as truths:
         for walk in range(4):
             *things, poster = unit(rng.normal(size=(3, 3)))
             there = np.array(things if walk % 2 == 0 else []).reshape(-1, 3)
             for step in range(30):
                 stamp, yaw, roll = 100.0 * walk + 0.5 * step, 9.0 * step, 30 * math.sin(step)
-                poses.write(f"{stamp},{yaw},0,{roll}\n")
                 body = world_R_body(math.radians(yaw), 0.0, math.radians(roll))
                 targets, fooled = there @ body, poster @ body
                 seen = [unit(at + SPREAD * rng.normal(size=3)) for at in targets if rng.random() < 0.8]
@@ -84,22 +77,6 @@ def test_a_detector_that_was_replayed_is_fitted_and_used(files, tmp_path):
     looked = ("locate", room, "fridge", "--perception", replay, "--stamp", "0")
     plain, fitted = (answer(*looked, *more) for more in ((), ("--calibration", out)))
     assert fitted != plain
-
-
-@pytest.mark.slow
-def test_poses_tell_what_comes_again(files, tmp_path):
-    words = ("calibrate", "--replay", files / "looks.jsonl", "--truth", files / "truth.jsonl")
-    posed = (*words, "--poses", files / "poses.csv", "--out", tmp_path / "mine.json")
-    assert "Without poses" not in eagor(*posed).stdout
-    found = json.loads((tmp_path / "mine.json").read_text())
-    model = found["detector"]
-    assert model["look_alikes"] == pytest.approx(1.0, abs=0.3)
-    assert model["false_alarms_per_look"] == pytest.approx(0.5, abs=0.2)
-    low, high = found["found_by"]["intervals"]["look_alikes"]
-    assert low < 1 < high
-    (late := tmp_path / "late.csv").write_text("stamp,yaw_deg,pitch_deg,roll_deg\n7000,0,0,0\n")
-    assert "has no pose" in refused(*words, "--poses", late, "--out", tmp_path / "a.json")
-    assert "cannot be read" in refused(*words, "--poses", "level", "--out", tmp_path / "a.json")
 
 
 def test_a_truth_is_for_one_look_and_a_look_for_one_truth(files, tmp_path):

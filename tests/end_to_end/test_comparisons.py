@@ -4,7 +4,6 @@ from dataclasses import replace
 from functools import partial
 
 import commands
-import hstar_data
 import pytest
 import synthetic_runs
 
@@ -46,14 +45,6 @@ def made_up(tmp_path_factory):
     return home
 
 
-@pytest.fixture(scope="module")
-def searched(tmp_path_factory):
-    home = tmp_path_factory.mktemp("searched")
-    words = ("--data", hstar_data.write(home), "--perception", "truth:miss=0.5", "--out", home / "run")
-    assert bench("run", "hstar-hos", *words).returncode == 0
-    return home / "run"
-
-
 def test_two_runs_are_compared_on_the_episodes_that_both_have(made_up):
     found = answer("compare", made_up / "a", made_up / "b")
     assert (found["methods"], found["cases"]) == (["eagor", "eagor"], 15)
@@ -73,13 +64,12 @@ def test_two_runs_are_compared_on_the_episodes_that_both_have(made_up):
     assert "Only 5 apartments" in text
 
 
-def test_what_cannot_be_compared_is_refused(made_up, searched, tmp_path):
+def test_what_cannot_be_compared_is_refused(made_up, tmp_path):
     a = made_up / "a"
     assert "name a second run" in refused("compare", a)
     assert "differ in task" in refused("compare", a, made_up / "other")
     assert "no method 'grid'; it has vmf, eagor" in refused("compare", a, made_up / "b", "--methods", "grid")
     assert "wanted one, or two" in refused("compare", a, made_up / "b", "--methods", "vmf,grid,eagor")
-    assert "has one agent" in refused("compare", searched, searched, "--methods", "eagor")
     elsewhere = synthetic_runs.waypoint(apartments=2, methods=("vmf", "grid"))
     assert "no eagor in common" in refused(
         "compare", synthetic_runs.write_run(tmp_path / "two", elsewhere), tmp_path / "two"
@@ -120,10 +110,3 @@ def test_an_episode_is_played_again_with_the_number_that_it_had_in_its_run(tmp_p
     names = [record["episode"]["id"] for record in records]
     assert len(names) == 9
     assert all(runner_of(run, name)[1] == wanted[name] for name in names)
-
-
-def test_the_worst_cases_of_a_benchmark_come_first(searched):
-    off = [case["error"] for case in answer("failures", searched)["cases"]]
-    assert len(off) > 1
-    assert off == sorted(off, reverse=True)
-    assert "has one agent" in refused("failures", searched, "--method", "eagor")

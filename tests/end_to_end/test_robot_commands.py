@@ -8,7 +8,6 @@ import shlex
 import signal
 import subprocess
 import sys
-import threading
 from functools import partial
 from itertools import pairwise, takewhile
 from pathlib import Path
@@ -21,9 +20,7 @@ pytest.importorskip("cyclonedds")
 pytest.importorskip("rosbags")
 
 from eagor.robots.dds import Participant, free_domain, raw
-from eagor.robots.go2 import plant
 from eagor.robots.go2.sim import SimSettings, SimulatedGo2
-from eagor.robots.go2.sport import SportClient
 from eagor.robots.go2.state import SportModeState
 
 pytestmark = pytest.mark.xdist_group("real time")
@@ -86,36 +83,6 @@ def test_what_is_wrong_with_a_robot_is_said_with_what_to_change():
         assert "2 publish rt/sportmodestate" in done.stdout
         assert done.stdout.endswith("it cannot be used like this\n")
         assert [*robot.requests] == []  # nothing was moved
-
-
-@pytest.mark.slow
-def test_a_second_commander_and_a_robot_that_moves_by_itself_are_told(monkeypatch):
-    with SimulatedGo2(SimSettings(None), free_domain()) as server:
-        domain, ended = server.link.domain, threading.Event()
-
-        def walk():
-            with Participant(domain, "lo") as other:
-                client = SportClient(other)
-                while not ended.wait(0.1):
-                    client.move(0.3, 0.0, 0.0)
-
-        assert json.loads(check(domain, "--json", "--seconds", 1).stdout)["commands"] == 0
-        thread = threading.Thread(target=walk)
-        thread.start()
-        try:
-            done = check(domain, "--seconds", 1)
-        finally:
-            ended.set()
-            thread.join()
-        assert done.returncode == 1
-        assert "problem: somebody else commands this robot (" in done.stdout
-        assert "the last Move on rt/api/sport/request): end that program or app" in done.stdout
-        # As its remote control leads it: nothing comes over these topics.
-        monkeypatch.setattr(plant, "EXPIRY", 60.0)
-        server.plant.move(0.4, 0.0, 0.0)
-        done = check(domain, "--seconds", 1.5)
-        assert "problem: the robot moves although nobody tells it to on its topics" in done.stdout
-        assert done.returncode == 1
 
 
 @pytest.mark.parametrize(("words", "said"), [

@@ -9,19 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import at_most
 
-from eagor.errors import WorldError
 from eagor.lab.envs.places import UNTARGETED
 from eagor.lab.worlds.apartment import CATEGORIES, REQUIRED, VERSION, build, generate
 from eagor.lab.worlds.apartment.building import carve
 from eagor.lab.worlds.apartment.furniture import KINDS
-from eagor.lab.worlds.apartment.placement import corners, distances, from_rectangle, leaf_footprint, overlaps
+from eagor.lab.worlds.apartment.placement import corners, distances, from_rectangle, overlaps
 from eagor.lab.worlds.apartment.plans import FAMILIES, LINING, OUTSIDE, draw_plan
 from eagor.lab.worlds.ground import BESIDE, Ground
-from eagor.lab.worlds.scene import STRUCTURE, Raycaster
+from eagor.lab.worlds.scene import STRUCTURE
 
 SEEDS = (0, 3, 5, 1007)
-MORE = tuple(pytest.param(seed, marks=pytest.mark.slow) for seed in (11, 21))
-seeds = pytest.mark.parametrize("seed", [*SEEDS, *MORE])
+seeds = pytest.mark.parametrize("seed", SEEDS)
 scene = cache(lambda seed: apartment(seed)[2])
 apartment = cache(build)  # the plan, the pieces, and the scene
 
@@ -58,11 +56,10 @@ def test_a_plan_divides_a_rectangle_into_rooms_that_doors_join(seed):
         assert sum(room == OUTSIDE for room in window.boundary.rooms) == 1
 
 
-@pytest.mark.parametrize("seed", [SEEDS[0], pytest.param(SEEDS[1], marks=pytest.mark.slow)])
-def test_the_same_seed_gives_the_same_scene(seed):
-    again = generate(seed)
-    assert again.hash == scene(seed).hash
-    assert again.source == f"apartment {VERSION} seed {seed}"
+def test_the_same_seed_gives_the_same_scene():
+    again = generate(0)
+    assert again.hash == scene(0).hash
+    assert again.source == f"apartment {VERSION} seed 0"
     assert again.facts["family"] in FAMILIES
     assert again.hash != scene(SEEDS[3]).hash
 
@@ -130,21 +127,7 @@ def test_pieces_keep_to_their_footprints_rooms_and_heights(seed):
         assert inside.any(axis=1).all(), (piece.category, room.name)
 
 
-@seeds
-def test_doorways_and_open_leaves_stay_clear(seed):
-    things = [piece for piece, _ in furniture(seed) if piece.solid]
-    boxes = np.array([piece.box for piece in things])
-    for doorway in apartment(seed)[0].doorways:
-        clear = [from_rectangle(doorway.approach(0.6)), *([leaf_footprint(doorway)] if doorway.leaf else [])]
-        assert [things[i].category for i in np.flatnonzero(overlaps(np.array(clear), boxes).any(axis=0))] == []
-
-
-def test_a_negative_seed_is_refused():
-    with pytest.raises(WorldError, match="-1"):
-        generate(-1)
-
-
-@pytest.mark.parametrize("seed", [*SEEDS, *MORE, 1016, 1864, 4406])
+@pytest.mark.parametrize("seed", [*SEEDS, 1016, 1864, 4406])
 def test_whatever_can_be_a_target_has_free_ground_beside_it(seed):
     made = scene(seed)
     ground = Ground.from_scene(made)
@@ -152,32 +135,3 @@ def test_whatever_can_be_a_target_has_free_ground_beside_it(seed):
     assert len(targets) >= 12
     for thing in targets:
         assert ground.beside(thing)[1].min() <= BESIDE, thing.name
-
-
-@seeds
-def test_the_shell_is_closed_but_for_its_windows(seed):
-    made, rng = scene(seed), np.random.default_rng(0)
-    caster = Raycaster(made.vertices, made.triangles)
-    ways = rng.normal(size=(4000, 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    seen_out = 0
-    for room in made.rooms:
-        x0, y0, x1, y1 = room.rectangles[0]
-        eye = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 1.4])
-        hits = caster.cast(np.repeat(eye[None], len(ways), axis=0).astype(np.float32), ways.astype(np.float32))
-        out = ways[hits.triangle < 0]
-        through = np.zeros(len(out), dtype=bool)
-        for hole in apartment(seed)[0].windows:
-            hx0, hy0, hx1, hy1 = hole.hole
-            with np.errstate(divide="ignore"):
-                one = (np.array([hx0, hy0, hole.sill]) - 1e-3 - eye) / out
-                two = (np.array([hx1, hy1, hole.head]) + 1e-3 - eye) / out
-            through |= np.minimum(one, two).max(axis=1) <= np.maximum(one, two).min(axis=1)
-        assert through.all(), room.name
-        seen_out += len(out)
-        front = made.vertices[made.triangles[hits.triangle[hits.triangle >= 0]]].astype(float)
-        normal = np.cross(front[:, 1] - front[:, 0], front[:, 2] - front[:, 0])
-        owner = made.instance[hits.triangle[hits.triangle >= 0]]
-        shell = np.array([thing.category in STRUCTURE for thing in made.instances])[owner]
-        assert ((normal * ways[hits.triangle >= 0]).sum(axis=1)[shell] < 0).all()  # outsides look into the rooms
-    assert seen_out > 0

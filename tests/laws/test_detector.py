@@ -156,31 +156,6 @@ def looks(rng, target, pd, alarms, count, spread_deg, how):
         yield pose, found, Evidence.from_points(found, detector=how, stamp=float(stamp))
 
 
-@pytest.mark.parametrize(("config", "most"), [({"target_motion": STILL}, 0.1), ({}, 0.25)])
-def test_independent_looks_give_what_a_grid_filter_gives(config, most):
-    """Bayes' rule on a grid of 1 degree with the exact likelihood, against the tracker, nats at the truth."""
-    grid, behind = ErpGrid(180, 360), []
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        target, tracker = unit(rng.normal(size=3)), DirectionTracker(TrackerConfig(**config))
-        log = np.zeros(grid.shape)
-        for pose, _, look in looks(rng, target, PD, ALARMS, 20, 8.0, model()):
-            tracker.add_pose(look.stamp, pose)
-            tracker.observe(look)
-            estimate = tracker.estimate(look.stamp)
-            log += np.log(look.detections.ratio(grid.directions @ pose))
-            top = log.max()
-            total = math.log(np.sum(np.exp(log - top) * grid.weights)) + top
-            x, y, _ = grid.project(target)
-            near = log[int(y), int(x)]
-            behind.append(near - total - float(estimate.log_density(pose.T @ grid.directions[int(y), int(x)])))
-            mean = math.exp(total) / (4 * math.pi)
-            if not config:
-                continue
-            assert estimate.presence == pytest.approx(mean / (1 + mean), abs=0.03)
-    assert abs(np.mean(behind)) < most
-
-
 @pytest.mark.parametrize("stated", [8.0, 16.0])
 def test_place_and_spread_are_believed_in_jointly(stated):
     """Bayes' rule on a grid for each scale of the spread, against the tracker: density at the truth, and the scales."""
@@ -319,15 +294,7 @@ def test_a_model_is_said_in_a_line():
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        "recall=0.5",
-        "look_alikes=1,look_alikes=2",
-        "habit=?",
-        "look_alikes=1+2",
-        "habit=0.8+0",
-        "clutter=0.2",
-    ],
+    "wrong", ["recall=0.5", "look_alikes=1,look_alikes=2", "habit=?", "look_alikes=1+2", "habit=0.8+0", "clutter=0.2"]
 )
 def test_a_line_that_says_no_model_is_refused(wrong):
     with pytest.raises(ResponseError):

@@ -5,19 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import rotations
 
-from eagor.belief import Belief
-from eagor.errors import EagorError, ResponseError, TimeError
+from eagor.errors import EagorError, ResponseError
 from eagor.evidence import Evidence, coverage
 from eagor.evidence.averaging import averaged
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
-from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation
+from eagor.sphere import angular_distance, direction, rotation
 
 PATCHES = PatchGrid(12, 24)
 SPHERE = ErpGrid(64, 128)
@@ -140,12 +140,12 @@ def test_a_turned_view_is_the_turned_evidence(spread, R):
     assert np.allclose(turned.coefficients(7), RealHarmonics(7).rotate(ahead.coefficients(7), R), atol=1e-10)
 
 
-@pytest.mark.parametrize("kind", ["numpy", "torch"])
+@pytest.mark.parametrize("kind", [np.asarray, torch.tensor], ids=["numpy", "torch"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_partial_coverage_is_kept_when_the_look_is_read_anew(kind, dtype):
     rng = np.random.default_rng(1)
     response, cover = rng.random(PATCHES.shape).astype(dtype), np.clip(rng.uniform(-0.3, 1.3, PATCHES.shape), 0, 1)
-    made = response if kind == "numpy" else pytest.importorskip("torch").tensor(response)
+    made = kind(response)
     other = Calibration(floor=0.1, temperature=1.5)
     evidence = Evidence.from_response(made, PATCHES, coverage=cover)
     assert np.array_equal(evidence.coverage, cover)
@@ -158,46 +158,6 @@ def test_partial_coverage_is_kept_when_the_look_is_read_anew(kind, dtype):
     half = Evidence.from_response(made, PATCHES, coverage=np.full(PATCHES.shape, 0.5)).with_calibration(other)
     assert np.allclose(half.log_ratio, 0.5 * other.log_ratio(response), atol=1e-4), "also where every cell was seen"
     assert Evidence.from_response(made, PATCHES, coverage=np.ones(PATCHES.shape)).coverage is None
-
-
-def _shapes(grid):
-    """Masks of every kind: a cap, a hole, a stripe over the seam, single cells."""
-    there = grid.directions @ direction(2.5, 0.7)
-    yield "below", grid.directions[..., 2] > -0.4
-    yield "the pole alone", grid.directions[..., 2] > 0.95
-    yield "a hole", there < 0.8
-    yield "a window", there > 0.8
-    yield "the front", grid.directions[..., 0] > -0.6
-    yield "single cells", np.random.default_rng(0).random(grid.shape) > 0.1
-
-
-@pytest.mark.parametrize(
-    "grid",
-    [
-        ErpGrid(24, 48),
-        PatchGrid(25, 51),
-        PerspectiveGrid(24, 40, 1.6),
-        FisheyeGrid(40, math.radians(200)),
-    ],
-    ids=str,
-)
-@pytest.mark.parametrize("degree", [7, 31])
-def test_borders_are_found_as_by_looking_at_every_cell(grid, degree):
-    for name, mask in _shapes(grid):
-        if mask.all():  # the hole is out of the picture
-            continue
-        where = coverage.region(grid, mask)
-        seen = mask & (grid.weights > 0)
-        hidden = grid.directions[~mask & (grid.weights > 0)]
-        depth = np.full(grid.shape, math.pi) if grid.depth_inside() is None else grid.depth_inside()
-        depth = np.where(seen, np.minimum(depth, coverage._distance(grid.directions, hidden)), 0.0)
-        expected = np.sin(np.clip(depth * (degree + 1) / 2, 0, math.pi / 2)) ** 2
-        assert np.allclose(coverage.taper(degree, where, np.zeros(1)), expected, atol=1e-9), name
-        assert np.array_equal(coverage.looked_at(where), seen)
-        points, reach = RealHarmonics(degree).quadrature().directions, math.pi / (degree + 1)
-        near = coverage._distance(points, grid.directions[seen]) <= reach
-        found = coverage._contains(where, points) | (coverage._distance(points, coverage._rim(where), reach) <= reach)
-        assert np.array_equal(found, near), name
 
 
 def test_masks_that_differ_with_every_look_do_not_fill_the_memory(monkeypatch):
@@ -213,7 +173,7 @@ def test_masks_that_differ_with_every_look_do_not_fill_the_memory(monkeypatch):
     assert len(_arrays._recent) > 2
 
 
-@pytest.mark.parametrize("kind", ["numpy", "torch"])
+@pytest.mark.parametrize("kind", [np.asarray, torch.tensor], ids=["numpy", "torch"])
 @pytest.mark.parametrize("calibration", [Calibration(), Calibration.paper()], ids=["default", "paper"])
 def test_what_was_not_covered_may_be_anything(kind, calibration):
     """As the error about NaN advises."""
@@ -221,8 +181,7 @@ def test_what_was_not_covered_may_be_anything(kind, calibration):
     cover = (PATCHES.directions[..., 2] > -0.4).astype(float)
     clean = Evidence.from_response(response * cover, PATCHES, calibration, coverage=cover)
     for bad in (np.nan, np.inf, -3.0, 255.0):
-        dirty = np.where(cover > 0, response, bad)
-        dirty = dirty if kind == "numpy" else pytest.importorskip("torch").tensor(dirty)
+        dirty = kind(np.where(cover > 0, response, bad))
         with pytest.raises(ResponseError, match=r"coverage|wanted \[0, 1\]"):
             Evidence.from_response(dirty, PATCHES, calibration)
         found = Evidence.from_response(dirty, PATCHES, calibration, coverage=cover)
@@ -247,16 +206,6 @@ def test_a_box_points_to_its_middle(azimuth_deg, elevation_deg):
     assert np.degrees(angular_distance(brightest(Evidence.from_boxes([box], grid)), target)) < 3.5
 
 
-@pytest.mark.parametrize("fov_deg", [150, 360])
-def test_boxes_in_a_large_fisheye_are_drawn_on_a_coarse_copy(fov_deg):
-    image = FisheyeGrid(1200, math.radians(fov_deg), rotation((0, 1, 0), -0.6))
-    meant = image.unproject(np.array(700.0), np.array(500.0))
-    look = Evidence.from_boxes([[680, 480, 720, 520]], image)
-    assert max(look.grid.shape) <= 180
-    belief = Belief.uniform(15).update(look)
-    assert math.degrees(angular_distance(belief.mode(), meant)) < 1
-
-
 def test_boxes_in_a_view_and_several_boxes():
     grid = PerspectiveGrid(1080, 1920, math.radians(100), rotation((0, 0, 1), 1.0))
     evidence = Evidence.from_boxes([[1500, 500, 1600, 600], [200, 500, 260, 560]], grid, scores=[0.9, 0.4])
@@ -273,15 +222,6 @@ def test_points_are_von_mises_fisher_bumps():
     assert np.degrees(angular_distance(brightest(evidence), target)) < 3
     off = angular_distance(evidence.grid.directions, target)
     assert np.allclose(evidence.response, 0.8 * np.exp((np.cos(off) - 1) / 0.15**2), atol=1e-6)
-
-
-def test_masks_take_the_best_score_where_they_overlap():
-    masks = np.zeros((2, *PATCHES.shape), bool)
-    masks[0, 3:6, 4:8] = masks[1, 5:8, 6:10] = True
-    evidence = Evidence.from_mask(masks, PATCHES, [0.3, 0.9], Calibration())
-    assert evidence.response[4, 5] == pytest.approx(0.3, abs=1e-6)
-    assert evidence.response[5, 7] == pytest.approx(0.9, abs=1e-6)
-    assert evidence.response[0, 0] == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("grid", [ErpGrid(128, 256), PerspectiveGrid(96, 96, math.pi / 2)], ids=["sphere", "view"])
@@ -335,70 +275,49 @@ def test_boxes_and_masks_are_detections_in_the_middle_as_wide_as_they_are_and_as
 
 
 def test_two_masks_are_two_detections_and_an_empty_one_is_none():
+    """As a response map they take the best score where they overlap."""
     masks = np.zeros((3, *PATCHES.shape), bool)
-    masks[0, 3:6, 4:8] = masks[1, 8:10, 16:19] = True
+    masks[0, 3:6, 4:8] = masks[1, 5:8, 6:10] = True
+    mapped = Evidence.from_mask(masks, PATCHES, [0.3, 0.9, 0.5], Calibration())
+    assert [mapped.response[at] for at in ((4, 5), (5, 7), (0, 0))] == pytest.approx([0.3, 0.9, 0.0], abs=1e-6)
     evidence = Evidence.from_mask(masks, PATCHES, scores=[0.3, 0.9, 0.5])
     assert evidence.detections.scores.tolist() == [0.3, 0.9]
     assert evidence.detections.views == ()
     assert evidence.detections.joined(evidence.detections).scores.tolist() == [0.3, 0.9, 0.3, 0.9]
 
 
-def test_the_left_of_the_picture_is_the_left_of_the_body():
-    response = np.zeros(PATCHES.shape)
-    response[6, 3] = 1
-    azimuth, elevation = azimuth_elevation(brightest(Evidence.from_response(response, PATCHES)))
-    assert np.degrees(azimuth) == pytest.approx(180 - 360 * 3.5 / 24, abs=3)
-    assert np.degrees(elevation) == pytest.approx(90 - 180 * 6.5 / 12, abs=3)
-
-
-@pytest.mark.parametrize(
-    ("response", "text"),
-    [
-        (np.full(PATCHES.shape, np.nan), "NaN"),
-        (np.where(np.arange(24) == 3, np.inf, np.zeros(PATCHES.shape)), "infinite"),
-        (np.full(PATCHES.shape, 1.5), "1.5"),
-        (np.full(PATCHES.shape, -0.1), "-0.1"),
-        (np.full(PATCHES.shape, 255, np.uint8), "255"),
-        (np.zeros((12, 23)), "12, 23"),
-        (np.zeros((0, 12, 24)), "at least one"),
-        (np.zeros(5), "shape"),
-    ],
-)
-@pytest.mark.parametrize("kind", ["numpy", "numpy32", "torch"])
-def test_bad_responses_are_refused_with_a_reason(response, text, kind):
-    if kind == "numpy32" and response.dtype == np.float64:
-        response = response.astype(np.float32)
-    if kind == "torch":
-        import torch
-
-        response = torch.tensor(response)
-    with pytest.raises(ResponseError, match=text):
-        Evidence.from_response(response, PATCHES)
-
-
-def test_one_bad_value_at_the_end_of_a_large_map_is_found():
-    grid = ErpGrid(512, 1024)
-    for bad in (np.nan, 1.0001, -1e-6, -np.inf):
-        response = np.zeros(grid.shape, np.float32)
+@pytest.mark.parametrize("dtype", [">f4", ">f8", "<f4", "<f8", "f2", np.longdouble])
+@pytest.mark.parametrize("grid", [PATCHES, ErpGrid(512, 1024)], ids=["small", "large"])
+def test_every_order_of_bytes_and_every_float_is_checked_and_read_alike(grid, dtype):
+    """In the other order of bytes NaN has the bits of a small number; and the last value of a large map counts."""
+    response = np.random.default_rng(4).random(grid.shape).astype(dtype)
+    response[3, 4] = -0.0
+    found = Evidence.from_response(response, grid).log_ratio
+    assert np.allclose(found, Calibration().log_ratio(response.astype(np.float64)), atol=1e-5)
+    assert found.dtype in (np.float32, np.float64)
+    for bad in (np.nan, np.inf, -np.inf, 1.001, -0.001):
         response[-1, -1] = bad
         with pytest.raises(ResponseError):
             Evidence.from_response(response, grid)
-    response = np.zeros(grid.shape, np.float32)
-    response[3, 4] = -0.0
-    assert Evidence.from_response(response, grid).log_ratio[3, 4] == pytest.approx(Calibration().empty)
 
 
-@pytest.mark.parametrize("dtype", [">f4", ">f8", "<f4", "<f8", "f2", np.longdouble])
-def test_every_order_of_bytes_and_every_float_is_checked_and_read_alike(dtype):
-    """In the other order of bytes NaN has the bits of a small number."""
-    response = np.random.default_rng(4).random(PATCHES.shape).astype(dtype)
-    expected = Calibration().log_ratio(response.astype(np.float64))
-    assert np.allclose(Evidence.from_response(response, PATCHES).log_ratio, expected, atol=1e-5)
-    assert Evidence.from_response(response, PATCHES).log_ratio.dtype in (np.float32, np.float64)
-    for bad in (np.nan, np.inf, -np.inf, 1.001, -0.001):
-        response[5, 7] = bad
-        with pytest.raises(ResponseError):
-            Evidence.from_response(response, PATCHES)
+BAD_RESPONSES = {
+    "NaN": np.full(PATCHES.shape, np.nan),
+    "infinite": np.where(np.arange(24) == 3, np.inf, np.zeros(PATCHES.shape)),
+    "1.5": np.full(PATCHES.shape, 1.5),
+    "-0.1": np.full(PATCHES.shape, -0.1),
+    "255": np.full(PATCHES.shape, 255, np.uint8),
+    "12, 23": np.zeros((12, 23)),
+    "at least one": np.zeros((0, 12, 24)),
+    "shape": np.zeros(5),
+}
+
+
+@pytest.mark.parametrize("text", BAD_RESPONSES)
+@pytest.mark.parametrize("kind", [np.asarray, np.float32, torch.tensor], ids=["numpy", "numpy32", "torch"])
+def test_bad_responses_are_refused_with_a_reason(text, kind):
+    with pytest.raises(ResponseError, match=text):
+        Evidence.from_response(kind(BAD_RESPONSES[text]), PATCHES)
 
 
 @pytest.mark.parametrize(
@@ -409,6 +328,7 @@ def test_every_order_of_bytes_and_every_float_is_checked_and_read_alike(dtype):
         np.full(PATCHES.shape, 0.5, object),
         np.zeros(PATCHES.shape, "m8[s]"),
         np.ma.masked_array(np.zeros(PATCHES.shape), mask=True),
+        torch.zeros(PATCHES.shape, dtype=torch.complex64),
     ],
     ids=lambda r: str(r.dtype),
 )
@@ -417,32 +337,32 @@ def test_what_is_no_array_of_real_numbers_is_refused(response):
         Evidence.from_response(response, PATCHES)
 
 
-def test_complex_tensors_are_refused():
-    torch = pytest.importorskip("torch")
-    with pytest.raises(ResponseError, match="complex"):
-        Evidence.from_response(torch.zeros(PATCHES.shape, dtype=torch.complex64), PATCHES)
+VIEW = PerspectiveGrid(48, 64, math.radians(80))
 
 
 @pytest.mark.parametrize(
-    "make",
+    ("make", "text"),
     [
-        lambda: Evidence.from_boxes([[10, 10, 10, 20]], ErpGrid(64, 128)),
-        lambda: Evidence.from_boxes([[500, 500, 600, 600]], PerspectiveGrid(64, 64, 1.0)),
-        lambda: Evidence.from_boxes([[1, 1, 5, 5]], ErpGrid(64, 128), scores=[1.2]),
-        lambda: Evidence.from_points([[1, 0, 0]], -1.0),
-        lambda: Evidence.from_points([[0, 0, 0]], 1.0),
-        lambda: Evidence.from_response(np.zeros(PATCHES.shape), PATCHES, coverage=np.full(PATCHES.shape, 2.0)),
-        lambda: Calibration(floor=0.0),
+        (lambda: Evidence.from_boxes([[10, 10, 10, 20]], ErpGrid(64, 128)), "wanted"),
+        (lambda: Evidence.from_boxes([[500, 500, 600, 600]], PerspectiveGrid(64, 64, 1.0)), "wanted"),
+        (lambda: Evidence.from_boxes([[1, 1, 5, 5]], ErpGrid(64, 128), scores=[1.2]), "scores must be 1 numbers"),
+        (lambda: Evidence.from_boxes(np.ones((4, 5)), VIEW), r"boxes have shape \(4, 5\); wanted \(n, 4\)"),
+        (lambda: Evidence.from_points(np.ones((3, 2)), 50.0), r"directions have shape \(3, 2\); wanted \(n, 3\)"),
+        (lambda: Evidence.from_points([[1, 0, 0]], -1.0), "wanted"),
+        (lambda: Evidence.from_points([[0, 0, 0]], 1.0), "zero vector"),
+        (lambda: Evidence.from_mask(np.full(VIEW.shape, 0.1), VIEW), "threshold"),
+        (
+            lambda: Evidence.from_response(np.zeros(PATCHES.shape), PATCHES, coverage=np.full(PATCHES.shape, 2.0)),
+            "coverage must",
+        ),
+        (lambda: Evidence.from_response(np.zeros(PATCHES.shape), PATCHES, stamp=math.nan), "capture"),
+        (lambda: Calibration(floor=0.0), "wanted"),
+        *[(lambda spread=s: Calibration(spread=spread), "1 to 30 degrees") for s in (-0.1, 0.01, 0.6, math.nan)],
     ],
 )
-def test_bad_detections_are_refused(make):
-    with pytest.raises(EagorError):
+def test_bad_detections_are_refused(make, text):
+    with pytest.raises(EagorError, match=text):
         make()
-
-
-def test_a_stamp_must_be_a_time():
-    with pytest.raises(TimeError, match="capture"):
-        Evidence.from_response(np.zeros(PATCHES.shape), PATCHES, stamp=math.nan)
 
 
 def test_a_mask_on_a_fisheye_of_the_whole_sphere_ends_where_the_mask_does():
@@ -472,21 +392,6 @@ def test_the_logarithm_comes_before_the_integral():
     assert np.allclose(patches, pixels.coefficients(7), atol=1e-9)
 
 
-def test_tables_of_another_shape_are_refused():
-    """A table that is reshaped to fit says something else than its maker meant."""
-    view = PerspectiveGrid(48, 64, math.radians(80))
-    with pytest.raises(ResponseError, match=r"boxes have shape \(4, 5\); wanted \(n, 4\)"):
-        Evidence.from_boxes(np.arange(20.0).reshape(4, 5), view)
-    with pytest.raises(ResponseError, match=r"directions have shape \(3, 2\); wanted \(n, 3\)"):
-        Evidence.from_points(np.ones((3, 2)), 50.0)
-    one, row = (Evidence.from_boxes(boxes, view) for boxes in ([[10, 10, 20, 20]], [10, 10, 20, 20]))
-    assert np.array_equal(one.log_ratio, row.log_ratio), "one row is a table of one"
-    with pytest.raises(ResponseError, match="threshold"):
-        Evidence.from_mask(np.full(view.shape, 0.1), view)
-    whole = Evidence.from_mask(np.ones(view.shape), view, calibration=Calibration())
-    assert whole.response.min() == pytest.approx(1.0, abs=1e-5)
-
-
 SPREAD = math.radians(4)
 FINE = PatchGrid(40, 80)
 
@@ -504,20 +409,6 @@ def test_a_small_thing_keeps_its_height_where_ratios_are_averaged_and_loses_it_w
         at = RealHarmonics(15).synthesise(evidence.coefficients(15), small)
         assert least * high < at < most * high
         assert math.degrees(angular_distance(brightest(evidence), found)) < 4.5
-
-
-@given(st.floats(0.02, 1), st.floats(0.5, 8), st.floats(1.5, 12), st.integers(0, 3))
-@settings(max_examples=20, deadline=None)
-def test_averaging_conserves_the_mean_ratio_and_stays_within_the_ratios(floor, temperature, degrees, seed):
-    """A kernel moves likelihood ratios about; it makes none."""
-    response = np.random.default_rng(seed).random(PATCHES.shape) ** 8
-    calibration = Calibration(floor, 0.05, temperature)
-    log_ratio = calibration.log_ratio(response)
-    values, grid = averaged(log_ratio, PATCHES, math.radians(degrees), calibration.empty, calibration.full)
-    before, after = ((np.exp(v) * g.weights).sum() for v, g in ((log_ratio, PATCHES), (values, grid)))
-    assert after == pytest.approx(before, rel=0.02)
-    assert values.min() >= log_ratio.min() - 0.06
-    assert values.max() <= log_ratio.max() + 0.06
 
 
 @pytest.mark.parametrize(
@@ -547,23 +438,12 @@ def test_a_view_laid_out_on_a_panorama_is_averaged_as_by_integrals_over_its_pixe
         assert mass == pytest.approx(meant, rel=0.01)
 
 
-@pytest.mark.parametrize("spread", [-0.1, 0.01, 0.6, math.nan])
-def test_a_spread_that_is_none_is_refused(spread):
-    with pytest.raises(ResponseError, match="1 to 30 degrees"):
-        Calibration(spread=spread)
-
-
 def test_averaging_takes_batches_and_tensors_alike():
-    torch = pytest.importorskip("torch")
     response = np.random.default_rng(3).random((2, *PATCHES.shape))
     calibration = Calibration(spread=math.radians(5))
-    both = Evidence.from_response(response, PATCHES, calibration).coefficients(9)
-    for one, expected in zip(response, both, strict=True):
-        assert np.allclose(Evidence.from_response(one, PATCHES, calibration).coefficients(9), expected, atol=1e-12)
-    tensors = Evidence.from_response(torch.tensor(response), PATCHES, calibration).coefficients(9)
-    assert np.allclose(tensors.numpy(), both, atol=1e-12)
-    view = PerspectiveGrid(*PATCHES.shape, 1.5, rotation((1, 2, 3), 0.7))
-    both = Evidence.from_response(response, view, calibration).coefficients(9)
-    assert np.allclose(Evidence.from_response(response[1], view, calibration).coefficients(9), both[1], atol=1e-12)
-    tensors = Evidence.from_response(torch.tensor(response), view, calibration).coefficients(9)
-    assert np.allclose(tensors.numpy(), both, atol=1e-10)
+    for grid in (PATCHES, PerspectiveGrid(*PATCHES.shape, 1.5, rotation((1, 2, 3), 0.7))):
+        both = Evidence.from_response(response, grid, calibration).coefficients(9)
+        for one, expected in zip(response, both, strict=True):
+            assert np.allclose(Evidence.from_response(one, grid, calibration).coefficients(9), expected, atol=1e-12)
+        tensors = Evidence.from_response(torch.tensor(response), grid, calibration).coefficients(9)
+        assert np.allclose(tensors.numpy(), both, atol=1e-10)

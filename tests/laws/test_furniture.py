@@ -91,14 +91,3 @@ def test_the_colour_that_is_asked_for_is_what_is_seen(category, colour):
         total = {word: sum(share for name, share in shares.items() if name.split()[0] == word) for word in words}
         assert max(total, key=lambda word: total[word]) == colour, shares
         assert total[colour] > 0.4, shares
-
-
-@pytest.mark.parametrize(
-    "category", ["chair", "armchair", "sofa", "bed", "table", "coffee table", "desk", "nightstand"]
-)
-@given(seed=SEEDS)
-@settings(max_examples=3)
-def test_solid_furniture_shows_its_outside(category, seed):
-    model = build(category, KINDS[category].colours[0], seed)
-    outside = np.concatenate([seen(model, azimuth)[1] for azimuth in (0.4, 2.0, 3.5, 5.0)])
-    assert outside.mean() > 0.995

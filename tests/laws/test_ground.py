@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from strategies import at_most
 
 from eagor.errors import WorldError
-from eagor.lab.worlds.ground import Ground, rasterize
+from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.navmesh import sees, walls_below
 from eagor.lab.worlds.scene import Room
 
@@ -50,33 +50,6 @@ def length(path):
 
 
 # --- occupancy ---
-
-
-@at_most(40)
-@given(seeds, st.sampled_from([0.05, 0.4, 3.0]))
-def test_all_that_lies_in_the_slab_is_marked_and_nothing_else(seed, size):
-    rng = np.random.default_rng(seed)
-    triangle = rng.uniform(0.3, 0.7, size=3) * (4, 4, 2) + rng.uniform(-size, size, size=(3, 3))
-    if rng.random() < 0.3:
-        triangle[2, :2] = triangle[0, :2]  # upright
-    mask = rasterize(triangle[None], 0.5, 1.0, np.zeros(2), 0.1, (40, 40))
-    weights = rng.dirichlet((0.7, 0.7, 0.7), size=4000)
-    points = weights @ triangle
-    points = points[(points[:, 2] > 0.5) & (points[:, 2] < 1.0)]
-    cells = np.floor(points[:, :2] / 0.1)
-    within = (points[:, :2] / 0.1 - cells > 0.01) & (points[:, :2] / 0.1 - cells < 0.99)
-    cells = cells[(within & (cells >= 0) & (cells < 40)).all(axis=1)].astype(int)
-    assert mask[cells[:, 1], cells[:, 0]].all()
-    # Every marked cell lies near a point of the clipped triangle, which is sampled densely.
-    steps = np.linspace(0, 1, 120)
-    a, b = (grid.ravel() for grid in np.meshgrid(steps, steps))
-    dense = triangle[0] + (a * (1 - b))[:, None] * (triangle[1] - triangle[0])
-    dense = dense + b[:, None] * (triangle[2] - triangle[0])
-    dense = dense[(dense[:, 2] >= 0.48) & (dense[:, 2] <= 1.02)]
-    marked = np.argwhere(mask)[:, ::-1] * 0.1 + 0.05
-    for centre in marked:
-        assert len(dense)
-        assert np.abs(dense[:, :2] - centre).max(axis=1).min() < 0.05 + 0.025 * max(1.0, size)
 
 
 def test_what_is_low_or_high_is_no_obstacle_and_the_rest_is():

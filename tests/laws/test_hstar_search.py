@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from eagor.evidence import Evidence
 from eagor.evidence.calibration import Calibration
-from eagor.lab.agents.steering import next_heading
 from eagor.lab.tasks.hstar import View, agents, submit_succeeds
 from eagor.lab.tasks.hstar.agents import (
     ALARM,
@@ -22,7 +21,6 @@ from eagor.lab.tasks.hstar.agents import (
     SimulatedDetector,
     ViewEvidence,
     _shown_by,
-    stated,
 )
 from eagor.perception.truth import Noise
 from eagor.tracking.next_view import information
@@ -63,7 +61,7 @@ def test_what_was_not_looked_at_keeps_its_odds_and_what_was_loses(views):
 @given(st.integers(0, 2**32 - 1), st.sampled_from(PITCHES), st.integers(0, len(YAWS) - 1))
 @settings(max_examples=12)
 def test_information_is_that_of_the_cells_that_the_view_shows(seed, pitch, turn):
-    """Where the view has turned to; what a look tells is tested by its definition in test_looks."""
+    """Where the view has turned to; what a look tells is tested by its definition in test_next_look."""
     rng = np.random.default_rng(seed)
     p = rng.dirichlet(np.full(CELLS.height * CELLS.width, 0.05)).reshape(CELLS.shape)
     new = rng.uniform(0.2, 1.0, CELLS.shape)
@@ -72,20 +70,6 @@ def test_information_is_that_of_the_cells_that_the_view_shows(seed, pitch, turn)
     falls = CELLS.weights[seen] / CELLS.weights[seen].sum()
     wanted = information(p[seen][None], (HIT * shown * new)[seen][None], ALARM, falls)
     assert agents._information(p, new, pitch)[turn] == pytest.approx(wanted[0], abs=1e-9)
-
-
-@pytest.mark.parametrize("elsewhere", [1e-12, 0.3, 1.0])
-def test_the_prior_is_even_by_the_share_elsewhere(elsewhere, monkeypatch):
-    monkeypatch.setattr(agents, "TILT", 5.0)
-    monkeypatch.setattr(agents, "HEIGHT", 80.0)
-    even = CELLS.weights / CELLS.weights.sum()
-    prior = EagorAgent("hos", empty, elsewhere=elsewhere).prior
-    assert prior.sum() == pytest.approx(1)
-    assert float((prior / even).min()) == pytest.approx(elsewhere), "far from the mean only the even part is left"
-    assert np.isfinite(EagorAgent("hos", empty, elsewhere=elsewhere).tells()).all()
-    top = np.degrees(CELLS.latitudes) > 60
-    assert prior[top].sum() == pytest.approx(1 - elsewhere * (1 - even[top].sum()), abs=1e-3)
-    np.testing.assert_allclose(EagorAgent("hps", empty).prior, CELLS.weights)
 
 
 @pytest.mark.parametrize("pitch", [-60, -30, 0, 30, 50])
@@ -113,54 +97,7 @@ def test_a_repeated_look_counts_for_less_and_one_that_comes_back_later_for_more(
     assert fall(here, here, here) == pytest.approx(2.0 * once, rel=0.05)
 
 
-def test_what_is_stated_is_a_probability_that_rises_with_the_share_of_the_belief(monkeypatch):
-    shares = np.linspace(0, 1, 101).tolist()
-    said = [stated(share) for share in shares]
-    assert all(0 < p < 1 for p in said)
-    assert (np.diff(said) >= 0).all()
-    monkeypatch.setattr(agents, "SHIFT", 0.0)
-    monkeypatch.setattr(agents, "SLOPE", 1.0)
-    assert [stated(share) for share in shares[1:-1]] == pytest.approx(shares[1:-1])
-
-
-def test_truth_misses_and_alarms_at_its_rates_and_its_luck_does_not_depend_on_where_it_looks():
-    noise = Noise.parse("ideal,miss=0.3,false_alarm=0.2,persistence=0.4")
-    kinds = {True: [], False: []}
-    for there in kinds:
-        detector = SimulatedDetector((350.0, 10.0), (-5.0, 5.0), noise, 7)
-        view = View(0.0 if there else 180.0, 0.0)
-        kinds[there] = [{report.kind for report in detector.reports(view)} for _ in range(4000)]
-    found = np.mean(["found" in kind for kind in kinds[True]])
-    alarms = [np.array(["false alarm" in kind for kind in kinds[there]]) for there in (True, False)]
-    assert found == pytest.approx(0.7, abs=0.04)
-    assert alarms[0].mean() == pytest.approx(0.2, abs=0.03)
-    assert (alarms[0] == alarms[1]).all()
-    assert not any("found" in kind for kind in kinds[False])
-
-
-def test_a_false_alarm_that_lasts_stays_where_it_is_in_the_world():
-    noise = Noise.parse("ideal,false_alarm=1,persistence=1")
-    detector = SimulatedDetector((170.0, 190.0), (-5.0, 5.0), noise, 3)
-    places = []
-    for yaw in (0.0, 10.0, 20.0):
-        view = View(yaw, 0.0)
-        places += [view.world_R_view @ r.direction for r in detector.reports(view) if r.kind == "false alarm"]
-    assert len(places) >= 2
-    np.testing.assert_allclose(places, [places[0]] * len(places), atol=1e-9)
-
-
 # The next view
-
-
-@given(st.lists(st.floats(0, 1), min_size=2, max_size=12), st.floats(-180, 180))
-def test_it_faces_what_tells_most_and_of_equal_ones_the_nearest(nats, facing):
-    azimuths = np.arange(len(nats)) * 2 * math.pi / len(nats)
-    headings = np.column_stack([azimuths, np.zeros(len(nats))])
-    chosen = next_heading(headings, np.array(nats), np.radians([facing, 0.0]))
-    angles = [abs(math.degrees(math.remainder(azimuth - math.radians(facing), 2 * math.pi))) for azimuth in azimuths]
-    worth = [value - 1e-5 * angle for value, angle in zip(nats, angles, strict=True)]
-    best = next(index for index, heading in enumerate(headings) if (heading == chosen).all())
-    assert worth[best] == pytest.approx(max(worth), abs=1e-8)
 
 
 @given(st.integers(0, 2**16), st.sampled_from([0.0, 45.0, 17.4, 359.5]), st.sampled_from(["hos", "hps"]))

@@ -12,7 +12,7 @@ from eagor.errors import ImageError
 from eagor.evidence import BodyMask, Evidence
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
-from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
+from eagor.grids import ErpGrid, PatchGrid
 from eagor.perception.partial import read_mask
 from eagor.sphere import direction, world_R_body
 from eagor.tracking.config import MotionModel, TrackerConfig
@@ -81,17 +81,6 @@ def test_a_response_map_is_zero_under_it_and_unchanged_outside(calibration):
     again = np.asarray(found.covered(nadir()).log_ratio)[outside]
     assert again == pytest.approx(np.asarray(found.log_ratio)[outside], abs=1e-6)
     assert np.isfinite(np.asarray(found.coefficients(7))).all()
-
-
-def test_of_a_view_only_what_is_seen_counts():
-    view = PerspectiveGrid(80, 80, math.radians(90), world_R_body(0.0, math.radians(60)))
-    look = Evidence.from_boxes([[38, 38, 42, 42], [38, 70, 42, 74]], view).covered(nadir())
-    assert len(look.detections) == 1, "the lower box looks at the nadir"
-    share = np.asarray(look.detections.share(places(hidden=True)))
-    assert share == pytest.approx(0)
-    ahead = direction(0.0, math.radians(-50))
-    assert look.detections.share(ahead[None]) == pytest.approx(1)
-    assert look.detections.share(direction(math.pi, 0.0)[None]) == pytest.approx(0)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.6, math.pi])

@@ -15,7 +15,6 @@ from eagor.errors import EagorError, TimeError
 from eagor.evidence.detector import DetectorModel
 from eagor.lab.agents.methods import (
     EVERY,
-    NAMES,
     make_estimator,
 )
 from eagor.sphere import world_R_body
@@ -24,7 +23,6 @@ from eagor.tracking.config import TrackerConfig
 GRID = PatchGrid(18, 36)
 TARGET = np.array([3.0, 1.0, 0.5])
 WITHOUT = ("plain", "centroid", "cent_circ", "best_detection", "last_detection")  # a distribution
-DENSITIES = [name for name in NAMES if name not in (*WITHOUT, "eagor_paper")]
 
 
 def pose(step):

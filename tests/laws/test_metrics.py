@@ -34,17 +34,6 @@ def test_angular_error_closed_forms():
     assert metrics.angular_error_deg(FORWARD, UP) == pytest.approx(90)
 
 
-@given(seeds)
-def test_angular_error_is_a_metric_that_no_rotation_changes(seed):
-    rng = np.random.default_rng(seed)
-    a, b, c = unit(rng.normal(size=(3, 5, 3)))
-    turn = world_R_body(*rng.uniform(-3, 3, 3))
-    error = metrics.angular_error_deg
-    np.testing.assert_allclose(error(a, b), error(b, a))
-    np.testing.assert_allclose(error(a @ turn.T, b @ turn.T), error(a, b), atol=1e-9)
-    assert (error(a, c) <= error(a, b) + error(b, c) + 1e-9).all()
-
-
 @pytest.mark.parametrize(
     "bad", [np.zeros((0, 3)), [1.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], np.ones((4, 3)), np.ones(())]
 )

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eagor.belief.ranged import log_ranges
-from eagor.errors import EagorError
 from eagor.evidence import Evidence
 from eagor.evidence.detector import DetectorModel
 from eagor.harmonics.peaks import decoding_grid
@@ -89,18 +88,6 @@ def test_nothing_known_stays_so(elapsed):
     assert after.moving == pytest.approx(MotionModel().moving), "and so are start and stop"
 
 
-def test_time_may_pass_in_pieces():
-    motion = MotionModel()
-    begun = seen(seen(prior(motion), direction(0.4, 0.1)), direction(0.4, 0.1))
-    once = passed(begun, 2.0, motion)
-    pieces = begun
-    for elapsed in (0.3, 0.9, 0.1, 0.7):
-        pieces = passed(pieces, elapsed, motion)
-    assert np.allclose(once.weights, pieces.weights, atol=2e-3)
-    where = GRID.directions.reshape(-1, 3)[::7]
-    assert np.allclose(np.exp(once.field(where)), np.exp(pieces.field(where)), rtol=0.2, atol=0.02)
-
-
 def test_after_long_enough_all_is_as_at_the_start():
     motion = MotionModel(birth=0.01, death=0.03)
     hypotheses = told(motion, lambda step: direction(0.4, 0.1), 6)
@@ -109,23 +96,6 @@ def test_after_long_enough_all_is_as_at_the_start():
     assert waited.presence == pytest.approx(0.25, abs=1e-3)
     assert waited.moving == pytest.approx(motion.moving, abs=1e-3)
     assert passed(hypotheses, 0.0, motion) is hypotheses
-
-
-@given(
-    st.lists(st.tuples(st.floats(0, 2 * math.pi), st.floats(-1.5, 1.5), st.floats(0.0, 5.0)), min_size=1, max_size=8)
-)
-@settings(max_examples=15)
-def test_weights_and_densities_stay_probabilities(looks):
-    motion = MotionModel()
-    hypotheses = prior(motion)
-    for azimuth, elevation, elapsed in looks:
-        towards = direction(azimuth, elevation) if elapsed < 4 else None
-        hypotheses = seen(passed(hypotheses, elapsed, motion), towards)
-        assert hypotheses.weights.sum() == pytest.approx(1)
-        assert (hypotheses.weights >= 0).all()
-        assert (hypotheses.wandering.densities > 0).all()
-        means = np.einsum("mij,ij->m", hypotheses.wandering.densities, GRID.weights) / (4 * math.pi)
-        assert np.allclose(means, 1)
 
 
 # --- what a look says -------------------------------------------------------------------------------------------------
@@ -172,16 +142,6 @@ def test_a_standing_target_is_taken_for_one_and_a_wandering_one_for_one():
     assert roaming.moving > 0.8
     assert still.presence > 0.99
     assert roaming.presence > 0.99
-
-
-def test_where_nothing_moves_there_is_only_standing():
-    hypotheses = told(STILL, lambda step: direction(0.3, 0.0), 4)
-    assert hypotheses.wandering.densities.shape[0] == 0
-    assert hypotheses.moving == 0
-    assert len(hypotheses.weights) == 2
-    plain = passed(hypotheses, 100.0, STILL)
-    assert np.allclose(plain.weights, hypotheses.weights)
-    assert np.array_equal(plain.standing.field.values, hypotheses.standing.field.values)
 
 
 @pytest.mark.parametrize("alikes", [0.0, 0.7])
@@ -233,22 +193,3 @@ def test_a_target_that_comes_to_stand_is_found_where_it_stands():
     assert estimate.moving < 0.3
     assert math.degrees(angular_distance(estimate.direction, direction(4.0, 0.0))) < 1
     assert math.degrees(estimate.credible_angle) < 10
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("wander", 0.1),
-        ("wander", (0.1, 0.0)),
-        ("wander", (4.0,)),
-        ("wander", ("fast",)),
-        ("start", -0.1),
-        ("stop", math.nan),
-        ("jump", math.inf),
-        ("birth", "often"),
-        ("death", 1e3),
-    ],
-)
-def test_a_motion_without_a_meaning_is_refused(name, value):
-    with pytest.raises(EagorError, match=f"MotionModel: {name} = .*; wanted"):
-        MotionModel(**{name: value})

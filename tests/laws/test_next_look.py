@@ -12,9 +12,9 @@ from eagor import Evidence
 from eagor.errors import GridError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.live.events import Answer, ImageReceived, NextLooks
-from eagor.sphere import angular_distance, direction, world_R_body
+from eagor.sphere import angular_distance, world_R_body
 from eagor.tracking import Heights, TurningCamera, TurningRig
-from eagor.tracking.next_view import tell, views_of
+from eagor.tracking.next_view import information, tell, views_of
 
 GRID = PerspectiveGrid(48, 64, math.radians(90))
 CAMERA = TurningCamera(math.radians(90))
@@ -118,14 +118,6 @@ def test_numbers_out_of_range_are_refused(wrong, says):
         wrong()
 
 
-def test_directions_are_in_the_body_frame():
-    for yaw in (0.0, 75.0):
-        pose = world_R_body(math.radians(yaw))
-        found = looked(pose, found=np.array([[1.0, 0.1, 0.0]])).next_look(CAMERA)
-        np.testing.assert_allclose(direction(np.array(found.azimuth), np.array(found.elevation)), found.direction)
-        assert found.turn == pytest.approx(float(angular_distance(found.direction, np.array([1.0, 0, 0]))), abs=1e-6)
-
-
 def side(*yaws, fov=60):
     """Views of cameras at these azimuths of the body, degrees."""
     return [PerspectiveGrid(48, 64, math.radians(fov), world_R_body(math.radians(yaw))) for yaw in yaws]
@@ -173,3 +165,39 @@ def test_a_live_loop_tells_where_an_ordinary_camera_should_turn():
     np.testing.assert_allclose(looks.of(answer), wanted, atol=1e-9)
     looks.take(ImageReceived(0.1, 0.1, "", None, None), [])
     assert looks.of(answer) is None, "a panorama sees all"
+
+
+# --- what a look tells: the mutual information of its outcome and the place ---
+
+
+def entropy(p):
+    p = p[p > 0]
+    return -float((p * np.log(p)).sum())
+
+
+def by_definition(here, share, alarm, falls):
+    """I(outcome; cell) of one look, by the table of all places (its cells, elsewhere) and outcomes (cells, none)."""
+    k = len(here)
+    joint = np.zeros((k + 1, k + 1))
+    for place, p in enumerate([*here, 1 - here.sum()]):
+        found = share[place] if place < k else 0.0
+        joint[place, :k] = p * (1 - found) * alarm * falls
+        joint[place, k] = p * (1 - found) * (1 - alarm)
+        if place < k:
+            joint[place, place] += p * found
+    return entropy(joint.sum(axis=0)) + entropy(joint.sum(axis=1)) - entropy(joint.ravel())
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.booleans())
+def test_information_is_what_its_definition_says(seed, k, alarms):
+    """Each look may have false reports of its own, and cells that it does not show."""
+    rng = np.random.default_rng(seed)
+    here = rng.dirichlet(np.ones(k + 1), size=3)[:, :k]
+    share, alarm, falls = rng.uniform(0.01, 0.99, size=(3, k)), rng.uniform(0.01, 0.9, size=3), np.zeros((3, k))
+    if alarms:
+        falls = rng.dirichlet(np.ones(k), size=3)
+        falls[1, 1:2], share[1, 1:2] = 0.0, 0.0
+        falls[1] /= falls[1].sum()
+    alarm = alarm * alarms
+    wanted = [by_definition(*four) for four in zip(here, share, alarm, falls, strict=True)]
+    assert information(here, share, alarm, falls if alarms else None) == pytest.approx(wanted, abs=1e-9)

@@ -46,20 +46,6 @@ def turned(layout: dict[str, list[list[int]]], quarters: int) -> dict[str, list[
     return layout
 
 
-def test_the_errors_are_said_in_the_published_order() -> None:
-    layout = {"a": [[0, 0]], "b": [[1, 1], [2, 2]]}
-    assert direction_label(layout, "z", "a", "b") == osr.NO_POSITION
-    assert direction_label(layout, "b", "z", "a") == osr.NOT_UNIQUE
-    assert direction_label(layout, "a", "b", "z") == osr.NO_OBJECT
-    assert osr.steps(layout, "a", "z", "b") == osr.NO_OBJECT
-
-
-@pytest.mark.parametrize("cell", [[1], [1, 2, 3], [1.5, 2], ["1", 2], [True, 2]])
-def test_a_cell_that_is_none_is_an_error(cell: list[object]) -> None:
-    with pytest.raises(FormatError, match=r"wanted \[row, column\]"):
-        direction_label({"a": [cell], "b": [[0, 0]], "c": [[1, 1]]}, "a", "b", "c")  # type: ignore[dict-item]
-
-
 # --- scores ---
 
 
@@ -210,10 +196,3 @@ def test_what_is_not_there_is_not_sighted_and_two_are_two() -> None:
     assert geometry.detections_in(Evidence.from_boxes(np.zeros((0, 4)), grid), "sofa") == []
     boxes = np.array([[100.0, 260.0, 160.0, 330.0], [700.0, 260.0, 760.0, 330.0]])
     assert len(geometry.detections_in(Evidence.from_boxes(boxes, grid), "chair")) == 2
-
-
-def test_on_a_map_with_north_up_west_is_left_of_north() -> None:
-    layout = {"me": [[5, 5]], "north": [[2, 5]], "west": [[5, 1]], "south-east": [[8, 9]]}
-    assert direction_label(layout, "me", "north", "west") == "Left"
-    assert direction_label(layout, "me", "north", "south-east") == "Back Right"
-    assert direction_label(layout, "me", "north", "north") == "Front"

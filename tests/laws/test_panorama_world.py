@@ -13,9 +13,8 @@ from eagor.errors import EagorError, ImageError, PoseError, RotationError
 from eagor.grids import ErpGrid, FisheyeGrid, PatchGrid, PerspectiveGrid
 from eagor.lab.worlds.painted import BALL_COLOURS, EYE, Ball, Room, bearing, paint, painted_room
 from eagor.sources.panorama import read_panorama, turn, view
-from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation, world_R_body
+from eagor.sphere import angular_distance, direction, world_R_body
 
-LEFT = (0, 0, 1)  # turning about this axis turns to the left
 ANGLES = st.floats(-math.pi, math.pi)
 
 
@@ -61,21 +60,6 @@ def test_a_marker_appears_where_the_rotation_says(azimuth, elevation, yaw, pitch
     turned = turn(blob(azimuth, elevation), new_R_old)
     error = angular_distance(brightest(turned, PatchGrid(180, 360)), new_R_old @ direction(azimuth, elevation))
     assert math.degrees(error) < 0.5
-
-
-def test_the_pole_has_no_hole_and_no_pinch():
-    # Looking straight up after pitching the nose up: the zenith is a regular point of any smooth picture.
-    picture = smooth_picture().astype(float)
-    nose_up = world_R_body(0, -math.pi / 2, 0).T
-    x, y, z = np.moveaxis(ErpGrid(96, 192).directions @ nose_up, -1, 0)
-    exact = 127 + 80 * np.stack([x + 0.5 * y * z, y - 0.4 * x * z + 0.2 * z, z + 0.6 * x * y], axis=-1)
-    assert np.abs(turn(picture, nose_up) - exact).max() < 1.0
-
-
-def test_odd_widths_pass_the_pole_too():
-    picture = smooth_picture(91, 181).astype(float)
-    there_and_back = turn(turn(picture, rotation((0, 1, 0), 1.0)), rotation((0, 1, 0), -1.0))
-    assert np.abs(there_and_back - picture).max() < 3
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (0.5, 0), (0, 0.3), (0.4, -0.25), (-0.6, 0.1)])
@@ -168,14 +152,6 @@ def test_a_ball_is_seen_at_its_true_direction_and_size(x, y, yaw, pitch, roll):
     assert abs(grid.weights[mask].sum() / solid_angle - 1) < 0.15  # the highlight is not purple
 
 
-def test_a_near_ball_hides_a_far_one():
-    near, far = Ball((1.5, 0, 1.3), 0.4, "red"), Ball((3.0, 0, 1.3), 0.4, "blue")
-    for balls in ((near, far), (far, near)):
-        picture = painted_room(64, 128, balls)
-        assert colour_mask(picture, near.rgb).sum() > 50
-        assert colour_mask(picture, far.rgb).sum() == 0
-
-
 def test_turning_in_the_room_is_turning_its_panorama():
     pose = world_R_body(1.0, 0.3, -0.4)
     painted = paint(Room(), EYE, pose, 128, 256).astype(float)
@@ -192,9 +168,3 @@ def test_the_room_says_what_is_wrong():
     with pytest.raises(EagorError, match=next(iter(BALL_COLOURS))):
         Ball((0, 0, 1), 0.2, "mauve")
     assert Ball((0, 0, 1), 0.2, (1, 2, 3)).rgb == (1, 2, 3)
-
-
-def test_bearing_is_in_the_body_frame():
-    towards, distance = bearing(Ball((1.0, 2.0, 1.3)), EYE, world_R_body(math.pi / 2))
-    assert distance == pytest.approx(math.sqrt(5))
-    assert azimuth_elevation(towards)[0] == pytest.approx(math.atan2(2, 1) - math.pi / 2)

@@ -104,16 +104,6 @@ def test_a_view_agrees_with_the_panorama_and_what_a_grid_does_not_see_is_black_e
     assert (view.ids[~seen] == -1).all()
 
 
-def test_a_texture_is_the_right_way_up_and_round():
-    colours = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 0]]], dtype=np.uint8)  # rows from the top
-    texture = np.kron(colours, np.ones((8, 8, 1), np.uint8))
-    scene = scene_of([([2, 1, 0], [0, -2, 0], [0, 0, 2])], Material("four", texture=texture))  # u to the right, v up
-    rgb = Renderer(scene).view((0, 0, 1), np.eye(3), PerspectiveGrid(32, 32, math.radians(50))).rgb
-    found = rgb[8:24:15, 8:24:15].astype(int)  # one pixel in each quarter
-    expected = np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 0]]], dtype=bool)
-    assert np.array_equal(found > 60, expected)
-
-
 def test_light_of_one_lamp_is_the_inverse_square_law():
     power = np.array([3.0, 2.0, 1.0])
     lamps = (Lamp(np.array([0, 0, 2.0]), power),)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from box_scenes import scene_of, shell, thing
 
+from eagor.evidence import Calibration, Evidence
 from eagor.evidence.detector import DetectorModel
+from eagor.grids import ErpGrid
 from eagor.lab.agents.search_space import (
     CONTACT,
     FLOOR,
@@ -16,14 +18,13 @@ from eagor.lab.agents.search_space import (
     FloorMap,
     SteeringInput,
 )
-from eagor.lab.agents.steering import Searcher, search_config, steering_for
+from eagor.lab.agents.steering import Searcher, steering_for
 from eagor.lab.envs.places import Place
 from eagor.lab.envs.rules import Camera, NavigationRules
 from eagor.lab.tasks.sim.navigation import backtracking_rate
 from eagor.lab.worlds.ground import Ground
 from eagor.lab.worlds.render import Renderer
-from eagor.sphere import world_R_body
-from eagor.tracking import TrackerConfig
+from eagor.sphere import direction, world_R_body
 
 HEIGHT, STEP = 1.25, 0.25
 CAMERA, CHANCE = Camera(), Chance()
@@ -166,14 +167,51 @@ def test_it_searches_both_rooms_whatever_its_looks_can_find_and_does_not_go_to_a
         assert gone < 2.0 * np.hypot(*(early[-1] - early[0])) + 2.0
 
 
-def test_our_tracker_expects_what_is_hidden_to_appear_while_the_body_searches():
-    base = TrackerConfig()
-    assert search_config(NavigationRules(birth_rate=0.2), base).target_motion.birth == 0.2
-    assert search_config(NavigationRules(policy="follow"), base) is base
-
-
 def test_steps_that_lead_back_count():
     straight = np.column_stack([0.25 * np.arange(11), np.zeros(11)])
     there_and_back = np.concatenate([straight, straight[-2::-1]])
     rates = [backtracking_rate(way, 0.25) for way in (straight, there_and_back, straight[:1])]
     assert rates == pytest.approx([0.0, 0.5, 0.0])
+
+
+# --- what chance evidence states to find a thing ---
+
+GRID = ErpGrid(16, 32)
+
+
+def test_a_response_has_the_chance_that_its_calibration_states():
+    response = np.zeros(GRID.shape)
+    response[8, 16] = 1.0
+    read = Calibration(floor=0.2, neutral=0.1, temperature=2, persistence=0.6)
+    chance = Chance.of(Evidence.from_response(response, GRID, read, stamp=0.0), 0.5)
+    silent = float(np.asarray(Evidence.from_response(np.zeros(GRID.shape), GRID, read, stamp=0.0).log_ratio)[0, 0])
+    assert chance.recall == pytest.approx(1 - math.exp(silent), rel=1e-5)
+    assert (chance.repeats, chance.elapsed) == (0.6, 0.5)
+    assert chance.left(3.0) == 1, "what a response map repeats does not fade"
+
+
+# Of a beta distribution (a, b): its mean, and the correlation 1 / (a + b + 1) of two draws with one share.
+@pytest.mark.parametrize(("stated", "recall", "repeats"), [(0.8, 0.8, 0.0), (None, 2 / 3.5, 1 / 4.5)])
+def test_a_detector_has_the_chance_that_its_model_states(stated, recall, repeats):
+    model = DetectorModel(detection_probability=stated, habit=(2.0, 1.5), kept_for=10.0, kept_within=2.0)
+    found = Evidence.from_points(direction(0.3, 0.1)[None], scores=np.array([0.9]), detector=model, stamp=0.0)
+    chance = Chance.of(found, 0.5)
+    assert chance.recall == pytest.approx(recall, abs=0.001)  # eight levels stand for the beta distribution
+    assert chance.repeats == pytest.approx(repeats, abs=0.02)
+    assert chance.left(0.4) == pytest.approx(math.exp(-0.5 / 10 - 0.4 / 2))
+
+
+def test_only_what_was_covered_counts():
+    coverage = np.zeros(GRID.shape)
+    coverage[:, :4] = 1.0
+    found = Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=0.0, coverage=coverage)
+    whole = Evidence.from_response(np.zeros(GRID.shape), GRID, stamp=0.0)
+    assert Chance.of(whole, 0.5).recall > 0.05
+    assert Chance.of(found, 0.5).recall == pytest.approx(Chance.of(whole, 0.5).recall)
+
+
+@pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
+def test_a_response_whose_silence_says_nothing_still_finds_things(level):
+    read = Calibration(floor=0.5, neutral=0.0)
+    chance = Chance.of(Evidence.from_response(np.full(GRID.shape, level), GRID, read, stamp=0.0), 0.5)
+    assert chance.recall == LEAST

@@ -53,12 +53,6 @@ def test_distance_keeps_its_digits_near_zero_and_pi(tiny):
     assert math.pi - angular_distance(a, -b) == pytest.approx(tiny, abs=5e-16)
 
 
-def test_distance_broadcasts_and_ignores_length():
-    many = random_directions(12).reshape(3, 4, 3)
-    assert angular_distance(many, np.array([2.0, 0, 0])).shape == (3, 4)
-    assert np.allclose(angular_distance(5 * many, many), 0)
-
-
 def test_yaw_turns_left_pitch_turns_the_nose_down_and_roll_lowers_the_right():
     assert np.allclose(world_R_body(math.pi / 2) @ [1, 0, 0], [0, 1, 0])
     assert (world_R_body(0, 0.3) @ [1, 0, 0])[2] < 0

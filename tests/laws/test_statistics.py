@@ -69,15 +69,6 @@ def test_cluster_bootstrap_holds_the_truth_where_the_plain_one_is_far_too_sure()
     assert clustered / 150 > 0.85
 
 
-def test_bootstrap_takes_any_statistic_and_repeats_itself():
-    values = generator(5).exponential(size=99)
-    first, again = (statistics.bootstrap_interval(values, generator(6), statistic=np.median) for _ in range(2))
-    assert first == again
-    assert first.low <= np.median(values) <= first.high
-    singles = statistics.bootstrap_interval(values, generator(6), groups=np.arange(99), statistic=np.median)
-    assert singles == first
-
-
 def test_bootstrap_groups_of_unequal_size_weigh_each_value_alike():
     found = statistics.bootstrap_interval([0, 0, 0, 1], generator(), groups=["a", "a", "a", "b"])
     assert (found.low, found.high) == (0.0, 1.0)
@@ -113,16 +104,6 @@ def test_sign_flip_p_is_the_share_of_patterns_as_extreme(differences):
     sums = np.array([np.dot(signs, values) for signs in itertools.product([1, -1], repeat=len(values))])
     assert found.p == pytest.approx(np.mean(np.abs(sums) >= abs(values.sum()) - 1e-9))
     assert found.difference == pytest.approx(values.mean())
-
-
-@given(st.integers(0, 1000))
-def test_swapping_the_methods_turns_the_sign(seed):
-    a, b = generator(seed).normal(size=(2, 9))
-    one = statistics.paired_difference(a, b, generator(1), resamples=512)
-    other = statistics.paired_difference(b, a, generator(1), resamples=512)
-    assert other.difference == pytest.approx(-one.difference)
-    assert other.p == pytest.approx(one.p)
-    assert other.interval.low == pytest.approx(-one.interval.high, abs=0.5)
 
 
 def test_groups_flip_together():

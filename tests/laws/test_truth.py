@@ -11,10 +11,10 @@ from strategies import at_most, directions, random_directions
 
 from eagor.errors import EagorError, GridError, ImageError, QueryError, RotationError
 from eagor.grids import PatchGrid
-from eagor.perception.truth import WIDEST, Noise, TruthPerception
-from eagor.sphere import angular_distance, azimuth_elevation, direction, rotation, world_R_body
+from eagor.perception.truth import Noise, TruthPerception, ramp
+from eagor.sphere import angular_distance, direction, rotation, world_R_body
 
-PERSISTENCES = [0.0, 0.3, 0.8]
+PERSISTENCES = [0.0, 0.8]
 IDEAL, MODERATE = Noise.parse("ideal"), Noise.parse("moderate")
 
 
@@ -131,22 +131,9 @@ def test_displacements_have_the_spread_asked_for_on_both_axes(persistence):
 
 
 def test_small_things_are_found_as_often_as_their_size_says():
-    patch = (math.pi / 18) ** 2
-    radii = np.array([0.02, 0.03, 0.036, 0.042, 0.048, 0.06])
-    centres, grid = ring(6), PatchGrid(360, 720)
-    ids = np.full(grid.shape, -1)
-    for thing, radius in enumerate(radii):
-        ids[angular_distance(grid.directions, centres[thing]) <= radius] = thing
-    areas = np.array([grid.weights[ids == thing].sum() for thing in range(6)])
-    noise = Noise(miss=0.2, smallest=0.2)
-    found = table(looks([Thing("chair")] * 6, ids, "chair", noise, 400), "found", range(6)).mean(axis=0)
-    assert areas[0] < 0.05 * patch
-    assert areas[-1] > 0.2 * patch
-    t = np.clip((areas / (0.2 * patch) - 0.25) / 0.75, 0, 1)
-    expected = 0.8 * t * t * (3 - 2 * t)
-    assert found[0] == 0
-    assert np.all(np.diff(expected) >= 0)
-    assert np.all(np.abs(found - expected) <= 4.5 * np.sqrt(expected * (1 - expected) / 400))
+    assert ramp(np.array([0.2, 0.25, 0.625, 1.0, 3.0]), 1.0) == pytest.approx([0, 0, 0.5, 1, 1])
+    tiny, enough = (discs([[1, 0, 0]], radius, rows=360) for radius in (0.02, 0.05))  # a patch of 18 rows is 0.17 wide
+    assert [len(looks([Thing("chair")], ids, "chair", Noise(smallest=0.2), 1)[0]) for ids in (tiny, enough)] == [0, 1]
 
 
 # --- what is confused with what --------------------------------------------------------------------------------------
@@ -161,17 +148,11 @@ def test_without_a_colour_in_the_query_nothing_is_confused():
     assert [(r.kind, r.thing) for r in reports] == list(zip(kinds, range(12), strict=True))
 
 
-def test_what_surrounds_us_is_found_but_mistaken_for_nothing():
-    (report,) = episode([Thing("wall")]).detect(np.zeros((18, 36), dtype=np.int64), "wall")
-    assert np.linalg.norm(report.direction) == pytest.approx(1), "all around has some direction"
+def test_what_surrounds_us_is_mistaken_for_nothing():
     labels = [Thing("floor", "red"), Thing("ceiling", "blue"), Thing("chair", "red")]
     ids = discs(np.array([[0, 0, -1.0], [0, 0, 1], [1, 0, 0]]), radius=1.4)
-    noise = Noise(false_alarm=1, confuse_colour=1, persistence=1)
-    (reports,) = looks(labels, ids, "red chair", noise, 1)
+    (reports,) = looks(labels, ids, "red chair", Noise(false_alarm=1, confuse_colour=1, persistence=1), 1)
     assert [(r.kind, r.thing) for r in reports] == [("found", 2), ("false alarm", None)]
-    (floor,) = looks(labels, ids, "floor", IDEAL, 1)[0]
-    assert np.trace(floor.covariance) > WIDEST**2
-    assert floor.direction == pytest.approx([0, 0, -1], abs=0.3)
 
 
 def test_a_false_alarm_stays_with_its_thing_while_that_is_in_view():
@@ -247,30 +228,8 @@ def test_the_blob_has_the_shape_of_what_is_visible():
     ids = np.full((180, 360), -1)
     ids[85:95, 160:200] = 0
     (report,) = episode([Thing("sofa")]).detect(ids, "sofa")
-    half_patch = (math.pi / 36) ** 2
-    expected = np.diag([0, math.radians(40) ** 2 / 12, math.radians(10) ** 2 / 12]) + half_patch * np.diag([0, 1, 1])
-    assert report.direction == pytest.approx([1, 0, 0], abs=1e-9)
-    assert np.allclose(report.covariance, expected, rtol=0.01, atol=1e-9)
-    response = np.asarray(episode([Thing("sofa")], rows=90)(ids, "sofa").response)
-    azimuth, elevation = azimuth_elevation(PatchGrid(90, 180).directions)
-    assert np.abs(azimuth[response > 0.5]).max() > 2 * np.abs(elevation[response > 0.5]).max()
-
-
-def test_nothing_is_said_of_the_opposite_direction():
-    for centre in PatchGrid(18, 36).directions.reshape(-1, 3)[::37]:
-        evidence = episode([Thing("chair")], Noise(spread=0.1))(discs([centre], 0.15, rows=36), "chair")
-        behind = angular_distance(evidence.grid.directions, -centre) < 1.0
-        assert np.asarray(evidence.response)[behind].max() == 0
-
-
-def test_a_thing_across_the_seam_is_one_thing():
-    ids = np.full((72, 144), -1)
-    ids[30:40, :6], ids[30:40, -10:] = 0, 0
-    (report,) = episode([Thing("chair")]).detect(ids, "chair")
-    (inside,) = episode([Thing("chair")]).detect(np.roll(ids, 72, axis=1), "chair")
-    assert report.direction == pytest.approx(inside.direction * [-1, -1, 1], abs=1e-12)
-    assert np.trace(report.covariance) == pytest.approx(np.trace(inside.covariance))
-    assert abs(azimuth_elevation(report.direction)[0]) > 3
+    expected = np.diag([0, math.radians(40) ** 2 / 12, math.radians(10) ** 2 / 12])
+    assert np.allclose(report.covariance, expected + (math.pi / 36) ** 2 * np.diag([0, 1, 1]), rtol=0.01, atol=1e-9)
 
 
 # --- turning ---------------------------------------------------------------------------------------------------------
@@ -373,12 +332,3 @@ BEYOND = ["miss=1.1", "floor=-0.1", "spread=91", "spread=nan", "smallest=inf", "
 def test_what_makes_no_sense_is_refused(make, error, says):
     with pytest.raises(error, match=says):
         make()
-
-
-def test_a_refused_look_is_no_look():
-    one, other = episode(SCENE, MODERATE), episode(SCENE, MODERATE)
-    with pytest.raises(QueryError):
-        one(IDS, "spaceship")
-    with pytest.raises(ImageError):
-        one(IDS[:, :7], "chair")
-    assert np.array_equal(one(IDS, "red chair").response, other(IDS, "red chair").response)

@@ -103,12 +103,6 @@ def test_only_the_time_that_the_gate_lets_it_walk_counts_as_stuck(free, words):
     assert command.doing == ("walking" if words == "it walks" else "holding")
 
 
-def test_it_follows_what_goes_away():
-    path, commands = played(None, goals=lambda now: (2.0 if now < 20 else 3.5, 0.0))
-    assert commands[int(19 / STEP)].doing == "arrived"
-    assert math.dist(path[-1][:2], (3.5, 0)) == pytest.approx(RULES.distance, abs=0.12)
-
-
 def test_without_a_distance_it_goes_slowly_and_only_so_far():
     path, commands = played((100.0, 0.0), told=False)
     assert max(command.velocity.forward for command in commands) <= policy.BLIND_SPEED

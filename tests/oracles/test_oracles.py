@@ -103,15 +103,6 @@ def test_e3nn_agrees_on_values_and_rotations(degree):
     assert np.allclose(wigner.numpy() @ c, basis.rotate(c, R), atol=2e-4)  # e3nn's own precision
 
 
-def test_wigner_d_is_the_quadrature_of_its_definition():
-    degree, R = 6, rotation((1, -2, 0.5), 2.2)
-    basis, grid = RealHarmonics(degree), ErpGrid(14, 28)
-    turned = basis.evaluate(grid.directions @ R)
-    exact = np.einsum("hw,hwi,hwj->ij", grid.weights, basis.evaluate(grid.directions), turned)
-    assert np.allclose(basis.rotate(np.eye(49), R), exact.T, atol=1e-12)
-    assert np.allclose(exact @ exact.T, np.eye(49), atol=1e-12)
-
-
 @pytest.fixture(params=["torch32", "torch64", "strict"])
 def kind(request):
     if request.param == "strict":
@@ -206,14 +197,6 @@ def test_evidence_of_another_kind_is_brought_to_the_belief(kind, of, values):
         else:
             late = start.update(look, R)
             assert close(late.coefficients, of.uniform(7).update(plain, R).coefficients, 20 * tolerance)
-
-
-def test_evidence_of_another_device_is_brought_to_the_belief():
-    there = array_api_strict.Device("device1")
-    belief = Belief.uniform(5, like=array_api_strict.zeros(1, dtype=array_api_strict.float64, device=there))
-    look = Evidence.from_response(array_api_strict.ones((8, 16), dtype=array_api_strict.float64), PatchGrid(8, 16))
-    assert belief.update(look).coefficients.device == there
-    assert Belief.uniform(5, like=torch.zeros(1, device="meta")).plus(torch.ones(36)).coefficients.is_meta
 
 
 def test_shells_of_other_arrays(kind):

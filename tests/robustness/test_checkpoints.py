@@ -84,12 +84,6 @@ def test_a_tracker_goes_on_after_a_checkpoint_as_if_nothing_had_been(name, way, 
     np.testing.assert_allclose(told(found, 6.5), told(tracker, 6.5), rtol=1e-9, atol=1e-12)
 
 
-def test_a_new_tracker_is_saved_too(tmp_path):
-    found = DirectionTracker.load(DirectionTracker().save(tmp_path / "new"))
-    assert found.estimate(0.0).direction is None
-    found.observe(looks(2, 0.0))
-
-
 def read_elsewhere(value):
     """What another process reads out of it."""
     if isinstance(value, Evidence):

@@ -51,22 +51,6 @@ def test_sizes_may_change_from_picture_to_picture():
         assert np.abs(turned.world_R_body - pose).max() < 0.005
 
 
-def test_noise_alone_is_never_recognised():
-    random, odometer = np.random.default_rng(0), VisualOdometer()
-    turned = [odometer.add(random.integers(0, 256, (128, 256, 3), dtype=np.uint8)) for _ in range(5)]
-    assert all(each.lost for each in turned[1:])
-
-
-def test_pictures_of_the_same_frame_are_not_written_to():
-    picture = PatternRoom(3).panorama(np.eye(3))
-    picture.setflags(write=False)
-    odometer = VisualOdometer()
-    odometer.add(picture)
-    turned = odometer.add(picture)
-    assert not turned.lost
-    assert np.allclose(turned.world_R_body, np.eye(3), atol=1e-4)
-
-
 def test_without_opencv_the_extra_is_named(monkeypatch):
     monkeypatch.setattr("eagor._extras.find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="photos"):

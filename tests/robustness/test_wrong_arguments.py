@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -107,24 +106,10 @@ def test_a_mistake_is_told_where_it_is_made(name: str) -> None:
         make()
 
 
-def test_boxes_at_the_seam_are_no_mistake() -> None:
-    boxes = [[1000, 200, 20, 250], [-24, 200, 20, 250], [1000, 200, 1044, 250]]
-    first, *others = (Evidence.from_boxes([box], WIDE).detections for box in boxes)
-    assert first is not None
-    for other in others:
-        assert other is not None
-        np.testing.assert_allclose(other.directions, first.directions, atol=1e-12)
-
-
 def test_rounding_of_a_stamp_is_no_mistake() -> None:
     tracker = eagor.DirectionTracker()
     tracker.observe(seen(3 * 0.1))  # 0.30000000000000004
     assert tracker.estimate(0.3).stamp == 3 * 0.1
-
-
-def test_a_region_can_be_pickled() -> None:
-    region = eagor.Belief.uniform(7).update(seen()).credible_region(0.9)
-    assert pickle.loads(pickle.dumps(region)).contains([0.0, 1, 0]) == region.contains(np.array([0.0, 1, 0]))
 
 
 def test_a_distance_is_not_surer_than_a_shell() -> None:
