@@ -46,13 +46,6 @@ def test_what_is_right_is_not_explained_away():
     assert _parse(["bench", "run", "waypoint", "--set", "a=1", "b=2", "--json"]).action.set == ("a=1", "b=2")
 
 
-def test_help_still_comes(capsys):
-    assert main(["locate", "--help"]) == 0
-    out, err = capsys.readouterr()
-    assert "usage: eagor locate" in out
-    assert err == ""
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_completion_script_is_printed(shell, capsys):
     assert main(["--tyro-print-completion", shell]) == 0
