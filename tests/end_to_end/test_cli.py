@@ -123,15 +123,6 @@ def test_help_lists_the_commands():
     assert eagor("--version").stdout == f"eagor {__version__}\n"
 
 
-@pytest.mark.parametrize("words", [("bench", "run"), ("bench", "compare"), ("calibrate",), ("track",)])
-def test_help_says_everything_once(words):
-    text = " ".join(eagor(*words, "--help").stdout.replace("│", " ").split())
-    told = ("Run a simulated task", "Compare two runs, or", "Calibrate a perception", "Follow objects through")
-    assert sum(text.count(line) for line in told) == 1
-    assert "default: None" not in text
-    assert "default: False" not in text
-
-
 def test_help_imports_nothing_heavy():
     code = (
         "import sys, eagor.cli\n"
@@ -485,25 +476,7 @@ def test_track_prints_one_line_per_frame(series, tmp_path):
     assert {SHORT["grid_filter"], SHORT["particle_filter"]} <= set(head.split())
 
 
-def test_track_says_what_is_not_known(three, tmp_path):
-    images, write = three
-    looks, out = tmp_path / "looks.jsonl", tmp_path / "out.csv"
-    with looks.open("w") as file:
-        write_record(file, 0.0, query="chair", points=[])
-        for stamp in (1.0, 2.0):
-            write_record(file, stamp, query="chair", points=[{"azimuth_deg": 40, "elevation_deg": 10}])
-    words = ("track", images, "chair", "--poses", write(GOOD), "--perception", f"replay:{looks}")
-    done = eagor(*words, "--compare", "--out", out)
-    assert re.match(r" +0\.000 +- +- +- searching ", done.stdout.splitlines()[1])
-    rows = list(csv.DictReader(io.StringIO(out.read_text())))
-    assert [row["azimuth_deg"] == "" for row in rows] == [True, False, False]
-    frames = answer(*words)["frames"]
-    assert frames[0]["azimuth_deg"] is None
-    assert frames[0]["credible_angle_deg"] is None
-    assert frames[-1]["status"] == "tracking"
-
-
-def test_odometry_that_drifts_makes_the_belief_wider(three, tmp_path):
+def test_odometry_that_drifts_makes_the_belief_wider_and_a_known_floor_changes_distances(three, tmp_path):
     images, write = three
     looks = tmp_path / "looks.jsonl"
     with looks.open("w") as file:
@@ -514,10 +487,6 @@ def test_odometry_that_drifts_makes_the_belief_wider(three, tmp_path):
     assert drifting["credible_angle_deg"] > still["credible_angle_deg"]
     assert "--drift -1; wanted degrees from 0 to 90" in refused(*words, "--drift", "-1")
     assert "--drift nan" in refused(*words, "--drift", "nan")
-
-
-def test_a_known_floor_changes_distances_and_has_to_be_below(three):
-    images, write = three
     poses = write("stamp,yaw_deg,pitch_deg,roll_deg,x,y,z\n0,0,0,0,0,0,1\n1,0,0,0,0.1,0,1\n2,0,0,0,0.2,0,1\n")
     words = ("track", images, "red", "--poses", poses)
     unknown, known = (answer(*words, *more)["frames"][-1] for more in ((), ("--floor", "0")))
@@ -663,22 +632,6 @@ def test_the_demo_tells_of_in_sight_and_hidden_what_is_so():
     assert "our tracker was off by 7.0°, the newest look alone by 60.0°. In sight our tracker was off by 3.0°, " in told
     walk["trace"] = {"visible": [False] * 5}
     assert "hidden again" not in " ".join(demo_apartment.as_json(search)["summary"])
-
-
-def test_a_bench_run_goes_on_where_it_stopped_and_is_reported(tmp_path):
-    words = ("bench", "run", "tracking", "--episodes", "2", "--seed", "1", "--set", "steps=6")
-    words = (*words, "--out", tmp_path / "run")
-    methods = ("--methods", "centroid,eagor_paper", "eagor:degree=7")
-    first = answer(*words, *methods)
-    assert set(first["methods"]) == {"centroid", "eagor_paper", "eagor:degree=7"}
-    assert first["episodes"] == 2
-    assert answer(*words, *methods) == first, "what is recorded is not played again"
-    other = eagor(*words, "--methods", "eagor")
-    assert other.returncode == 2
-    assert "it differs in methods (" in other.stderr.splitlines()[-2]
-    page = Path(answer("bench", "report", tmp_path / "run")["report"])
-    assert page.is_file()
-    assert (tmp_path / "run" / "tables.md").is_file()
 
 
 def test_a_calibration_is_fitted_written_and_taken(room, tmp_path, monkeypatch):

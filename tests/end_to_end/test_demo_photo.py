@@ -17,7 +17,6 @@ from eagor.perception.views import Detector
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 
 RED_BALL = bearing(Room().balls[0], EYE, np.eye(3))[0]
-LYTHWOOD = Path(__file__).parents[2] / ".." / "shared" / "panoramas" / "lythwood_room_1k.png"
 
 
 @pytest.fixture(scope="module")
@@ -134,15 +133,3 @@ def test_what_cannot_be_shown_is_refused_in_one_line(photo, tmp_path, monkeypatc
     assert "--force" not in err
     assert len(err.splitlines()) == 1
     assert not (tmp_path / "new").exists()
-
-
-@pytest.mark.registry
-@pytest.mark.skipif(not LYTHWOOD.is_file(), reason="the photographs are not beside this repository")
-@pytest.mark.slow
-def test_a_real_room_with_a_real_detector(coco_model, tmp_path, capsys):
-    assert main(["demo", "--photo", str(LYTHWOOD), "--out", str(tmp_path), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["perception"] == "coco"
-    assert found["query"] == "couch", "bed, the surest class, is found at four places"
-    assert found["status"] == "tracking"
-    assert found["seam_crossings"] >= 1

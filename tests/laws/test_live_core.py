@@ -84,34 +84,6 @@ def test_an_answer_with_a_latency_of_1600_ms_is_the_one_without(turn):
     assert abs(math.degrees(turn * 1.6)) > 40
 
 
-def test_without_latency_or_with_it_answers_follow_the_turn_between_looks():
-    """A belief that is only turned gives the direction in the body frame of the moment of the question."""
-    answers = played(run_of(0.5, 0.4, rate=2.0), np.arange(0.5, 8.0, 0.02))
-    settled = [answer for answer in answers if answer.stamp > 3.0]
-    assert len(settled) > 200
-    for answer in settled:
-        truth = THING @ yawed(0.5 * answer.stamp)
-        assert math.degrees(angular_distance(answer.direction, truth)) < 3.0
-        assert answer.estimate.stamp == answer.stamp
-
-
-def test_a_turned_estimate_shares_everything_but_the_frame():
-    core = LiveCore(LoopSettings(("chair",), CONFIG))
-    for event in run_of(0.0, 0.0, until=1.0):
-        core.take(event)
-    (first,) = core.take(Tick(1.0))
-    turned = first.estimate.turned(1.04, yawed(0.3))
-    assert turned.age == pytest.approx(first.estimate.age + 0.04)
-    assert np.allclose(turned.direction, first.direction @ yawed(0.3))
-    assert turned.status == first.estimate.status
-    assert turned.presence == first.estimate.presence
-    assert turned.credible_angle == first.estimate.credible_angle
-    assert [m.weight for m in turned.modes] == [m.weight for m in first.estimate.modes]
-    assert np.allclose(turned.modes[0].azimuth, first.estimate.modes[0].azimuth - 0.3)
-    again = turned.turned(1.08, yawed(0.0))
-    assert np.allclose(again.direction, first.direction)
-
-
 def test_evidence_that_comes_before_its_pose_waits_for_it():
     """Poses that are 0.3 s late do no harm once they are there."""
     core = LiveCore(LoopSettings(("chair",), CONFIG))
