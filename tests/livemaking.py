@@ -138,6 +138,13 @@ class Seeing:
         time.sleep(self.seconds)
 
 
+class Here(Seeing):
+    """Cannot be sent to another process: the loop calls it in a thread of this one, which starts at once."""
+
+    def __reduce__(self):
+        raise TypeError("it stays here")
+
+
 class LoadedSlowly(Seeing):
     """Needs 2 seconds to be there."""
 

@@ -2,7 +2,6 @@
 
 import json
 import math
-import pickle
 import threading
 import time
 from email.utils import formatdate
@@ -139,7 +138,7 @@ def test_the_key_is_the_one_that_was_named(server, monkeypatch):
 
 @pytest.mark.parametrize(
     ("family", "azimuth"),
-    [(family, azimuth) for family in FAMILIES for azimuth in (-180, 45)],
+    [(family, (-180, 45)[index % 2]) for index, family in enumerate(FAMILIES)],
 )
 def test_boxes_point_where_the_thing_is(server, family, azimuth):
     perception = asking(server, FAMILIES[family], extractor="boxes")
@@ -149,7 +148,7 @@ def test_boxes_point_where_the_thing_is(server, family, azimuth):
     assert evidence.stamp == 2.5
 
 
-@pytest.mark.parametrize("azimuth", [-180, -91, -90, 0, 90, 177])
+@pytest.mark.parametrize("azimuth", [-180, -91, 0, 90])
 @pytest.mark.parametrize("options", [{}, {"extractor": "views", "per_view": "boxes"}], ids=["looks", "views"])
 def test_boxes_are_detections_and_a_thing_in_several_pictures_is_one(server, azimuth, options):
     perception = asking(server, **{"extractor": "boxes", "pixels": 392 * 784} | options)
@@ -592,11 +591,6 @@ def test_names_of_all_kinds(text, model, address):
 def test_wrong_names_and_options(text, options, says):
     with pytest.raises(EagorError, match=says):
         from_text(text, **options)
-
-
-def test_copies_ask_too(server):
-    copy = pickle.loads(pickle.dumps(asking(server)))
-    assert error_deg(copy(ball(60, 0), "red ball"), 60, 0) < 1.5
 
 
 # --- a real server ---------------------------------------------------------------------------------------------------

@@ -73,7 +73,7 @@ def test_the_checker_wants_a_roll_that_the_response_can_follow():
         check_perception(ColourPerception(rows=8), painted_room(32, 64), "red", roll=3)
 
 
-@pytest.mark.parametrize("rows", [300, 350, 480, 512])
+@pytest.mark.parametrize("rows", [350, 512])
 def test_colour_points_straight_whatever_the_size_of_the_panorama(rows):
     grid, off = ErpGrid(rows, 2 * rows), []
     for azimuth, elevation in ((20, -10), (-100, 5), (3, 30), (150, -40), (-33, 12), (77, -3)):
@@ -553,7 +553,7 @@ def labelled_ids():
     return ids, labels
 
 
-@pytest.mark.parametrize("query", ["chair", "the blue chair", "red couch", "wall"])
+@pytest.mark.parametrize("query", ["the blue chair", "red couch"])
 @pytest.mark.parametrize("noise", ["", "ideal", "false_alarm=1,confuse_category=1,persistence=0.9"])
 def test_an_episode_of_truth_keeps_the_contract(labelled_ids, noise, query):
     ids, labels = labelled_ids

@@ -306,20 +306,6 @@ def test_frames_that_are_not_two_to_one_or_corrupt(three, tmp_path):
     assert not out.exists()
 
 
-def test_locate_replays_what_a_detector_wrote(room, tmp_path):
-    path = tmp_path / "looks.jsonl"
-    with path.open("w") as file:
-        write_record(file, 5.0, query="chair", points=[{"azimuth_deg": 40, "elevation_deg": 10}])
-        write_record(file, 6.0, query="chair", points=[{"azimuth_deg": -90, "elevation_deg": 0}])
-        write_record(file, 6.0, query="chair", points=[{"azimuth_deg": -90, "elevation_deg": 0}])
-    first = answer("locate", room, "chair", "--perception", f"replay:{path}")
-    assert error_deg(first, direction(math.radians(40), math.radians(10))) < 2
-    second = answer("locate", room, "chair", "--perception", f"replay:{path}", "--stamp", "6")
-    assert error_deg(second, direction(-math.pi / 2, 0.0)) < 2
-    assert "nearest" in refused("locate", room, "chair", "--perception", f"replay:{path}", "--stamp", "9")
-    assert "chair" in refused("locate", room, "table", "--perception", f"replay:{path}")
-
-
 @pytest.fixture
 def no_model(tmp_path, monkeypatch):
     monkeypatch.setitem(ENVIRONMENT, "EAGOR_CACHE", str(tmp_path / "cache"))
@@ -577,16 +563,11 @@ def test_a_reader_that_goes_away_is_no_error(series):
     assert stderr == b""
 
 
-def heed_interrupts():
-    """A test run in the background of a shell ignores them, and its children would too."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
 def test_control_c(tmp_path):
     words = command("demo", "--out", tmp_path / "demo")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(words, **pipes, env=ENVIRONMENT, preexec_fn=heed_interrupts) as process:
+    with subprocess.Popen(words, **pipes, env=ENVIRONMENT) as process:
         assert process.stdout.readline().startswith("Building apartment")
         process.send_signal(signal.SIGINT)
         _, stderr = process.communicate(timeout=120)

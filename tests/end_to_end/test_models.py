@@ -323,9 +323,8 @@ def test_heads_of_what_has_none_are_refused(planted, tmp_path):
     localiser = vlm_models.make("owlv2", tmp_path / "owl")
     assert "no attention heads" in refused("calibrate", "heads", "--perception", localiser, "--episodes", "1")
     heads = planted(QWEN) / "heads.json"
-    assert "which reads boxes" in refused(
-        2, "locate", "x.png", "red", "--perception", f"{planted(QWEN)}?extractor=boxes&heads={heads}"
-    )
+    spec = f"{planted(QWEN)}?extractor=boxes&heads={heads}"
+    assert "which reads boxes" in refused("locate", "x.png", "red", "--perception", spec)
 
 
 def test_labels_of_apartments_point_at_the_thing(monkeypatch):

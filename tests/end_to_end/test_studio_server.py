@@ -174,7 +174,7 @@ def test_files_that_are_too_large_are_refused_before_they_come(served):
     buffer = io.BytesIO()
     Image.new("L", (16000, 8000)).save(buffer, "PNG")
     assert "million" in refused(served.http.post("/api/pictures", content=buffer.getvalue()), 413)
-    assert b" 413 " in sent(served, "POST /api/pictures HTTP/1.1", f"Content-Length: {1 << 40}")
+    assert b" 413 " in sent(served, "POST /api/pictures HTTP/1.1", f"Content-Length: {1 << 40}\r\n\r\nx")
 
 
 def test_without_the_token_nothing_is_shown_and_with_it_the_page_opens_on_a_source(tmp_path):

@@ -236,8 +236,7 @@ def test_ctrl_c_ends_a_silent_call(how):
         "chat": "ServedChat('m', sys.argv[1])([Message('user', 'hello')])",
     }
     code = (
-        # What is started in the background of a shell ignores Ctrl-C.
-        "import signal, sys, numpy as np\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "import sys, numpy as np\n"
         "from eagor.perception.endpoint import EndpointPerception, ServedChat\n"
         "from eagor.perception.vlm import Message\n"
         f"try:\n    {asked[how]}\nexcept KeyboardInterrupt:\n    sys.exit(130)\n"
