@@ -381,19 +381,6 @@ def test_a_query_that_the_file_is_not_about(tmp_path):
     assert ReplayPerception(path)(None, "The  red chair", stamp=0).stamp == 0
 
 
-def test_labels_do_not_matter_where_the_line_has_a_query():
-    line = json.dumps(
-        {"stamp": 0, "query": "seat", "points": [{"azimuth_deg": 0, "elevation_deg": 0, "label": "chair"}]}
-    )
-    assert np.asarray(parse_record(line).evidence("seat").response).max() > 0.9
-
-
-def test_a_box_across_the_seam():
-    for box in ([1014, 251, 10, 261], [1014, 251, 1034, 261], [-10, 251, 10, 261]):
-        line = json.dumps({"stamp": 0, "image": PANORAMA, "boxes": [{"box": box}]})
-        assert strongest(parse_record(line).evidence("x")) == pytest.approx([-1, 0, 0], abs=0.05)
-
-
 @pytest.mark.parametrize("kind", ["boxes", "points", "response"])
 def test_a_perspective_image_points_where_it_says_and_is_silent_elsewhere(kind):
     image = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60}

@@ -201,6 +201,7 @@ def test_lenses_that_differ_in_brightness_leave_no_step():
     assert np.abs(np.diff(row)).max() < 20
 
 
+@pytest.mark.filterwarnings("ignore:Gimbal lock")  # of SciPy, for a lens that looks straight up or down
 @given(fisheyes())
 def test_a_rig_is_read_as_it_was_written(tmp_path_factory, lens):
     side = Lens('side: "b"', (64, 48), (50.0, 51.0), (32.0, 24.5), (-0.1, 0.01), world_R_body(1, 0.2, 3), 1)

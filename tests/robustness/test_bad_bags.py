@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import io
 import math
 import sqlite3
 import struct
@@ -199,23 +198,6 @@ def chunk(size, content, compression, time=1):
     return record(
         6, struct.pack("<QQQI", time, time, size, 0) + text(compression) + struct.pack("<Q", len(content)) + content
     )
-
-
-def finished(*chunks):
-    """The bytes of an MCAP file with an index."""
-    file = io.BytesIO(MAGIC + record(1, text("ros2") + text("")) + channel())
-    file.seek(0, io.SEEK_END)
-    places = []
-    for each in chunks:
-        places.append((file.tell(), len(each)))
-        file.write(each)
-    start = file.tell()
-    statistics = struct.pack("<QHIIIIQQ", len(chunks), 1, 1, 0, 0, len(chunks), 1, 1)
-    file.write(channel() + record(11, statistics + struct.pack("<IHQ", 10, 1, len(chunks))))
-    for place, length in places:
-        file.write(record(8, struct.pack("<QQQQ", 1, 1, place, length) + bytes(4 + 8 + 4 + 16)))
-    file.write(record(2, struct.pack("<QQI", start, 0, 0)) + MAGIC)
-    return file.getvalue()
 
 
 def test_records_that_claim_more_than_there_is(tmp_path):
