@@ -10,7 +10,7 @@ from eagor.errors import EagorError
 from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.evidence.shapes import moments_of
-from eagor.grids import PatchGrid, PerspectiveGrid
+from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.perception.fusion import blobs
 from eagor.perception.vlm.answers import Box
 from eagor.perception.vlm.perception import Crop, InferencePlan, ModelPerception, box_detections, fuse_detections
@@ -75,6 +75,22 @@ def test_evidence_of_boxes_tells_what_it_is_of():
 
 
 # --- blobs -----------------------------------------------------------------------------------------------------------
+
+
+def test_parts_go_on_across_the_seam_and_over_the_poles():
+    grid = ErpGrid(36, 72)
+    response = np.zeros(grid.shape)
+    response[17:19, [0, 1, 70, 71]] = 1.0  # across the seam
+    response[0, :] = 1.0  # around a pole
+    response[35, [3, 30]] = 1.0  # two cells that meet in the other
+    response[10, 20], response[11, 21] = 0.6, 0.6  # at a corner
+    found = blobs(response, grid, 0.5, 0.0)
+    assert len(found) == 4
+    middles = np.array([centre for centre, _, _ in found])
+    assert (middles[:, 0] < -0.99).any()
+    assert (middles[:, 2] > 0.999).any()
+    assert (middles[:, 2] < -0.99).any()
+    assert sorted(round(score, 3) for _, _, score in found) == [0.6, 1.0, 1.0, 1.0]
 
 
 def test_a_view_does_not_go_on_across_its_border():

@@ -147,6 +147,13 @@ def sixteen_bits(side):
     return png(side, side, 16, 0, rows)
 
 
+def test_grey_of_sixteen_bits_is_rounded_to_eight(tmp_path):
+    grey = np.arange(65536, dtype=np.uint16).reshape(256, 256).repeat(2, axis=1)
+    Image.fromarray(grey).save(tmp_path / "grey.png")
+    wanted = np.rint(grey / 257).astype(np.uint8)
+    assert np.array_equal(read_panorama(tmp_path / "grey.png"), np.repeat(wanted[..., None], 3, axis=-1))
+
+
 IMPORTS = """
 import numpy, trimesh
 from eagor.errors import EagorError
