@@ -4,8 +4,7 @@ By default 25 of each law, the same on every run; ``--hypothesis-profile=ci`` (`
 hostile input say their own number.
 
 ``pytest tests/robustness --hypothesis-profile=long`` draws other cases each time, many of them; what fails is kept in
-.hypothesis and tried first the next time. ``python tests/robustness/fuzz.py --minutes 60`` feeds damaged answers,
-poses, calibrations, GPano and bags to their readers for an hour: it prints what is neither an answer nor a clear error.
+.hypothesis and tried first the next time.
 """
 
 import signal

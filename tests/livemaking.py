@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import os
 import threading
 import time
@@ -19,7 +18,6 @@ from eagor.sphere import world_R_body
 
 GRID = ErpGrid(16, 32)
 BLANK = np.full((16, 32, 3), 90, dtype=np.uint8)
-THING = np.array([math.cos(0.5), math.sin(0.5), 0.0])  # where it is, in the world
 
 
 def yawed(angle):
@@ -138,6 +136,13 @@ class Seeing:
         time.sleep(self.seconds)
 
 
+class Here(Seeing):
+    """Cannot be sent to another process: the loop calls it in a thread of this one, which starts at once."""
+
+    def __reduce__(self):
+        raise TypeError("it stays here")
+
+
 class LoadedSlowly(Seeing):
     """Needs 2 seconds to be there."""
 
@@ -205,19 +210,3 @@ class Ignorant(Seeing):
     def work(self, query):
         if query != "red chair":
             raise QueryError(f"{query!r} is not known; ask for a red chair")
-
-
-def balls(picture, query):
-    """A detector that knows its classes: the balls of the painted room, by their colours, in each view."""
-    from scipy import ndimage
-
-    red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
-    boxes, labels = [], []
-    for name, inside in (("ball", red > green + blue + 40), ("cup", blue > red + green + 20)):
-        for rows, columns in ndimage.find_objects(ndimage.label(inside)[0]):
-            boxes.append([columns.start, rows.start, columns.stop, rows.stop])
-            labels.append(name)
-    return np.array(boxes, dtype=float).reshape(-1, 4), np.full(len(boxes), 0.9), labels
-
-
-balls.classes = ("ball", "cup", "dog")

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,6 +21,15 @@ def wait_for(what: Callable[[], object]) -> None:
             return
         time.sleep(0.05)
     raise AssertionError("waited for five minutes in vain")
+
+
+def begun(*words: object, path: object = "", **pipes: Any) -> subprocess.Popen[Any]:
+    """``eagor WORDS`` in a session of its own; modules in `path` can be imported."""
+    paths = os.pathsep.join([str(path), *(entry for entry in sys.path if entry)])
+    return subprocess.Popen(
+        [sys.executable, "-m", "eagor", *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"}, start_new_session=True, **pipes,
+    )  # fmt: skip
 
 
 def sessions_of(process: int) -> set[int]:

@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 from urllib.error import URLError
 from urllib.request import urlopen
 
@@ -27,54 +26,28 @@ def write_model(folder: Path, says: str) -> None:
     """A model, its processor and its tokenizer in `folder`; its only answer is `says`."""
     import torch
     import transformers
-    from tokenizers import Tokenizer, decoders, models, pre_tokenizers
+    import vlm_models
 
-    letters = sorted(pre_tokenizers.ByteLevel.alphabet())
-    raw = Tokenizer(models.BPE(vocab={letter: index for index, letter in enumerate(letters)}, merges=[]))
-    raw.pre_tokenizer, raw.decoder = pre_tokenizers.ByteLevel(add_prefix_space=False), decoders.ByteLevel()
-    images = {"boi_token": "<start_of_image>", "eoi_token": "<end_of_image>", "image_token": "<image_soft_token>"}
-    names = {"bos_token": "<bos>", "eos_token": "<eos>", "pad_token": "<pad>"}
-    tokenizer = transformers.PreTrainedTokenizerFast(
-        tokenizer_object=raw, **names, extra_special_tokens=images, chat_template=TEMPLATE
-    )
-    tokenizer.add_tokens(["<start_of_turn>", "<end_of_turn>"], special_tokens=True)
-    tokenizer.add_tokens([says])
-    ids = {name: tokenizer.convert_tokens_to_ids(token) for name, token in {**images, **names}.items()}
-    text: dict[str, Any] = {
-        "vocab_size": len(tokenizer), "hidden_size": 64, "intermediate_size": 32, "num_hidden_layers": 2,
-        "num_attention_heads": 2, "num_key_value_heads": 1, "head_dim": 16, "max_position_embeddings": 4096,
-        "pad_token_id": ids["pad_token"], "eos_token_id": ids["eos_token"], "bos_token_id": ids["bos_token"],
-    }  # fmt: skip
-    vision = {
-        "hidden_size": 32, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2,
-        "image_size": 224, "patch_size": 14,
-    }  # fmt: skip
-    config = transformers.Gemma3Config(
-        text_config=text,
-        vision_config=vision,
-        mm_tokens_per_image=IMAGE_TOKENS,
-        boi_token_index=ids["boi_token"],
-        eoi_token_index=ids["eoi_token"],
-        image_token_index=ids["image_token"],
-        tie_word_embeddings=False,
-    )
     torch.manual_seed(0)
-    model = transformers.Gemma3ForConditionalGeneration(config)
+    model, tokenizer, processor = vlm_models.MAKERS["gemma3"]()
+    tokenizer.add_tokens([says])
+    tokenizer.chat_template = TEMPLATE
+    model.resize_token_embeddings(len(tokenizer))
+    language = model.model.language_model
     with torch.no_grad():  # what comes next depends on the last token alone
-        language = model.model.language_model
         for layer in language.layers:
             layer.self_attn.o_proj.weight.zero_()
             layer.mlp.down_proj.weight.zero_()
-        embeddings = torch.nn.init.orthogonal_(torch.empty(len(tokenizer), 64)) * 8
-        language.embed_tokens.weight.copy_(embeddings)
-        model.lm_head.weight.zero_()
+        embeddings = torch.nn.functional.normalize(torch.randn(len(tokenizer), vlm_models.TEXT["hidden_size"]), dim=-1)
+        language.embed_tokens.weight.copy_(8 * embeddings)
+        model.config.tie_word_embeddings = False
+        model.lm_head.weight = torch.nn.Parameter(torch.zeros_like(embeddings))
         (newline,) = tokenizer.encode("\n", add_special_tokens=False)
         said = tokenizer.convert_tokens_to_ids(says)
         model.lm_head.weight[said] = embeddings[newline]
-        model.lm_head.weight[ids["eos_token"]] = embeddings[said]
-    model.generation_config.eos_token_id = ids["eos_token"]
+        model.lm_head.weight[tokenizer.eos_token_id] = embeddings[said]
+    model.generation_config.eos_token_id = tokenizer.eos_token_id
     model.save_pretrained(folder)
-    processor = transformers.Gemma3ImageProcessorPil(size={"height": 224, "width": 224})
     transformers.Gemma3Processor(processor, tokenizer, TEMPLATE, image_seq_length=IMAGE_TOKENS).save_pretrained(folder)
 
 

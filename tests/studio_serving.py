@@ -21,15 +21,14 @@ PATIENCE = 300.0  # seconds: machines of continuous integration are slow
 
 
 class Served:
-    """A studio that listens at `address`."""
+    """A studio that listens at `address`, which may hold a token; its `socket` does then, too."""
 
     def __init__(self, address: str, process: subprocess.Popen[str]) -> None:
         self.address, self.process = address, process
-        self.http = httpx.Client(base_url=address, timeout=PATIENCE)
-
-    @property
-    def socket(self) -> str:
-        return self.address.replace("http:", "ws:") + "ws"
+        told = httpx.URL(address)
+        self.host = f"127.0.0.1:{told.port}"
+        self.http = httpx.Client(base_url=f"http://{self.host}/", timeout=PATIENCE)
+        self.socket = f"ws://{self.host}/ws" + (f"?{told.query.decode()}" if told.query else "")
 
     def ready(self) -> Served:
         """Itself, once it is warm."""

@@ -105,19 +105,14 @@ def test_each_kind_is_read(kind):
     "found",
     [
         [], ([], []), (np.zeros((0, 4)), np.zeros(0)), (np.zeros(0), np.zeros(0), []), supervision.Detections(
-            xyxy=np.zeros((0, 4)), confidence=np.zeros(0)), SimpleNamespace(detections=[]),
+            xyxy=np.zeros((0, 4)), confidence=np.zeros(0)), supervision.Detections.empty(),
+        SimpleNamespace(detections=[]),
         {"boxes": torch.zeros((0, 4)), "scores": torch.zeros(0), "labels": torch.zeros(0)},
         SimpleNamespace(detections=None),
     ],
 )  # fmt: skip
 def test_nothing_found_is_no_error(found):
     boxes, scores, _ = boxes_of(found, NAMES)
-    assert (boxes.shape, scores.shape) == ((0, 4), (0,))
-
-
-def test_the_empty_answer_of_supervision():
-    empty = supervision.Detections.empty()
-    boxes, scores, _ = boxes_of(empty)
     assert (boxes.shape, scores.shape) == ((0, 4), (0,))
 
 

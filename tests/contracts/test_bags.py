@@ -93,14 +93,6 @@ def test_only_the_topics_asked_for(tmp_path, sent):
     assert list(read_bag(tmp_path / "bag", [])) == []
 
 
-def test_stamps_come_back_as_the_same_float(tmp_path):
-    times = [float(t) for t in stamps(500)] + [0.1, 1.5, 2.0**31 - 1]
-    with BagWriter(tmp_path / "bag") as bag:
-        for t in times:
-            bag.write("/a", m.TEXT, m.message(m.TEXT, data="x"), t)
-    assert [each[0] for each in read_bag(tmp_path / "bag")] == sorted(times)
-
-
 def test_messages_that_were_recorded_late_come_in_order(tmp_path):
     """A slow recorder: the stamps of a chunk, and of several, overlap."""
     times = np.random.default_rng(2).permutation(300) + float(START)

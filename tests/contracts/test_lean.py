@@ -200,11 +200,6 @@ def test_calls_name_their_extra(answers, call):
     assert re.fullmatch(said, answers[call][0])
 
 
-def test_modules_are_there_after_importing_the_package(run):
-    code, _, err = run("-c", "import eagor; eagor.sphere.direction; [getattr(eagor, name) for name in dir(eagor)]")
-    assert code == 0, err
-
-
 def test_the_line_names_what_is_absent_and_how_to_install_it():
     require_extra("this", "sim")
     require_extra("this", "sim", "numpy")

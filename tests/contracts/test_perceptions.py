@@ -20,7 +20,7 @@ from eagor.perception import Perception, check_perception, known, load, short_na
 from eagor.perception.colour import COLOURS, SYNONYMS, ColourPerception, parse_colour
 from eagor.perception.records import read_looks
 from eagor.perception.replay import ReplayPerception, parse_record, write_record
-from eagor.perception.truth import Noise, TruthPerception
+from eagor.perception.truth import TruthPerception
 from eagor.queries import Query
 from eagor.sphere import angular_distance, azimuth_elevation, direction
 from eagor.tracking.tracker import DirectionTracker
@@ -73,7 +73,7 @@ def test_the_checker_wants_a_roll_that_the_response_can_follow():
         check_perception(ColourPerception(rows=8), painted_room(32, 64), "red", roll=3)
 
 
-@pytest.mark.parametrize("rows", [300, 350, 480, 512])
+@pytest.mark.parametrize("rows", [350, 512])
 def test_colour_points_straight_whatever_the_size_of_the_panorama(rows):
     grid, off = ErpGrid(rows, 2 * rows), []
     for azimuth, elevation in ((20, -10), (-100, 5), (3, 30), (150, -40), (-33, 12), (77, -3)):
@@ -101,17 +101,13 @@ def test_rows_of_colour_are_whole_numbers(rows):
         ("~nobody-of-this-name/model", "there is no folder '~nobody-of-this-name/model'"),
         ("~nobody-of-this-name", "there is no perception"),
         ("/" + "x" * 5000, "there is no folder"),
+        ("scout:moderate", r"calibration = 'moderate'; wanted an eagor\.Calibration"),
     ],
 )
 def test_names_that_lead_nowhere(spec, says):
     with pytest.raises(EagorError, match=says):
         load(spec)
     assert short_name(spec)
-
-
-def test_text_after_scout_is_no_calibration():
-    with pytest.raises(EagorError, match=r"calibration = 'moderate'; wanted an eagor\.Calibration"):
-        load("scout:moderate")
 
 
 # --- load ------------------------------------------------------------------------------------------------------------
@@ -159,15 +155,6 @@ def test_a_name_of_ours_cannot_be_taken_and_whoever_tries_is_told(monkeypatch, c
     assert found["perceptions"]["colour"] == found["tasks"]["waypoint"] == "ready"
     assert "no_such_module" in found["tasks"]["torn"]
     assert [text.split()[1:3] for text in found["left_out"]] == [["perception", "'colour'"], ["task", "'waypoint'"]]
-
-
-def test_a_plugin_that_breaks_while_it_is_imported_is_an_error_of_ours(monkeypatch, tmp_path):
-    (tmp_path / "torn_plugin.py").write_text("raise RuntimeError('torn')")
-    monkeypatch.syspath_prepend(tmp_path)
-    torn = EntryPoint("torn", "torn_plugin:Thing", "eagor.perceptions")
-    monkeypatch.setattr(plugins, "_installed", lambda group: [torn])
-    with pytest.raises(EagorError, match=r"'torn'.*cannot be imported \(RuntimeError: torn\)"):
-        load("torn")
 
 
 @pytest.mark.parametrize("spec", ["", ":", "color-blind", "Replay"])
@@ -250,14 +237,6 @@ def test_colour_words_do_not_mean_what_people_do_not(query, rgb):
 def test_shading_does_not_change_a_hue():
     shades = (np.linspace(0.25, 1.0, 32)[:, None, None] * np.array([200, 30, 35])).round().astype(np.uint8)
     assert ColourPerception().respond(np.repeat(shades, 64, axis=1), "red").min() > 0.9
-
-
-def test_single_pixels_do_not_count_but_small_things_do():
-    panorama = np.full((64, 128, 3), 180, dtype=np.uint8)
-    panorama[20, 40] = panorama[30, 90] = (220, 0, 0)
-    assert ColourPerception().respond(panorama, "red").max() == 0
-    panorama[20:22, 127], panorama[20:22, 0] = (220, 0, 0), (220, 0, 0)  # two by two, across the seam
-    assert ColourPerception().respond(panorama, "red")[20:22, [0, 127]].min() > 0.9
 
 
 @pytest.mark.parametrize("query", ["", "the chair", "redwood", "rot", None, 7])
@@ -400,19 +379,6 @@ def test_a_query_that_the_file_is_not_about(tmp_path):
     with pytest.raises(QueryError, match="wanted words"):
         ReplayPerception(path)(None, None, stamp=0)
     assert ReplayPerception(path)(None, "The  red chair", stamp=0).stamp == 0
-
-
-def test_labels_do_not_matter_where_the_line_has_a_query():
-    line = json.dumps(
-        {"stamp": 0, "query": "seat", "points": [{"azimuth_deg": 0, "elevation_deg": 0, "label": "chair"}]}
-    )
-    assert np.asarray(parse_record(line).evidence("seat").response).max() > 0.9
-
-
-def test_a_box_across_the_seam():
-    for box in ([1014, 251, 10, 261], [1014, 251, 1034, 261], [-10, 251, 10, 261]):
-        line = json.dumps({"stamp": 0, "image": PANORAMA, "boxes": [{"box": box}]})
-        assert strongest(parse_record(line).evidence("x")) == pytest.approx([-1, 0, 0], abs=0.05)
 
 
 @pytest.mark.parametrize("kind", ["boxes", "points", "response"])
@@ -574,7 +540,7 @@ def labelled_ids():
     return ids, labels
 
 
-@pytest.mark.parametrize("query", ["chair", "the blue chair", "red couch", "wall"])
+@pytest.mark.parametrize("query", ["the blue chair", "red couch"])
 @pytest.mark.parametrize("noise", ["", "ideal", "false_alarm=1,confuse_category=1,persistence=0.9"])
 def test_an_episode_of_truth_keeps_the_contract(labelled_ids, noise, query):
     ids, labels = labelled_ids
@@ -589,11 +555,3 @@ def test_truth_is_not_told_by_an_image():
     for image in (painted_room(32, 64), np.zeros((32, 64), dtype=np.int32)):
         with pytest.raises(ImageError, match=r"only a simulator has: use it with `eagor bench run`"):
             truth(image, "red chair")
-
-
-def test_load_makes_truth():
-    assert load("truth").noise == load("truth:").noise == Noise.parse("moderate")
-    assert load("truth:ideal", rows=24).grid == PatchGrid(24, 48)
-    assert load("truth:miss=0.5,persistence=0.8").noise.persistence == 0.8
-    with pytest.raises(EagorError, match=r"keys: miss, false_alarm"):
-        load("truth:misses=0.5")

@@ -65,7 +65,9 @@ def loaded_by(code):
 
 
 def test_importing_loads_nothing_heavy():
-    """Neither the package nor its core may pull in drawing, models or the command line."""
+    """Neither the package nor its core may pull in drawing, models or the command line; nor a model that is named."""
     heavy = {"matplotlib", "PIL", "torch", "onnxruntime", "embreex", "trimesh", "gymnasium", "tyro", "rich"}
     assert not (heavy | {"scipy.optimize"}) & loaded_by("eagor.DirectionTracker()")
     assert "numpy" not in loaded_by("pass"), "the command line sets the number of threads first"
+    named = "import eagor.perception.transformers as t; t.TransformersPerception; eagor.load('endpoint:m@http://a')"
+    assert not {"openai", "httpx", "torch", "transformers"} & loaded_by(named)

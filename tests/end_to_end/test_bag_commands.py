@@ -8,10 +8,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from commands import answer, eagor, refused
 from rosmaking import camera_info, imu_message
 
 from eagor.cameras import Lens
-from eagor.cli import main
 from eagor.conventions import OPTICAL_R_BODY
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import Room, bearing, paint
@@ -94,10 +94,17 @@ def recorded(
     return path
 
 
-def track(capsys, *words):
-    code = main(["track", *map(str, words), "--json"])
-    out, err = capsys.readouterr()
-    return code, json.loads(out) if out else None, err
+def tracked(*words, code=0):
+    """The frames of ``eagor track WORDS``, and what it says."""
+    done = eagor("track", *words, "--json")
+    assert done.returncode == code, done.stderr
+    return json.loads(done.stdout)["frames"], done.stderr
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """A bag as most are."""
+    return recorded(tmp_path_factory.mktemp("plain") / "bag")
 
 
 def check_directions(frames, degrees=2.5):
@@ -109,48 +116,46 @@ def check_directions(frames, degrees=2.5):
 
 
 @pytest.mark.parametrize("kind", [m.ODOMETRY, m.TRANSFORMS, m.IMU])
-def test_directions_from_a_bag_are_right(tmp_path, capsys, kind):
+def test_directions_from_a_bag_are_right(tmp_path, kind):
     bag = recorded(tmp_path / "bag", odometry=kind)
-    code, found, said = track(capsys, bag, "red", "--rate", "4")
-    assert code == 0
+    done = eagor("track", bag, "red", "--rate", "4", "--json")
+    found = json.loads(done.stdout)
     topic = {m.ODOMETRY: "/odom", m.TRANSFORMS: "/tf", m.IMU: "/imu"}[kind]
     assert found["poses"] == f"poses from {topic}"
     assert len(found["frames"]) == COUNT
     assert found["frames"][3]["stamp"] == START + 0.75
-    assert "12 pictures of /x3/image" in said
+    assert "12 pictures of /x3/image" in done.stderr
     check_directions(found["frames"])
     with_distance = [frame["distance_m"] is not None for frame in found["frames"]]
     assert any(with_distance) == (kind != m.IMU)
 
 
-def test_a_single_file_named_topics_and_a_cut(tmp_path, capsys):
+def test_a_single_file_named_topics_and_a_cut(tmp_path):
     bag = recorded(tmp_path / "bag", compressed=True) / "bag.mcap"
-    code, found, _ = track(
-        capsys, bag, "red", "--image-topic", "x3/image/compressed", "--odom-topic", "/odom", "--rate", "2",
-        "--start", "0.5", "--end", "2.6",
+    frames, _ = tracked(
+        bag, "red", "--image-topic", "x3/image/compressed", "--odom-topic", "/odom", "--rate", "2", "--start", "0.5",
+        "--end", "2.6",
     )  # fmt: skip
-    assert code == 0
-    assert [frame["stamp"] - START for frame in found["frames"]] == [0.5, 1.0, 1.5, 2.0, 2.5]
-    check_directions(found["frames"])
+    assert [frame["stamp"] - START for frame in frames] == [0.5, 1.0, 1.5, 2.0, 2.5]
+    check_directions(frames)
 
 
-def test_a_recording_that_was_killed(tmp_path, capsys):
+def test_a_recording_that_was_killed(tmp_path):
     file = recorded(tmp_path / "bag", at_risk=0) / "bag.mcap"
     file.write_bytes(file.read_bytes()[: 3 * file.stat().st_size // 4])
     (tmp_path / "bag" / "metadata.yaml").unlink()
-    code, found, said = track(capsys, tmp_path / "bag", "red", "--rate", "4")
-    assert code == 0
+    frames, said = tracked(tmp_path / "bag", "red", "--rate", "4")
     assert "bag.mcap was cut off (it ends in the middle of a record); its first" in said
-    check_directions(found["frames"])
+    check_directions(frames)
 
 
-def test_pages_and_tables_are_written(tmp_path, capsys):
-    bag = recorded(tmp_path / "bag")
-    assert main(["track", str(bag), "red", "--out", str(tmp_path / "o.csv"), "--page", str(tmp_path / "p.html")]) == 0
-    out, err = capsys.readouterr()
-    lines = out.splitlines()
+def test_pages_and_tables_are_written(plain, tmp_path):
+    done = eagor("track", plain, "red", "--out", tmp_path / "o.csv", "--page", tmp_path / "p.html")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
     assert lines[1].split()[0] == "0.000"  # seconds from the first picture
-    assert "the table's stamps are seconds from 1700000000.125" in err
+    assert "the table's stamps are seconds from 1700000000.125" in done.stderr
+    assert (tmp_path / "p.html").is_file()
     assert (tmp_path / "o.csv").read_text().splitlines()[1].split(",")[:2] == [
         "/x3/image at 1700000000.125 s",
         str(START),
@@ -158,10 +163,8 @@ def test_pages_and_tables_are_written(tmp_path, capsys):
     assert "1700000000" not in lines[1]
 
 
-def test_a_bag_without_odometry_turns_by_its_pictures(tmp_path, capsys):
-    bag = recorded(tmp_path / "bag", odometry=None)
-    code, found, _ = track(capsys, bag, "red", "--rate", "4")
-    assert code == 0
+def test_a_bag_without_odometry_turns_by_its_pictures(tmp_path):
+    found = answer("track", recorded(tmp_path / "bag", odometry=None), "red", "--rate", "4")
     assert found["poses"] == "orientations from the pictures themselves"
 
 
@@ -200,11 +203,10 @@ def narrow(tmp_path_factory):
         (["--image-topic", "/front/image_rect", "--hfov", "72.05"], "72.0 x 57.2 degrees, says --hfov 72.05"),
     ],
 )
-def test_an_ordinary_camera_of_a_bag_has_the_lens_that_is_told(narrow, capsys, words, said):
-    code, found, err = track(capsys, narrow, "red", "--rate", "4", *words)
-    assert code == 0
+def test_an_ordinary_camera_of_a_bag_has_the_lens_that_is_told(narrow, words, said):
+    frames, err = tracked(narrow, "red", "--rate", "4", *words)
     assert said in err
-    for k, frame in enumerate(found["frames"]):
+    for k, frame in enumerate(frames):
         assert frame["azimuth_deg"] == pytest.approx(math.degrees(0.15 * k - 0.3), abs=1)
 
 
@@ -253,39 +255,34 @@ lenses:
 
 
 @pytest.mark.parametrize("rig", [False, True])
-def test_a_bag_of_several_cameras_is_one_panorama_with_a_mask(two, tmp_path, capsys, rig):
+def test_a_bag_of_several_cameras_is_one_panorama_with_a_mask(two, tmp_path, rig):
     """At the times of the first, with the lenses of their camera_info, and their places by the fixed transforms."""
     (tmp_path / "rig.yaml").write_text(TWO_YAML)
     words = ("--rig", tmp_path / "rig.yaml") if rig else ()
-    code, found, err = track(capsys, two, "red", "--rate", "2", *TWO, *words)
-    assert code == 0, err
+    frames, err = tracked(two, "red", "--rate", "2", *TWO, *words)
     assert "5 pictures of /front/image_raw,/side/image_raw" in err
-    assert len(found["frames"]) > 3
-    for each in found["frames"]:
+    assert len(frames) > 3
+    for each in frames:
         assert each["azimuth_deg"] == pytest.approx(math.degrees(RATE * (each["stamp"] - START)), abs=12)
 
 
-def test_what_does_not_tell_where_several_cameras_are(two, tmp_path, capsys):
-    code, _, err = track(capsys, of_two_cameras(tmp_path / "bag", ["front_optical_frame"]), "red", *TWO)
-    assert code == 2
-    assert "/tf_static does not tell where side is in front_optical_frame; cameras of a rig are fixed" in err
-    code, _, err = track(capsys, two, "red", *TWO, "--camera-info", "/front/camera_info")
-    assert code == 2
-    assert "names 1 topics, and 2 have pictures; wanted one for each" in err
+def test_what_does_not_tell_where_several_cameras_are(two, tmp_path):
+    said = refused("track", of_two_cameras(tmp_path / "bag", ["front_optical_frame"]), "red", *TWO)
+    assert "/tf_static does not tell where side is in front_optical_frame; cameras of a rig are fixed" in said
+    said = refused("track", two, "red", *TWO, "--camera-info", "/front/camera_info")
+    assert "names 1 topics, and 2 have pictures; wanted one for each" in said
 
 
-def test_a_lens_is_told_once(narrow, capsys):
+def test_a_lens_is_told_once(narrow):
     words = ["--image-topic", "/front/image_raw", "--camera-info", "/front/camera_info", "--hfov", "60"]
-    code, _, err = track(capsys, narrow, "red", *words)
-    assert code == 2
-    assert "--camera-info /front/camera_info and 60.0: both tell the lens of the pictures; wanted one of them" in err
+    said = refused("track", narrow, "red", *words)
+    assert "--camera-info /front/camera_info and 60.0: both tell the lens of the pictures; wanted one of them" in said
 
 
-def test_poses_that_cannot_be_are_left_out(tmp_path, capsys):
-    code, found, err = track(capsys, recorded(tmp_path / "bag", lost=(13, 20)), "red", "--rate", "4")
-    assert code == 0
-    assert len(found["frames"]) == COUNT
-    check_directions(found["frames"])
+def test_poses_that_cannot_be_are_left_out(tmp_path):
+    frames, err = tracked(recorded(tmp_path / "bag", lost=(13, 20)), "red", "--rate", "4")
+    assert len(frames) == COUNT
+    check_directions(frames)
     assert err.count("a pose of /odom is left out: a position is [1e+30, 1e+30, 1e+30]; wanted finite metres") == 1
 
 
@@ -296,37 +293,34 @@ def test_poses_that_cannot_be_are_left_out(tmp_path, capsys):
         ("pictures", "/x3/image", "go back by 0.75 s at 1700000001.375 s: its pictures are left out", 3, COUNT - 4),
     ],
 )
-def test_what_has_stamps_that_go_back_is_left_out_and_counted(tmp_path, capsys, what, topic, said, count, frames):
-    code, found, err = track(capsys, recorded(tmp_path / "bag", **{f"{what}_at": set_back}), "red", "--rate", "4")
-    assert (code, len(found["frames"])) == (3, frames)
+def test_what_has_stamps_that_go_back_is_left_out_and_counted(tmp_path, what, topic, said, count, frames):
+    found, err = tracked(recorded(tmp_path / "bag", **{f"{what}_at": set_back}), "red", "--rate", "4", code=3)
+    assert len(found) == frames
     assert err.count(f"the stamps of {topic} {said}") == 1
     assert f"warning: {count} {what} of {topic} whose stamps go back are left out" in err
 
 
 @pytest.mark.parametrize(("jump", "left_out"), [(1000.0, 5), (1.0, 0)])
-def test_pictures_in_a_long_hole_of_the_poses_are_left_out_and_counted(tmp_path, capsys, jump, left_out):
+def test_pictures_in_a_long_hole_of_the_poses_are_left_out_and_counted(tmp_path, jump, left_out):
     bag = recorded(tmp_path / "bag", poses_at=lambda t: t + jump * (t > 1.52))
-    code, found, err = track(capsys, bag, "red", "--rate", "4")
-    assert (code, len(found["frames"])) == (3 if left_out else 0, COUNT - left_out)
+    frames, err = tracked(bag, "red", "--rate", "4", code=3 if left_out else 0)
+    assert len(frames) == COUNT - left_out
     said = f"{left_out} pictures are left out: /odom has no pose for more than 2 s about them"
     assert (said in err) == bool(left_out)
     assert ("/odom has no pose for 1.05 s about it" in err) == (not left_out)
 
 
-def test_pictures_that_name_no_frame_are_said(tmp_path, capsys):
-    code, found, err = track(capsys, recorded(tmp_path / "bag", frame=""), "red")
-    assert code == 0
-    assert len(found["frames"]) > 0
+def test_pictures_that_name_no_frame_are_said(tmp_path):
+    frames, err = tracked(recorded(tmp_path / "bag", frame=""), "red")
+    assert frames
     said = "the pictures name no frame (frame_id is empty): the camera's axes are taken for those of base_link"
     assert err.count(said) == 1
 
 
-def test_pictures_without_times_take_those_of_the_recording(tmp_path, capsys):
-    bag = recorded(tmp_path / "bag", at_zero=True)
-    code, found, said = track(capsys, bag, "red", "--rate", "4")
-    assert code == 0
+def test_pictures_without_times_take_those_of_the_recording(tmp_path):
+    frames, said = tracked(recorded(tmp_path / "bag", at_zero=True), "red", "--rate", "4")
     assert "/x3/image tells no times" in said
-    check_directions(found["frames"])
+    check_directions(frames)
 
 
 @pytest.mark.parametrize(
@@ -339,33 +333,29 @@ def test_pictures_without_times_take_those_of_the_recording(tmp_path, capsys):
         (["--start", "100"], "there was no frame to look at"),
     ],
 )
-def test_topics_that_are_not_there(tmp_path, capsys, words, said):
-    code, _, err = track(capsys, recorded(tmp_path / "bag"), "red", *words)
-    assert code == (1 if "--start" in words else 2)
-    assert said in err
+def test_topics_that_are_not_there(plain, words, said):
+    assert said in refused("track", plain, "red", *words, "--json", code=1 if "--start" in words else 2)
 
 
-def test_clocks_that_have_nothing_in_common(tmp_path, capsys):
+def test_clocks_that_have_nothing_in_common(tmp_path):
     turn, place = camera_at(0)
     with BagWriter(tmp_path / "bag") as bag:
         for k in range(4):
             panorama = paint(ROOM, tuple(place), turn, 32, 64)
             bag.write("/image", m.IMAGE, m.image_message(panorama, 50.0 + k, "x3"), START + k)
             bag.write("/odom", m.ODOMETRY, m.odometry_message(Pose(START + k, turn, place)), START + k)
-    code, _, err = track(capsys, tmp_path / "bag", "red")
-    assert code == 2
-    assert "no picture has a pose of /odom, which tells those from 1700000000.125 to 1700000003.125 s" in err
-    assert "the pictures begin at 50.000 s. Are both stamped by one clock?" in err
+    said = refused("track", tmp_path / "bag", "red")
+    assert "no picture has a pose of /odom, which tells those from 1700000000.125 to 1700000003.125 s" in said
+    assert "the pictures begin at 50.000 s. Are both stamped by one clock?" in said
 
 
 @pytest.mark.parametrize(("topic", "poses"), [("", []), ("?topic=/x3/image", ["--poses", "ros:/odom"])])
-def test_a_bag_is_played_as_a_live_camera(tmp_path, capsys, topic, poses):
-    bag = recorded(tmp_path / "bag")
-    assert main(["live", f"{bag}{topic}", "red", "--fast", "--json", *poses]) == 0
-    out, err = capsys.readouterr()
-    answers = [json.loads(line) for line in out.splitlines()]
+def test_a_bag_is_played_as_a_live_camera(plain, topic, poses):
+    done = eagor("live", f"{plain}{topic}", "red", "--fast", "--json", *poses)
+    assert done.returncode == 0, done.stderr
+    answers = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(answers) == 12
-    assert "12 looks, " in err
+    assert "12 looks, " in done.stderr
     last = answers[-1]
     truth, _ = bearing(ROOM.balls[0], camera_at(0.25 * (COUNT - 1))[1], camera_at(0.25 * (COUNT - 1))[0])
     assert math.degrees(angular_distance(truth, np.array(last["direction"]))) < 4

@@ -8,12 +8,11 @@ import clips
 import numpy as np
 import pytest
 import rigs
+from commands import answer, eagor, refused
 from moving_rooms import PatternRoom
 from PIL import Image
 from rigs import seen_by
 
-from eagor.cameras import dual_fisheye
-from eagor.cli import main
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.sources.panorama import turn, view
@@ -45,69 +44,38 @@ def place(tmp_path_factory):
     return folder
 
 
-def run(capsys, *words):
-    code = main([str(word) for word in words])
-    said = capsys.readouterr()
-    return code, said.out, said.err
-
-
-def test_calibrate_writes_a_rig_that_view_finds_better(capsys, place):
+def test_calibrate_writes_a_rig_that_view_finds_better(place):
     rig = place / "fitted.yaml"
     pictures = [place / f"turned{k}.png" for k in range(4)]
-    code, out, _ = run(capsys, "camera", "calibrate", *pictures, "--turned", "--out", rig, "--json")
-    assert code == 0
-    told = json.loads(out)
+    told = answer("camera", "calibrate", *pictures, "--turned", "--out", rig)
     assert told["moments"] == 4
     assert told["gap_deg"] < told["before_deg"]
     assert rigs.off(read_rig(rig), TRUE).max() < 1
     assert rig.read_text().startswith("# ")
-    gaps = []
-    for words in ((), ("--rig", rig)):
-        code, out, _ = run(capsys, "camera", "view", pictures[0], *words, "--out", place / "seam.png", "--json")
-        assert code == 0
-        gaps.append(json.loads(out))
-    assert gaps[1]["median_deg"] < 0.5 < gaps[0]["median_deg"]
-    assert gaps[1]["grey_levels"] < gaps[0]["grey_levels"]
+    view = ("camera", "view", pictures[0])
+    ideal, fitted = (answer(*view, *words, "--out", place / "seam.png") for words in ((), ("--rig", rig)))
+    assert fitted["median_deg"] < 0.5 < ideal["median_deg"]
+    assert fitted["grey_levels"] < ideal["grey_levels"]
     with Image.open(place / "seam.png") as image:
         assert image.width == image.height
-    code, out, _ = run(capsys, "camera", "view", pictures[0], "--rig", rig)
-    assert code == 0
-    assert "deg apart (median of" in out
+    assert "deg apart (median of" in eagor(*view, "--rig", rig).stdout
+    assert "two ideal lenses of 200 degrees" in eagor(*view).stderr
 
 
-@pytest.mark.slow
-def test_calibrate_says_what_the_overlap_leaves_open(capsys, place):
-    pictures = [place / f"turned{k}.png" for k in range(4)]
-    code, out, err = run(capsys, "camera", "calibrate", *pictures, "--out", place / "overlap.yaml")
-    assert code == 0, err
-    assert "from rim to rim" in out
-    assert "the overlap does not tell what is inside the circles" in err
-    assert "--turned" in err
-
-
-def test_locate_finds_the_ball_in_circles(capsys, place):
-    code, _, err = run(capsys, "locate", place / "room.png", "red", "--json")
-    assert code == 2
-    assert "two circles of a dual fisheye" in err
-    assert "--rig" in err
-    wanted = place / "wanted.png"
-    Image.fromarray(ROOM).save(wanted)
-    true = json.loads(run(capsys, "locate", wanted, "red", "--json")[1])
+def test_locate_finds_the_ball_in_circles(place):
+    said = refused("locate", place / "room.png", "red")
+    assert "two circles of a dual fisheye" in said
+    assert "--rig" in said
     for picture in ("room.png", "room.mp4"):
-        code, out, err = run(capsys, "locate", place / picture, "red", "--rig", place / "true.yaml", "--json")
-        assert code == 0, err
-        assert abs(json.loads(out)["azimuth_deg"] - true["azimuth_deg"]) < 2
+        found = answer("locate", place / picture, "red", "--rig", place / "true.yaml")
+        assert abs(found["azimuth_deg"] - red_ball(np.eye(3))) < 2
 
 
-def test_track_follows_it_through_pictures_and_a_video_of_lenses(capsys, place):
-    rig = ("--rig", place / "true.yaml", "--json")
-    code, out, err = run(capsys, "track", place / "frames", "red", *rig)
-    assert code == 0, err
-    azimuths = [frame["azimuth_deg"] for frame in json.loads(out)["frames"]]
+def test_track_follows_it_through_pictures_and_a_video_of_lenses(place):
+    rig = ("--rig", place / "true.yaml")
+    azimuths = [frame["azimuth_deg"] for frame in answer("track", place / "frames", "red", *rig)["frames"]]
     assert np.diff(azimuths) == pytest.approx([-math.degrees(0.2)] * 2, abs=2)
-    code, out, err = run(capsys, "track", place / "room.mp4", "red", *rig)
-    assert code == 0, err
-    assert len(json.loads(out)["frames"]) == 6
+    assert len(answer("track", place / "room.mp4", "red", *rig)["frames"]) == 6
 
 
 @pytest.fixture(scope="module")
@@ -132,20 +100,15 @@ def swinging(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_latency_is_estimated_from_pictures_and_odometry(capsys, swinging):
-    code, out, err = run(
-        capsys, "camera", "latency", swinging / "frames", "--poses", swinging / "odometry.csv", "--json"
-    )
-    assert code == 0, err
-    told = json.loads(out)
+def test_latency_is_estimated_from_pictures_and_odometry(swinging):
+    told = answer("camera", "latency", swinging / "frames", "--poses", swinging / "odometry.csv")
     assert told["latency_s"] == pytest.approx(0.2, abs=0.02)
     assert told["low_s"] - 0.01 <= 0.2 <= told["high_s"] + 0.01
 
 
-def test_latency_refuses_what_cannot_tell(capsys, swinging):
-    code, _, err = run(capsys, "camera", "latency", swinging / "frames", "--poses", swinging / "still.csv")
-    assert code == 2
-    assert "Turn the camera left and right" in err
+def test_latency_refuses_what_cannot_tell(swinging):
+    said = refused("camera", "latency", swinging / "frames", "--poses", swinging / "still.csv")
+    assert "Turn the camera left and right" in said
 
 
 @pytest.mark.parametrize(
@@ -162,19 +125,9 @@ def test_latency_refuses_what_cannot_tell(capsys, swinging):
         (["latency", "frames"], "--poses"),
     ],
 )
-def test_mistakes_are_named(capsys, place, monkeypatch, words, says):
+def test_mistakes_are_named(place, monkeypatch, words, says):
     monkeypatch.chdir(place)
-    code, out, err = run(capsys, "camera", *words)
-    assert (code, out) == (2, "")
-    assert says in err
-
-
-def test_an_ideal_rig_is_the_default(capsys, tmp_path):
-    rig = dual_fisheye(256, 128)
-    Image.fromarray(seen_by(rig, painted_room(128, 256))[0]).save(tmp_path / "a.png")
-    code, _, err = run(capsys, "camera", "view", tmp_path / "a.png")
-    assert code == 0
-    assert "two ideal lenses of 200 degrees" in err
+    assert says in refused("camera", *words)
 
 
 RIG_OF_TWO = """
@@ -194,7 +147,7 @@ lenses:
 def two_cameras(tmp_path):
     """Writes rig.yaml, front.mp4 and back.mp4 of a body that turns by `step` between pictures; returns its poses."""
 
-    def made(step, count=16):
+    def made(step, count):
         (tmp_path / "rig.yaml").write_text(RIG_OF_TWO)
         with pytest.warns(UserWarning, match=r"lenses\[0\].position is ignored"):
             lenses = read_rig(tmp_path / "rig.yaml").lenses
@@ -220,40 +173,34 @@ def red_ball(pose):
 
 
 @pytest.mark.filterwarnings("ignore:lenses.0..position is ignored")
-def test_track_takes_a_folder_for_each_camera_of_a_rig(capsys, tmp_path, two_cameras):
+def test_track_takes_a_folder_for_each_camera_of_a_rig(tmp_path, two_cameras):
     """What belongs together has the same place in both."""
     poses, rig = two_cameras(0.16, 3), ("--rig", tmp_path / "rig.yaml")
     lines = [f"{0.5 * k},{math.degrees(0.16 * k)},0,0" for k in range(3)]
     (tmp_path / "poses.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg", *lines]))
     both = f"{tmp_path / 'front'},{tmp_path / 'back'}"
-    code, out, err = run(capsys, "track", both, "red", *rig, "--poses", tmp_path / "poses.csv", "--json")
-    assert code == 0, err
-    frames = json.loads(out)["frames"]
+    frames = answer("track", both, "red", *rig, "--poses", tmp_path / "poses.csv")["frames"]
     assert [each["frame"] for each in frames] == [f"{k}.png" for k in range(3)]
     for pose, each in zip(poses, frames, strict=True):
         assert abs(math.remainder(each["azimuth_deg"] - red_ball(pose), 360)) < 3
     (tmp_path / "back" / "2.png").unlink()
-    code, _, err = run(capsys, "track", both, "red", *rig)
-    assert (code, "hold different numbers of pictures: 3 in " in err) == (2, True)
-    code, _, err = run(capsys, "track", tmp_path / "front", "red", *rig)
-    assert (code, "give 2 folders with commas between" in err) == (2, True)
+    assert "hold different numbers of pictures: 3 in " in refused("track", both, "red", *rig)
+    assert "give 2 folders with commas between" in refused("track", tmp_path / "front", "red", *rig)
 
 
 @pytest.mark.filterwarnings("ignore:lenses.0..position is ignored")
-def test_locate_and_live_look_at_a_rig_of_ordinary_lenses(capsys, tmp_path, two_cameras):
-    poses, rig = two_cameras(0.16, 6), ("--rig", tmp_path / "rig.yaml", "--json")
+def test_locate_and_live_look_at_a_rig_of_ordinary_lenses(tmp_path, two_cameras):
+    poses, rig = two_cameras(0.16, 6), ("--rig", tmp_path / "rig.yaml")
     for kind in ("png", "mp4"):
         both = f"{tmp_path / 'front'}.{kind},{tmp_path / 'back'}.{kind}"
-        code, out, err = run(capsys, "locate", both, "red", *rig, "--picture", tmp_path / "drawn.png")
-        assert code == 0, err
-        found = json.loads(out)
+        found = answer("locate", both, "red", *rig, "--picture", tmp_path / "drawn.png")
         assert found["frame"] == f"front.{kind}, back.{kind}"
         assert abs(math.remainder(found["azimuth_deg"] - red_ball(poses[0]), 360)) < 3
         with Image.open(tmp_path / "drawn.png") as drawn:
             assert drawn.width > 240
-    assert run(capsys, "locate", tmp_path / "front.png", "red", *rig)[0] == 2
-    code, out, err = run(capsys, "live", both, "red", *rig, "--perception", "colour", "--fast")
-    assert code == 0, err
-    assert "6 pictures, 6 looks" in err
-    last = json.loads(out.splitlines()[-1])
+    refused("locate", tmp_path / "front.png", "red", *rig)
+    done = eagor("live", both, "red", *rig, "--perception", "colour", "--fast", "--json")
+    assert done.returncode == 0, done.stderr
+    assert "6 pictures, 6 looks" in done.stderr
+    last = json.loads(done.stdout.splitlines()[-1])
     assert abs(math.remainder(last["azimuth_deg"] - red_ball(poses[-1]), 360)) < 3

@@ -1,23 +1,22 @@
 """``eagor demo --photo``: a virtual camera in a photograph, and a report."""
 
-import json
 import math
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import ENVIRONMENT, answer, refused
 from PIL import Image
 
-from eagor.cli import demo_photo, main
+from eagor.cli import demo_photo
 from eagor.cli.terminal import RunError, UsageError
 from eagor.lab.worlds.painted import EYE, Room, bearing, painted_room
 from eagor.perception import load
 from eagor.perception.views import Detector
-from eagor.sphere import angular_distance, azimuth_elevation, direction
+from eagor.sphere import angular_distance, direction
 
 RED_BALL = bearing(Room().balls[0], EYE, np.eye(3))[0]
-LYTHWOOD = Path(__file__).parents[2] / ".." / "shared" / "panoramas" / "lythwood_room_1k.png"
 
 
 @pytest.fixture(scope="module")
@@ -27,24 +26,8 @@ def photo(tmp_path_factory):
     return path
 
 
-def test_the_camera_turns_all_around_and_tumbles():
-    poses = [pose.world_R_body for pose in demo_photo.poses()]
-    assert len(poses) == demo_photo.LOOKS
-    tilts = [math.degrees(math.acos(min(1.0, pose[2, 2]))) for pose in poses]
-    assert max(tilts[: demo_photo.LEVEL - 1]) < 1e-6
-    assert max(tilts) > demo_photo.TILT - 5
-    for azimuth in range(-180, 180, 30):  # wherever a thing is, the seam passes it
-        there = direction(math.radians(azimuth), 0.0)
-        seen = np.unwrap([float(azimuth_elevation(pose.T @ there)[0]) for pose in poses])
-        assert abs(seen[-1] - seen[0]) > math.tau
-
-
-def test_it_is_followed_in_the_frame_of_the_photograph_and_leaves_a_report(photo, tmp_path, capsys):
-    words = ["demo", "--photo", str(photo), "--query", "red ball", "--out", str(tmp_path), "--perception", "colour"]
-    assert main([*words, "--json"]) == 0
-    out, err = capsys.readouterr()
-    assert err == ""
-    found = json.loads(out)
+def test_it_is_followed_in_the_frame_of_the_photograph_and_leaves_a_report(photo, tmp_path):
+    found = answer("demo", "--photo", photo, "--query", "red ball", "--out", tmp_path, "--perception", "colour")
     assert (found["perception"], found["query"], found["looks"]) == ("colour", "red ball", demo_photo.LOOKS)
     for place in (found, found["places"][0]):
         there = direction(math.radians(place["azimuth_deg"]), math.radians(place["elevation_deg"]))
@@ -122,27 +105,12 @@ def test_a_thing_that_is_never_seen_ends_the_run():
         (["--photo", "PHOTO", "--query", "chair"], "no detector for 'chair' is installed"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_in_one_line(photo, tmp_path, monkeypatch, capsys, words, says):
-    monkeypatch.setenv("EAGOR_CACHE", str(tmp_path / "empty"))
+def test_what_cannot_be_shown_is_refused_in_one_line(photo, tmp_path, monkeypatch, words, says):
+    monkeypatch.setitem(ENVIRONMENT, "EAGOR_CACHE", str(tmp_path / "empty"))
     narrow = tmp_path / "narrow.png"
     Image.fromarray(painted_room(64, 128)[:, :90]).save(narrow)
-    given = {"PHOTO": str(photo), "NARROW": str(narrow)}
-    assert main(["demo", *(given.get(word, word) for word in words), "--out", str(tmp_path / "new")]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert says in err
-    assert "--force" not in err
-    assert len(err.splitlines()) == 1
+    given = {"PHOTO": photo, "NARROW": narrow}
+    line = refused("demo", *(given.get(word, word) for word in words), "--out", tmp_path / "new")
+    assert says in line
+    assert "--force" not in line
     assert not (tmp_path / "new").exists()
-
-
-@pytest.mark.registry
-@pytest.mark.skipif(not LYTHWOOD.is_file(), reason="the photographs are not beside this repository")
-@pytest.mark.slow
-def test_a_real_room_with_a_real_detector(coco_model, tmp_path, capsys):
-    assert main(["demo", "--photo", str(LYTHWOOD), "--out", str(tmp_path), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["perception"] == "coco"
-    assert found["query"] == "couch", "bed, the surest class, is found at four places"
-    assert found["status"] == "tracking"
-    assert found["seam_crossings"] >= 1

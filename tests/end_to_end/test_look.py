@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clips import clip
+from commands import answer, eagor, refused
 from PIL import Image
 
 from eagor.cameras import Lens, Rig
-from eagor.cli import checks, main
+from eagor.cli import checks
 from eagor.evidence import DetectorModel
 from eagor.grids import PerspectiveGrid
 from eagor.lab.worlds.painted import painted_room
@@ -25,6 +26,7 @@ from eagor.sphere import world_R_body
 ROWS, COUNT, RATE = 192, 8, 4
 POSES = [world_R_body(0.3 * k, 0.2 * math.sin(k), 0.1 * math.cos(k)) for k in range(COUNT)]
 MODEL = DetectorModel(detection_probability=0.8, spread=0.03)
+PAINTS = ("--perception", "paints")
 
 
 class Paints:
@@ -73,20 +75,6 @@ def film(tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def eagor(capsys):
-    """Run a command: (exit code, stdout, stderr)."""
-
-    def run(*words):
-        capsys.readouterr()
-        code = main([str(word) for word in words])
-        out, err = capsys.readouterr()
-        assert "Traceback" not in err
-        return code, out, err
-
-    return run
-
-
 def numbers(found):
     """All numbers in an answer, in their order; what is not known, and texts, as they are."""
     if isinstance(found, dict):
@@ -96,56 +84,58 @@ def numbers(found):
     return [found]
 
 
+def agree(found, wanted):
+    """Whether two answers say the same of each frame, up to rounding."""
+    pairs = zip(numbers(found["frames"]), numbers(wanted["frames"]), strict=True)
+    return all(a == pytest.approx(b, abs=2e-3) if isinstance(b, float) else a == b for a, b in pairs)
+
+
+def looked(source, looks, *words, code=0):
+    """What `eagor look` says when it writes a file of looks."""
+    done = eagor("look", source, "--out", looks, "--perception", "paints", *words)
+    assert done.returncode == code, done.stderr
+    return done
+
+
 @pytest.mark.parametrize("poses", ["auto", "csv"])
-def test_what_was_seen_once_answers_as_the_footage_does(paints, film, eagor, tmp_path, poses):
+def test_what_was_seen_once_answers_as_the_footage_does(paints, film, tmp_path, poses):
     looks, csv = tmp_path / "looks.jsonl", film.with_name("poses.csv")
     told = () if poses == "auto" else ("--poses", csv, "--rate", RATE)
-    code, out, err = eagor("look", film, "--out", looks, "--perception", "paints", *told)
-    assert code == 0, err
-    assert f'eagor track {looks} "marble"' in out
-    assert "black around a pole" in err
+    done = looked(film, looks, *told)
+    assert f'eagor track {looks} "marble"' in done.stdout
+    assert "black around a pole" in done.stderr
     assert '"valid_mask"' in looks.read_text()
     seen = paints.looks
-    answers = {}
-    for query in ("ball", "marbles", "door"):
-        code, out, err = eagor("track", looks, query, "--json")
-        assert code == 0, err
-        answers[query] = json.loads(out)
+    answers = {query: answer("track", looks, query) for query in ("ball", "marbles", "door")}
     assert paints.looks == seen, "no detector runs"
     for query, found in answers.items():
-        code, out, err = eagor("track", film, query, "--perception", "paints", "--json", *told)
-        assert code == 0, err
-        wanted = json.loads(out)
+        wanted = answer("track", film, query, "--perception", "paints", *told)
         assert found["perception"] == "paints"
         assert found["poses"] == wanted["poses"]
-        pairs = zip(numbers(found["frames"]), numbers(wanted["frames"]), strict=True)
-        assert all(a == pytest.approx(b, abs=2e-3) if isinstance(b, float) else a == b for a, b in pairs)
-    on_pictures = eagor("track", film, "ball", "--perception", f"replay:{looks}", "--json", *told)
-    assert on_pictures[0] == 0
+        assert agree(found, wanted)
+    answer("track", film, "ball", "--perception", f"replay:{looks}", *told)  # on its pictures, too
 
 
-def test_what_was_seen_is_listed_the_surest_first(paints, film, eagor, tmp_path):
+def test_what_was_seen_is_listed_the_surest_first(paints, film, tmp_path):
     looks = tmp_path / "looks.jsonl"
-    assert eagor("look", film, "--out", looks, "--perception", "paints", "--poses", "auto")[0] == 0
-    things = json.loads(eagor("track", looks, "--json")[1])["things"]
+    looked(film, looks, "--poses", "auto")
+    things = answer("track", looks)["things"]
     assert {each["query"] for each in things} == {"ball", "marble"}, "nobody has seen a door"
     sure = [each["within_15_deg"] for each in things]
     assert sure == sorted(sure, reverse=True)
     assert min(sure) > 0.5
-    last = json.loads(eagor("track", looks, things[0]["query"], "--json")[1])["frames"][-1]
+    last = answer("track", looks, things[0]["query"])["frames"][-1]
     assert things[0]["azimuth_deg"] == pytest.approx(last["azimuth_deg"], abs=1e-6)
     assert things[0]["presence"] == pytest.approx(last["presence"], abs=1e-6)
-    code, out, _ = eagor("track", looks)
-    assert code == 0
+    out = eagor("track", looks).stdout
     assert out.index(things[0]["query"]) < out.index(things[1]["query"])
 
 
-def test_questions_that_a_file_of_looks_cannot_answer_are_refused(paints, film, eagor, tmp_path):
-    looks, poseless = tmp_path / "looks.jsonl", tmp_path / "other.jsonl"
-    assert eagor("look", film, "--out", looks, "--perception", "paints", "--end", 0.6)[0] == 0
+def test_questions_that_a_file_of_looks_cannot_answer_are_refused(paints, film, tmp_path):
+    looks, poseless, headless = (tmp_path / f"{name}.jsonl" for name in ("looks", "other", "headless"))
+    looked(film, looks, "--end", 0.6)
     lines = [json.loads(line) for line in looks.read_text().splitlines()]
     poseless.write_text("\n".join(json.dumps(line | {"pose": None}) for line in lines) + "\n")
-    headless = tmp_path / "headless.jsonl"
     headless.write_text("\n".join(json.dumps(line) for line in lines[1:]) + "\n")
     for words, says in (
         ((looks, "sofa"), "the query 'sofa' names none of this detector's 3 classes"),
@@ -156,55 +146,45 @@ def test_questions_that_a_file_of_looks_cannot_answer_are_refused(paints, film, 
         ((poseless, "ball"), "has a look at 0 s without a pose"),
         ((headless, "ball"), "does not begin with a line about its footage"),
     ):
-        code, out, err = eagor("track", *words)
-        assert code == 2
-        assert out == ""
-        assert re.search(says, err), err
-    code, _, err = eagor("look", film, "--out", looks, "--perception", "paints", "--for", "ball")
-    assert code == 2
-    assert "sees all of its 3 classes at once" in err
+        assert re.search(says, refused("track", *words))
+    assert "sees all of its 3 classes at once" in looked(film, looks, "--for", "ball", code=2).stderr
 
 
-def test_a_detector_of_any_words_is_asked_once_and_knows_only_that(paints, film, eagor, tmp_path, monkeypatch):
+def test_a_detector_of_any_words_is_asked_once_and_knows_only_that(paints, film, tmp_path, monkeypatch):
     monkeypatch.setattr(Paints, "classes", None)
     looks = tmp_path / "looks.jsonl"
-    code, _, err = eagor("look", film, "--out", looks, "--perception", "paints", "--end", 0.6)
-    assert code == 2
-    assert "say what to look for: --for" in err
-    words = ("--end", 0.6, "--for", "ball", "marble")
-    assert eagor("look", film, "--out", looks, "--perception", "paints", *words)[0] == 0
-    code, out, _ = eagor("track", looks, "ball", "--json")
-    assert code == 0
-    assert json.loads(out)["frames"][-1]["azimuth_deg"] is not None
-    code, _, err = eagor("track", looks, "door")
-    assert code == 2
-    assert "That was never looked for, so nobody knows: eagor look" in err
-    assert len(json.loads(eagor("track", looks, "--json")[1])["things"]) == 2
+    assert "say what to look for: --for" in looked(film, looks, "--end", 0.6, code=2).stderr
+    looked(film, looks, "--end", 0.6, "--for", "ball", "marble")
+    assert answer("track", looks, "ball")["frames"][-1]["azimuth_deg"] is not None
+    assert "That was never looked for, so nobody knows: eagor look" in refused("track", looks, "door")
+    assert len(answer("track", looks)["things"]) == 2
 
 
-def test_a_frame_that_cannot_be_read_is_left_out_of_both(paints, eagor, tmp_path):
-    folder, looks = tmp_path / "frames", tmp_path / "looks.jsonl"
-    folder.mkdir()
-    room = painted_room(64, 128)
-    for k in range(4):
-        Image.fromarray(room).save(folder / f"{k}.png")
-    (folder / "2.png").write_bytes(b"no picture")
-    code, _, err = eagor("look", folder, "--out", looks, "--perception", "paints")
-    assert code == 3
-    assert "2.png is left out" in err
-    assert err.splitlines()[-1] == "eagor: 1 of 4 frames were left out"
-    code, out, err = eagor("track", looks, "ball", "--json")
-    assert code == 3
-    assert "3 looks of paints at frames, orientations from the pictures themselves; 1 more left out" in err
-    assert "2.png is left out" in err
-    assert [each["frame"] for each in json.loads(out)["frames"]] == ["0.png", "1.png", "2.png", "3.png"]
-
-
-def test_an_interruption_says_what_is_kept(paints, eagor, tmp_path, monkeypatch):
-    folder, looks = tmp_path / "frames", tmp_path / "looks.jsonl"
+@pytest.fixture
+def frames(tmp_path):
+    """A folder of four pictures."""
+    folder = tmp_path / "frames"
     folder.mkdir()
     for k in range(4):
         Image.fromarray(painted_room(64, 128)).save(folder / f"{k}.png")
+    return folder
+
+
+def test_a_frame_that_cannot_be_read_is_left_out_of_both(paints, frames, tmp_path):
+    looks = tmp_path / "looks.jsonl"
+    (frames / "2.png").write_bytes(b"no picture")
+    err = looked(frames, looks, code=3).stderr
+    assert "2.png is left out" in err
+    assert err.splitlines()[-1] == "eagor: 1 of 4 frames were left out"
+    done = eagor("track", looks, "ball", "--json")
+    assert done.returncode == 3
+    assert "3 looks of paints at frames, orientations from the pictures themselves; 1 more left out" in done.stderr
+    assert "2.png is left out" in done.stderr
+    assert [each["frame"] for each in json.loads(done.stdout)["frames"]] == ["0.png", "1.png", "2.png", "3.png"]
+
+
+def test_an_interruption_says_what_is_kept(paints, frames, tmp_path, monkeypatch):
+    looks = tmp_path / "looks.jsonl"
     seen, two = Detector.detect, [1, 2]
 
     def broken_off(self, *of):
@@ -214,29 +194,29 @@ def test_an_interruption_says_what_is_kept(paints, eagor, tmp_path, monkeypatch)
         return seen(self, *of)
 
     monkeypatch.setattr(Detector, "detect", broken_off)
-    code, out, err = eagor("look", folder, "--out", looks, "--perception", "paints", "--rate", 2)
-    assert (code, out) == (130, "")
-    assert err.splitlines()[-2:] == [f"eagor: kept: {looks}, 2 looks to 0.50 s", "eagor: interrupted"]
+    done = looked(frames, looks, "--rate", 2, code=130)
+    assert done.stdout == ""
+    assert done.stderr.splitlines()[-2:] == [f"eagor: kept: {looks}, 2 looks to 0.50 s", "eagor: interrupted"]
     assert len(looks.read_text().splitlines()) == 3, "the footage, and two looks"
 
 
-def test_where_no_picture_can_be_read_the_input_is_wrong(paints, eagor, tmp_path, monkeypatch):
+def test_where_no_picture_can_be_read_the_input_is_wrong(paints, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("text.png", "more.png"):
         (tmp_path / name).write_bytes(b"no picture")
     track = ("track", "text.png", "ball", "--out", "found.csv")
-    for words in (track, ("look", "text.png", "--out", "looks.jsonl", "--perception", "paints")):
-        code, _, err = eagor(*words)
-        assert code == 2
-        assert err.splitlines()[-1] == "eagor: error: the only frame could not be read; the reason is above"
-    assert "eagor: written: found.csv" in eagor(*track)[2]
-    code, _, err = eagor("track", "text.png", "more.png", "ball")
-    assert code == 2
-    assert err.splitlines()[-1] == "eagor: error: none of the 2 frames could be read; the reasons are above"
-    Image.fromarray(np.zeros((64, 128, 3), np.uint8)).save("text.png")
-    code, _, err = eagor(*track)
-    assert code == 1, "it can be read, but is black everywhere"
-    assert err.splitlines()[-1] == "eagor: error: the only frame could not be used; the reason is above"
+    for words, code, says in (
+        (track, 2, "the only frame could not be read; the reason is above"),
+        (("look", "text.png", "--out", "looks.jsonl", "--perception", "paints"), 2, "the only frame could not be read"),
+        (("track", "text.png", "more.png", "ball"), 2, "none of the 2 frames could be read; the reasons are above"),
+        (track, 1, "the only frame could not be used; the reason is above"),
+    ):
+        if code == 1:  # it can be read, but is black everywhere
+            Image.fromarray(np.zeros((64, 128, 3), np.uint8)).save("text.png")
+        done = eagor(*words)
+        assert done.returncode == code
+        assert done.stderr.splitlines()[-1].startswith(f"eagor: error: {says}")
+        assert ("eagor: written: found.csv" in done.stderr) == (words == track)
 
 
 LENS = Lens("phone", (320, 240), (160.0, 158.0), (165.0, 117.0), (-0.2, 0.05, 0.002, -0.001))
@@ -250,7 +230,7 @@ LENS = Lens("phone", (320, 240), (160.0, 158.0), (165.0, 117.0), (-0.2, 0.05, 0.
     ],
     ids=["hfov", "camera"],
 )
-def test_an_ordinary_camera_is_looked_with_as_well(paints, eagor, tmp_path, monkeypatch, told, view):
+def test_an_ordinary_camera_is_looked_with_as_well(paints, tmp_path, monkeypatch, told, view):
     monkeypatch.chdir(tmp_path)
     write_rig(Rig((LENS.size,), (LENS,)), "phone.yaml")
     room = painted_room(256, 512)
@@ -258,17 +238,13 @@ def test_an_ordinary_camera_is_looked_with_as_well(paints, eagor, tmp_path, monk
     for k in range(3):
         shown = replace(view, body_R_view=world_R_body(-0.6 + 0.1 * k))
         Image.fromarray(cut(room, shown)[0]).save(f"frames/{k}.png")
-    told = ("--perception", "paints", *told)
-    code, _, err = eagor("look", "frames", "--out", "looks.jsonl", *told)
-    assert code == 0, err
-    found, wanted = (eagor("track", *words, "--json") for words in (("looks.jsonl", "ball"), ("frames", "ball", *told)))
-    assert (found[0], wanted[0]) == (0, 0), found[2] + wanted[2]
-    assert json.loads(wanted[1])["frames"][-1]["presence"] > 0.9
-    pairs = zip(*(numbers(json.loads(each[1])["frames"]) for each in (found, wanted)), strict=True)
-    assert all(a == pytest.approx(b, abs=2e-3) if isinstance(b, float) else a == b for a, b in pairs)
+    looked("frames", "looks.jsonl", *told)
+    found, wanted = answer("track", "looks.jsonl", "ball"), answer("track", "frames", "ball", *told, *PAINTS)
+    assert wanted["frames"][-1]["presence"] > 0.9
+    assert agree(found, wanted)
 
 
-def test_things_that_stand_stay_where_they_were_seen(eagor, tmp_path):
+def test_things_that_stand_stay_where_they_were_seen(tmp_path):
     """A ball ahead, seen three times; then a minute of looks back, at nothing."""
     ahead, back = ({"projection": "perspective", "width": 320, "height": 240, "hfov_deg": 70, "yaw_left_deg": yaw}
                    for yaw in (0, 180))  # fmt: skip
@@ -284,9 +260,7 @@ def test_things_that_stand_stay_where_they_were_seen(eagor, tmp_path):
     Calibrated("paints", None, {"wander": (0.1, 0.3), "start": 0.05}, {}, DetectorModel()).write(fitted)
     grown = []
     for options in ((), ("--static",), ("--static", "--calibration", fitted)):
-        code, out, err = eagor("track", file, "ball", "--json", *options)
-        assert code == 0, err
-        frames = json.loads(out)["frames"]
+        frames = answer("track", file, "ball", *options)["frames"]
         grown.append(frames[-1]["credible_angle_deg"] - frames[2]["credible_angle_deg"])
     assert grown[0] > 1
     assert grown[1] <= 0

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import transformers
 import vlm_models
+from commands import answer, eagor, refused
 from contract_server import ContractServer, Reply, reddish
 from PIL import Image
 
 from eagor.belief import Belief
-from eagor.cli import main
 from eagor.errors import FormatError
 from eagor.grids import ErpGrid, PerspectiveGrid
 from eagor.harmonics import RealHarmonics
@@ -32,7 +32,6 @@ EXAMPLES = [
     Labelled(vlm_models.marked(*place, seed=index), "red thing", np.asarray(direction(*place)), 0.3)
     for index, place in enumerate([(0.5, 0.2), (-1.2, -0.3), (2.5, 0.1), (-2.8, 0.4), (1.5, 0.0), (-0.4, -0.1)])
 ]
-RUNS = {"waypoint": "leg_steps=4", "navigation": "max_steps=3", "tracking": "steps=6"}
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -76,67 +75,31 @@ def panorama(tmp_path_factory):
     return file
 
 
-@pytest.fixture
-def eagor(capsys):
-    """Runs a command in this process: exit code, stdout, stderr."""
-
-    def run(*words):
-        code = main([str(word) for word in words])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
-
-
-@pytest.fixture
-def refused(eagor):
-    """The line that says why a command came to nothing."""
-
-    def run(code, *words):
-        found, out, err = eagor(*words)
-        assert (found, out) == (code, ""), err
-        assert "Traceback" not in err
-        assert err.splitlines()[-1].startswith("eagor: error: ")
-        return err.splitlines()[-1]
-
-    return run
-
-
-@pytest.fixture(scope="module")
-def nobody():
-    """An address at which no server is."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"http://127.0.0.1:{free.getsockname()[1]}/v1?retries=0&backoff=0&timeout=5"
+def off(found):
+    """Radians between an answer and the red thing of the panorama."""
+    there = direction(math.radians(found["azimuth_deg"]), math.radians(found["elevation_deg"]))
+    return float(angular_distance(there, direction(math.radians(60), math.radians(10))))
 
 
 # --- locate ----------------------------------------------------------------------------------------------------------
 
 
 @families
-def test_locate_points_at_what_the_planted_head_looks_at(eagor, planted, panorama, family):
+def test_locate_points_at_what_the_planted_head_looks_at(planted, panorama, family):
     folder = planted(family)
     spec = f"{folder}?extractor=attention&presence=false&heads={folder / 'heads.json'}"
     spec += f"&pixels={vlm_models.PIXELS[family]}" if family in vlm_models.PIXELS else ""
-    code, out, err = eagor("locate", panorama, "red thing", "--perception", spec, "--json")
-    assert (code, err) == (0, "")
-    found = json.loads(out)
-    answer = direction(math.radians(found["azimuth_deg"]), math.radians(found["elevation_deg"]))
+    found = answer("locate", panorama, "red thing", "--perception", spec)
     rows, cols = load(spec).loaded.plan(2.0).shape
     assert found["source"]["family"] == family
     assert found["source"]["model"] == str(folder)
-    half = math.hypot(math.pi / rows, 2 * math.pi / cols) / 2
-    assert angular_distance(answer, direction(math.radians(60), math.radians(10))) < 1.1 * half
+    assert off(found) < 1.1 * math.hypot(math.pi / rows, 2 * math.pi / cols) / 2
 
 
-def test_locate_asks_a_server(eagor, panorama):
+def test_locate_asks_a_server(panorama):
     with ContractServer(reddish, ("qwen2.5-vl-7b",)) as server:
         spec = f"endpoint:qwen2.5-vl-7b@{server.url}?pixels=56448"
-        code, out, _ = eagor("locate", panorama, "red thing", "--perception", spec, "--json")
-    found = json.loads(out)
-    assert code == 0
-    assert found["azimuth_deg"] == pytest.approx(60, abs=3)
-    assert found["elevation_deg"] == pytest.approx(10, abs=3)
+        assert off(answer("locate", panorama, "red thing", "--perception", spec)) < math.radians(3)
 
 
 # --- one ordinary picture --------------------------------------------------------------------------------------------
@@ -177,20 +140,16 @@ def records(folder):
     return [json.loads(line) for file in files for line in file.read_text().splitlines() if line]
 
 
-@pytest.mark.parametrize(
-    "task", ["navigation", *(pytest.param(task, marks=pytest.mark.slow) for task in ("waypoint", "tracking"))]
-)
-def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
+def test_a_run_with_a_model(planted, tmp_path, monkeypatch):
     loads, really = [], local.load_model
     monkeypatch.setattr(
         local, "load_model", lambda name, *more, **rest: loads.append(name) or really(name, *more, **rest)
     )
     folder = planted(QWEN)
     spec = f"{folder}?{SMALL}&heads={folder / 'heads.json'}"
-    words = ("bench", "run", task, "--perception", spec, "--seed", "3", "--set", RUNS[task], "--out", tmp_path / "run")
-    code, out, err = eagor(*words, "--episodes", "1", "--methods", "plain", "eagor", "--json")
-    assert code == 0, err
-    assert set(json.loads(out)["methods"]) == {"plain", "eagor"}
+    words = ("bench", "run", "navigation", "--perception", spec, "--seed", "3", "--set", "max_steps=3")
+    words += ("--out", tmp_path / "run", "--episodes", "1", "--methods", "plain", "eagor")
+    assert set(answer(*words)["methods"]) == {"plain", "eagor"}
     assert loads == [str(folder)]  # once, for all episodes
     assert json.loads((tmp_path / "run" / "run.json").read_text())["rows"] == 112
     found = [r for r in records(tmp_path / "run") if r.get("status") == "ok"]
@@ -202,14 +161,13 @@ def test_a_run_with_a_model(eagor, planted, tmp_path, monkeypatch, task):
         assert account["looks"] > 0
         assert account["milliseconds"] > 0
         assert account["source"]["revision"].startswith("folder:")
-    code, out, _ = eagor("bench", "report", tmp_path / "run", "--json")
+    answer("bench", "report", tmp_path / "run")
     page = (tmp_path / "run" / "report.html").read_text()
-    assert code == 0
     assert str(folder) in page
     assert "ms each on average" in page
 
 
-def test_a_run_with_a_server_survives_an_answer_that_cannot_be_read(eagor, tmp_path, monkeypatch):
+def test_a_run_with_a_server_survives_an_answer_that_cannot_be_read(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     asked = []
 
@@ -220,25 +178,24 @@ def test_a_run_with_a_server_survives_an_answer_that_cannot_be_read(eagor, tmp_p
 
     with ContractServer(mumbling, ("qwen2.5-vl-7b",)) as server:
         spec = f"endpoint:qwen2.5-vl-7b@{server.url}?{SMALL}"
-        words = ("bench", "run", "tracking", "--perception", spec, "--seed", "3", "--set", "steps=12", "--json")
-        code, out, err = eagor(*words, "--episodes", "1", "--methods", "plain", "eagor")
-    assert code == 0, err
+        words = ("bench", "run", "tracking", "--perception", spec, "--seed", "3", "--set", "steps=12")
+        found = answer(*words, "--episodes", "1", "--methods", "plain", "eagor")
     where = tmp_path / "runs" / "tracking-endpoint-qwen2.5-vl-7b-3"
-    assert json.loads(out)["out"] == str(where.relative_to(tmp_path))
+    assert found["out"] == str(where.relative_to(tmp_path))
     (record,) = (r for r in records(where) if r.get("status") == "ok")
     assert record["looked"]["unread"] >= 1
     assert 12 <= record["looked"]["looks"] <= 13
     assert record["looked"]["source"]["served_as"] == "qwen2.5-vl-7b"
 
 
-def test_a_run_of_nothing_but_unreadable_answers_fails(eagor, tmp_path):
+def test_a_run_of_nothing_but_unreadable_answers_fails(tmp_path):
     with ContractServer(lambda request: "the weather is fine", ("qwen2.5-vl-7b",)) as server:
         spec = f"endpoint:qwen2.5-vl-7b@{server.url}?{SMALL}"
         words = ("bench", "run", "tracking", "--perception", spec, "--seed", "3", "--set", "steps=4")
-        code, _, err = eagor(*words, "--episodes", "1", "--methods", "plain", "--out", tmp_path / "run")
-    assert code == 1
-    assert "answers could not be read; the last: " in err
-    assert "no episode could be run" in err.splitlines()[-1]
+        done = eagor(*words, "--episodes", "1", "--methods", "plain", "--out", tmp_path / "run")
+    assert done.returncode == 1
+    assert "answers could not be read; the last: " in done.stderr
+    assert "no episode could be run" in done.stderr.splitlines()[-1]
 
 
 def test_the_plain_model_is_compared_where_a_model_looks(monkeypatch):
@@ -272,20 +229,23 @@ def test_names_of_runs_and_files(spec, name, model):
 # --- what goes wrong -------------------------------------------------------------------------------------------------
 
 
-def test_servers_that_are_not_there(refused, panorama, tmp_path, nobody):
-    spec = f"endpoint:qwen2.5-vl@{nobody}"
-    assert "no server answers at" in refused(1, "locate", panorama, "red thing", "--perception", spec)
-    words = ("bench", "run", "tracking", "--episodes", "1", "--out", tmp_path / "run", "--perception", spec)
-    assert "no server answers at" in refused(1, *words)  # before anything is rendered or recorded
-    assert not (tmp_path / "run").exists()
+def test_servers_that_are_not_there(panorama, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    spec = f"endpoint:qwen2.5-vl@http://{address}/v1?retries=0&backoff=0&timeout=5"
+    words = ("bench", "run", "tracking", "--episodes", "1", "--out", tmp_path / "run")
+    for command in (("locate", panorama, "red thing"), words):
+        assert "no server answers at" in refused(*command, "--perception", spec, code=1)
+    assert not (tmp_path / "run").exists(), "it is said before anything is rendered or recorded"
 
 
-def test_a_model_that_the_server_lacks(refused, panorama, tmp_path):
+def test_a_model_that_the_server_lacks(panorama, tmp_path):
     with ContractServer(reddish, ("llava",)) as server:
         server.lasting = "404 model"
         spec = f"endpoint:qwen@{server.url}?retries=0"
         words = ("bench", "run", "tracking", "--episodes", "1", "--out", tmp_path / "run", "--perception", spec)
-        for line in (refused(2, *words), refused(2, "locate", panorama, "red thing", "--perception", spec)):
+        for line in (refused(*words), refused("locate", panorama, "red thing", "--perception", spec)):
             assert "has no model 'qwen'" in line
             assert "it has 'llava'" in line
 
@@ -306,25 +266,19 @@ def labels(folder, count=12):
 
 
 @pytest.mark.parametrize(("how", "pixels", "limit"), [("attention", 168 * 336, 23), ("views", 224 * 224, 12)])
-def test_heads_are_found_in_pictures_of_ones_own(eagor, planted, panorama, tmp_path, how, pixels, limit):
+def test_heads_are_found_in_pictures_of_ones_own(planted, panorama, tmp_path, how, pixels, limit):
     folder, out = planted(QWEN), tmp_path / "heads.json"
     spec = f"{folder}?extractor={how}&presence=false&pixels={pixels}"
-    code, text, err = eagor(
-        "calibrate", "heads", "--perception", spec, "--labels", labels(tmp_path), "--take", "1", "--out", out, "--json"
-    )
-    assert (code, err) == (0, "")
-    found = json.loads(text)
+    words = ("calibrate", "heads", "--perception", spec, "--labels", labels(tmp_path), "--take", "1", "--out", out)
+    found = answer(*words)
     assert found["heads"] == [list(vlm_models.HEAD)]
     assert (found["found_by"]["panoramas"], found["found_by"]["held_out"]["panoramas"]) == (8, 4)
     assert found["found_by"]["held_out"]["median_error_deg"] < limit
-    code, text, _ = eagor("locate", panorama, "red thing", "--perception", f"{spec}&heads={out}", "--json")
-    assert code == 0
-    answer = json.loads(text)
-    there = direction(math.radians(answer["azimuth_deg"]), math.radians(answer["elevation_deg"]))
-    assert math.degrees(angular_distance(there, direction(math.radians(60), math.radians(10)))) < limit
+    located = answer("locate", panorama, "red thing", "--perception", f"{spec}&heads={out}")
+    assert math.degrees(off(located)) < limit
 
 
-def test_heads_are_found_in_apartments(eagor, planted, tmp_path, monkeypatch):
+def test_heads_are_found_in_apartments(planted, tmp_path, monkeypatch):
     """With a model that looks at the thing asked for, wherever it is."""
     really = LanguageModel.observe
 
@@ -337,14 +291,14 @@ def test_heads_are_found_in_apartments(eagor, planted, tmp_path, monkeypatch):
     monkeypatch.setattr(LanguageModel, "observe", knowing)
     monkeypatch.chdir(tmp_path)
     words = ("calibrate", "heads", "--perception", f"{planted(QWEN)}?{SMALL}", "--episodes", "3", "--seed", "5")
-    code, out, err = eagor(*words)
-    assert code == 0, err
+    done = eagor(*words)
+    assert done.returncode == 0, done.stderr
     file = tmp_path / "heads-tiny-qwen2_5_vl.json"
     assert json.loads(file.read_text())["heads"][0] == list(vlm_models.HEAD)
-    assert f"?heads={file.name}&{SMALL}" in out
+    assert f"?heads={file.name}&{SMALL}" in done.stdout
 
 
-def test_a_model_that_looks_at_nothing_has_no_heads(refused, planted, tmp_path, monkeypatch):
+def test_a_model_that_looks_at_nothing_has_no_heads(planted, tmp_path, monkeypatch):
     really = LanguageModel.observe
 
     def blind(self, example, view=None):
@@ -355,23 +309,22 @@ def test_a_model_that_looks_at_nothing_has_no_heads(refused, planted, tmp_path, 
 
     monkeypatch.setattr(LanguageModel, "observe", blind)
     words = ("calibrate", "heads", "--perception", planted(QWEN), "--labels", labels(tmp_path, 3))
-    assert "looks at the labelled targets more than elsewhere" in refused(1, *words)
+    assert "looks at the labelled targets more than elsewhere" in refused(*words, code=1)
 
 
-def test_heads_of_what_has_none_are_refused(refused, planted, tmp_path):
+def test_heads_of_what_has_none_are_refused(planted, tmp_path):
     for spec in ("scout", "endpoint:qwen"):
-        assert "no attention heads" in refused(2, "calibrate", "heads", "--perception", spec)
+        assert "no attention heads" in refused("calibrate", "heads", "--perception", spec)
     words = ("calibrate", "heads", "--perception", f"{planted(QWEN)}?{SMALL}")
-    assert "results" in refused(2, *words, "--seed", "2000")
-    assert "--take 0" in refused(2, *words, "--take", "0")
-    assert "cannot be read" in refused(2, *words, "--labels", tmp_path / "none.jsonl")
-    assert "calibrate heads" in refused(2, "calibrate", "--labels", tmp_path / "none.jsonl")
+    assert "results" in refused(*words, "--seed", "2000")
+    assert "--take 0" in refused(*words, "--take", "0")
+    assert "cannot be read" in refused(*words, "--labels", tmp_path / "none.jsonl")
+    assert "calibrate heads" in refused("calibrate", "--labels", tmp_path / "none.jsonl")
     localiser = vlm_models.make("owlv2", tmp_path / "owl")
-    assert "no attention heads" in refused(2, "calibrate", "heads", "--perception", localiser, "--episodes", "1")
+    assert "no attention heads" in refused("calibrate", "heads", "--perception", localiser, "--episodes", "1")
     heads = planted(QWEN) / "heads.json"
-    assert "which reads boxes" in refused(
-        2, "locate", "x.png", "red", "--perception", f"{planted(QWEN)}?extractor=boxes&heads={heads}"
-    )
+    spec = f"{planted(QWEN)}?extractor=boxes&heads={heads}"
+    assert "which reads boxes" in refused("locate", "x.png", "red", "--perception", spec)
 
 
 def test_labels_of_apartments_point_at_the_thing(monkeypatch):
@@ -448,7 +401,7 @@ def test_labels_that_are_none(tmp_path, line, says):
         next(read_labelled(file, read_panorama))
 
 
-def test_an_old_transformers_is_named(refused, planted, panorama, monkeypatch):
+def test_an_old_transformers_is_named(planted, panorama, monkeypatch):
     folder = planted(QWEN)
     monkeypatch.setattr(sys.modules["transformers"], "__version__", "5.23.0")  # which is not always what was imported
-    assert "transformers 5.24 or newer" in refused(2, "locate", panorama, "red", "--perception", folder)
+    assert "transformers 5.24 or newer" in refused("locate", panorama, "red", "--perception", folder)

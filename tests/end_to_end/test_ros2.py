@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from eagor.cli import main
 from eagor.robots.dds import free_domain
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 has wheels for x86-64 Linux alone")
@@ -154,7 +155,7 @@ def test_a_turning_robot_two_queries_and_a_camera_that_dies_and_comes_back(start
     robot = start(transport="compressed")
     node = start(*CAMERA, *RED, "-p", "image_transport:=compressed", "-p", "rate:=20")
     listener.until(listener.tracks)
-    listener.until(lambda: len(listener.answers) > 100)
+    listener.until(lambda: len(listener.answers) > 40)
     known = [each for tick in listener.answers for each in tick if each["direction"] is not None]
     placed = [each for each in known if each["stamp_ns"] in yaws]  # stamps are those of the odometry, to the nanosecond
     assert len(placed) > 0.9 * len(known)
@@ -285,17 +286,14 @@ def test_the_life_of_a_node_and_what_it_refuses(start, listener, domain):
         (["-p", "queries:=[broken"], "queries:=[broken"),
     ],
 )
-def test_what_cannot_be_is_said_at_once(domain, arguments, said):
-    command = [sys.executable, "-m", "eagor", "ros", "--ros-args", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 2
-    assert said in done.stderr
+def test_what_cannot_be_is_said_at_once(domain, capfd, arguments, said):
+    assert main(["ros", "--ros-args", *arguments]) == 2
+    assert said in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("now", "text", "after"),
     [
-        (["a"], "red chair", ["red chair"]),
         (["a"], " red chair ;blue ball\n", ["red chair", "blue ball"]),
         (["a"], "+blue ball", ["a", "blue ball"]),
         (["a", "b"], "-a; +c", ["b", "c"]),
@@ -349,10 +347,7 @@ def test_the_markers_stand_about_the_direction():
     assert {each.ns for each in (arrow, cone, words)} == {"red ball"}
 
 
-@pytest.mark.parametrize(
-    ("kind", "rosbags"),
-    [("odom", True), ("odom", False), ("pose", True), ("pose_with_covariance", True), ("imu", False)],
-)
+@pytest.mark.parametrize(("kind", "rosbags"), [("pose_with_covariance", True), ("imu", False)])
 def test_poses_of_each_kind(start, kind, rosbags, monkeypatch):
     """Also where rclpy alone is there to make the messages."""
     from eagor.robots.ros import RosPoses, topics

@@ -153,15 +153,6 @@ def test_plots_are_told_in_words(page: Watched) -> None:
     assert "You look" in page.locator("#stage-looking").text_content()
 
 
-@pytest.mark.slow
-def test_other_methods_are_drawn_by_choice(page: Watched) -> None:
-    page.locator(".rivals summary").click()
-    before = pixels(page, ".flat-frame")
-    page.get_by_role("button", name="the centroid").click()
-    page.locator(".rivals summary").click()
-    assert np.abs(pixels(page, ".flat-frame") - before).max() > 60
-
-
 def test_a_graphics_driver_that_starts_anew_is_survived(page: Watched) -> None:
     before = pixels(page, ".flat-frame")
     page.evaluate("""() => Promise.all(Array.from(document.querySelectorAll("canvas"), (canvas) => {
@@ -208,18 +199,6 @@ def test_a_phone_has_it_all_below_each_other(open_page: Callable[..., Watched], 
     phone.kept("export-phone", full_page=True)
     assert phone.errors == []
     phone.context.close()
-
-
-@pytest.mark.slow
-def test_a_large_screen_is_used(open_page: Callable[..., Watched], page: Watched) -> None:
-    large = open_page(3840, 2160, color_scheme="dark")
-    large.goto(page.url)
-    large.until("window.eagorStudio?.store.drawn")
-    assert large.evaluate("parseFloat(getComputedStyle(document.body).fontSize)") >= 22
-    assert large.locator(".look").bounding_box()["height"] > 850
-    large.kept("export-4k")
-    assert large.errors == []
-    large.context.close()
 
 
 def test_an_episode_that_cannot_be_read_is_said_so(open_page: Callable[..., Watched], tmp_path: Path) -> None:

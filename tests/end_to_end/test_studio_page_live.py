@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-import json
 import math
-import re
-import subprocess
-import sys
-import time
-import urllib.request
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from clips import clip
+import studio_serving
 from PIL import Image
+from studio_serving import Served
 
 from eagor.cli import main
 from eagor.sphere import angular_distance
-from tests.studio_pages import PATIENCE, Watched, browser, in_order, need_browser, serious, tabbed
+from tests.studio_pages import Watched, browser, in_order, need_browser, serious, tabbed
 
 pytestmark = pytest.mark.xdist_group("real time")
-
-COMMAND = (sys.executable, "-m", "eagor")
 
 
 @dataclass
 class Studio:
-    """A studio that runs: its address, its process, a browser's page on it, a picture to drop."""
+    """A studio that runs, a browser's page on it, a picture to drop."""
 
-    address: str
-    process: subprocess.Popen[str]
+    served: Served
     page: Watched
     picture: Path
 
@@ -60,33 +51,12 @@ def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
     for index in range(3):
         room(70).save(folder / "frames" / f"{index:03}.png")
     room(40).save(folder / "room.png")
-    options = ("--port", "0", "--runs", str(folder / "runs"), "--source", str(folder / "frames"), "--poses", "still",
-               "--query", "red ball", "--perception", "colour")  # fmt: skip
-    with subprocess.Popen([*COMMAND, "studio", *options], stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            told = process.stdout.readline()
-            found = re.search(r"http://\S+", told)
-            assert found, told
-            warm(found[0], process)
-            with browser() as opened:
-                page = opened(1440, 900, color_scheme="dark")
-                page.goto(found[0])
-                yield Studio(found[0], process, page, folder / "room.png")
-        finally:
-            process.terminate()
-
-
-def warm(address: str, process: subprocess.Popen[str]) -> None:
-    """Wait until the server answers."""
-    end = time.monotonic() + 2 * PATIENCE
-    while True:
-        assert process.poll() is None, "the server has ended"
-        assert time.monotonic() < end, "the server is never ready"
-        with suppress(OSError), urllib.request.urlopen(address + "api/state") as answer:
-            if json.load(answer)["ready"]:
-                return
-        time.sleep(0.2)
+    options = ("--runs", folder / "runs", "--source", folder / "frames", "--poses", "still", "--query", "red ball",
+               "--perception", "colour")  # fmt: skip
+    with studio_serving.studio(*options) as served, browser() as opened:
+        page = opened(1440, 900, color_scheme="dark")
+        page.goto(served.ready().address)
+        yield Studio(served, page, folder / "room.png")
 
 
 def go(studio: Studio, view: str) -> Watched:
@@ -204,16 +174,6 @@ def test_a_run_without_results_shows_nothing_of_the_one_before_and_says_why(stud
     page.errors[:] = [error for error in page.errors if "status of 4" not in error]  # Chromium tells of refusals
 
 
-@pytest.mark.slow
-def test_a_folder_without_runs_says_how_to_make_one(studio: Studio) -> None:
-    page = go(studio, "run")
-    empty = json.dumps({"folder": "/nowhere/runs", "runs": []})
-    page.route("**/api/runs*", lambda route: route.fulfill(status=200, content_type="application/json", body=empty))
-    page.get_by_role("button", name="Look for new runs").click()
-    page.until("document.body.textContent.includes('eagor bench run navigation --out runs/first')")
-    page.unroute("**/api/runs*")
-
-
 def test_a_picture_is_opened_by_keyboard_and_looked_at(studio: Studio) -> None:
     page = go(studio, "picture")
     page.get_by_label("Where is the").fill("")
@@ -239,23 +199,6 @@ def test_a_picture_is_opened_by_keyboard_and_looked_at(studio: Studio) -> None:
     page.kept("picture")
 
 
-@pytest.mark.slow
-def test_a_video_is_dropped_and_paused(studio: Studio, tmp_path: Path) -> None:
-    page = go(studio, "picture")
-    page.get_by_label("Perception").select_option("colour")
-    page.set_input_files("#file", str(clip(tmp_path / "walk.mp4", [np.asarray(room(60))] * 40, rate=10)))
-    page.get_by_label("Where is the").fill("red ball")
-    page.keyboard.press("Enter")
-    assert away(answer(page), 60) < 8
-    page.get_by_role("button", name="Pause").press("Space")
-    page.page.wait_for_timeout(1000)
-    number = page.summary()["number"]
-    page.page.wait_for_timeout(1000)
-    assert page.summary()["number"] == number
-    page.get_by_role("button", name="Go on").press("Space")
-    page.until(f"window.eagorStudio.summary.number > {number}")
-
-
 def test_what_is_no_picture_is_refused_in_words(studio: Studio, tmp_path: Path) -> None:
     page = go(studio, "picture")
     (tmp_path / "note.png").write_text("no picture")
@@ -268,8 +211,8 @@ def test_what_is_no_picture_is_refused_in_words(studio: Studio, tmp_path: Path) 
 def test_the_page_is_small_and_asks_only_its_server(studio: Studio) -> None:
     page = studio.page
     assert page.errors == []
-    host = studio.address.removeprefix("http:").rstrip("/")
-    assert all(url.startswith(("data:", "blob:")) or url.split(":", 1)[1].startswith(host) for url in page.asked)
+    own = f"//{studio.served.host}"
+    assert all(url.startswith(("data:", "blob:")) or url.split(":", 1)[1].startswith(own) for url in page.asked)
     size = page.evaluate(
         "performance.getEntriesByType('resource').filter(({ name }) => name.includes('/assets/'))"
         ".reduce((sum, one) => sum + one.decodedBodySize, 0)"
@@ -281,6 +224,6 @@ def test_the_page_is_small_and_asks_only_its_server(studio: Studio) -> None:
 def test_a_server_that_goes_is_said_so(studio: Studio) -> None:
     page = go(studio, "walk")
     page.until("window.eagorStudio.store.step")
-    studio.process.terminate()
+    studio.served.process.terminate()
     page.until("document.querySelector('.problems').textContent.includes('does not answer')")
     assert page.get_by_role("button", name="Try now").count() == 1

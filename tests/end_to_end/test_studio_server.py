@@ -163,32 +163,34 @@ def test_files_that_are_no_pictures_are_refused(served, content):
     assert "no picture" in refused(answer, 415)
 
 
+def sent(served, request, header):
+    """The first line of the answer to a request that no client would make."""
+    with socket.create_connection(("127.0.0.1", httpx.URL(served.address).port), timeout=60) as line:
+        line.sendall(f"{request}\r\nHost: {served.host}\r\n{header}\r\n\r\n".encode())
+        return line.recv(4096).split(b"\r\n")[0]
+
+
 def test_files_that_are_too_large_are_refused_before_they_come(served):
     buffer = io.BytesIO()
     Image.new("L", (16000, 8000)).save(buffer, "PNG")
     assert "million" in refused(served.http.post("/api/pictures", content=buffer.getvalue()), 413)
-    with socket.create_connection(("127.0.0.1", httpx.URL(served.address).port), timeout=60) as line:
-        host = served.address.removeprefix("http://").rstrip("/")
-        lines = ["POST /api/pictures HTTP/1.1", f"Host: {host}", f"Content-Length: {1 << 40}", "", "x"]
-        line.sendall("\r\n".join(lines).encode())
-        assert b" 413 " in line.recv(4096)
+    assert b" 413 " in sent(served, "POST /api/pictures HTTP/1.1", f"Content-Length: {1 << 40}\r\n\r\nx")
 
 
-def test_what_a_page_may_not_open_is_refused_in_words(served):
-    with served.page() as page:
-        for source, says in (
-            ("upload:../../etc/passwd", "not here"), ("live", "no such source"), ("/etc", "no such source"),
-            ("apartment:99999", "no such source"),
-        ):  # fmt: skip
-            page.say(type="open", source=source, query="chair")
-            assert says in page.hear()["problem"]
-
-
-def test_the_page_opens_on_a_source_and_asks_for_the_lens_of_an_ordinary_camera(tmp_path):
+def test_without_the_token_nothing_is_shown_and_with_it_the_page_opens_on_a_source(tmp_path):
+    """It asks for the lens of an ordinary camera. At its end no process is left."""
     Image.new("RGB", (64, 48), (200, 30, 30)).save(tmp_path / "0.png")
-    options = ("--query", "red", "--perception", "colour", "--poses", "still")
+    token = "a-token-that-is-long-enough"
+    options = ("--query", "red", "--perception", "colour", "--poses", "still", "--token", token, "--host", "0.0.0.0")
     with studio("--source", tmp_path, *options) as served:
-        assert served.http.get("/api/state").json()["opens"] == "live"
+        assert served.address.endswith(f"?token={token}")
+        assert served.http.get("/").status_code == 200  # the page itself tells nothing
+        refused(served.http.get("/api/state"), 401)
+        refused(served.http.get("/api/state", params={"token": "wrong"}), 401)
+        with pytest.raises(InvalidStatus), connect(served.socket.partition("?")[0]):
+            pass
+        assert served.http.get("/api/runs", params={"token": token}).status_code == 200  # a process of its own tells
+        assert served.http.get("/api/state", params={"token": token}).json()["opens"] == "live"
         with served.page() as page:
             page.say(type="open", source="live")
             said = next(header for header in iter(page.hear, None) if header["type"] == "problem")
@@ -202,6 +204,9 @@ def test_the_page_opens_on_a_source_and_asks_for_the_lens_of_an_ordinary_camera(
             page.until("scene")
             assert page.until("step")["estimate"]["direction"] is not None
             assert {*page.blobs} >= {"panorama", "belief"}
+        started = children(served.process.pid)
+        served.process.terminate()
+        wait_for(lambda: not any(Path(f"/proc/{each}/cmdline").exists() for each in started))  # nothing is left
 
 
 # --- runs ---
@@ -245,10 +250,7 @@ def test_names_that_are_no_runs_lead_nowhere(served, name):
 
 @pytest.mark.parametrize("path", ["/assets/../runs.py", "/assets/%2e%2e/runs.py", "/assets/..%2fruns.py", "/.."])
 def test_assets_lead_nowhere_else(served, path):
-    with socket.create_connection(("127.0.0.1", httpx.URL(served.address).port), timeout=60) as line:
-        host = served.address.removeprefix("http://").rstrip("/")
-        line.sendall(f"GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n".encode())
-        assert b" 404 " in line.recv(4096).split(b"\r\n")[0]
+    assert b" 404 " in sent(served, f"GET {path} HTTP/1.1", "Connection: close")
 
 
 def test_the_page_in_the_package_is_that_of_its_sources():
@@ -305,35 +307,20 @@ def test_pages_of_other_sites_and_other_names_are_refused(served):
         pass
 
 
-def test_rubbish_is_answered_in_words(served):
+def test_rubbish_and_what_a_page_may_not_open_are_answered_in_words(served):
     with served.page() as page:
         for rubbish in ("rubbish", b"\x00\x01", '{"type":"drive","forward":1e9}'):
             page.line.send(rubbish)
             assert "makes no sense" in page.hear()["problem"]
+        for source, says in (
+            ("upload:../../etc/passwd", "not here"), ("live", "no such source"), ("/etc", "no such source"),
+            ("apartment:99999", "no such source"),
+        ):  # fmt: skip
+            page.say(type="open", source=source, query="chair")
+            assert says in page.hear()["problem"]
         page.say(type="ask", query="bed")  # and the page goes on
         assert "Nothing is open" in page.hear()["problem"]
         page.line.send("x" * 20_000)
         with pytest.raises(ConnectionClosed) as closed:
             page.hear()
         assert closed.value.rcvd.code == 1009  # too large
-
-
-def test_without_the_token_nothing_is_shown():
-    token = "a-token-that-is-long-enough"
-    with studio("--token", token, "--host", "0.0.0.0") as served:
-        port = httpx.URL(served.address).port
-        address = f"http://127.0.0.1:{port}/"
-        served.http.base_url = address
-        assert served.address.endswith(f"?token={token}")
-        assert served.http.get("/").status_code == 200  # the page itself tells nothing
-        refused(served.http.get("/api/state"), 401)
-        refused(served.http.get("/api/state", params={"token": "wrong"}), 401)
-        with pytest.raises(InvalidStatus), connect(address.replace("http", "ws") + "ws"):
-            pass
-        assert served.http.get("/api/state", params={"token": token}).status_code == 200
-        with connect(f"{address.replace('http', 'ws')}ws?token={token}"):
-            pass
-        assert served.http.get("/api/runs", params={"token": token}).status_code == 200  # a process of its own tells
-        started = children(served.process.pid)
-        served.process.terminate()
-        wait_for(lambda: not any(Path(f"/proc/{each}/cmdline").exists() for each in started))  # nothing is left

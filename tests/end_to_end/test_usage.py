@@ -1,23 +1,9 @@
 """Mistakes at the command line: one line with the nearest command or option."""
 
 import pytest
+from commands import eagor, refused
 
-from eagor.cli import _parse, main
-
-
-@pytest.fixture
-def refused(capsys):
-    """The one line on stderr, without its beginning; nothing on stdout, exit code 2."""
-
-    def refused(words):
-        assert main(words.split()) == 2
-        out, err = capsys.readouterr()
-        assert out == ""
-        assert err.startswith("eagor: error: ")
-        assert len(err.splitlines()) == 1
-        return err.removeprefix("eagor: error: ").rstrip("\n")
-
-    return refused
+from eagor.cli import _parse
 
 
 @pytest.mark.parametrize(
@@ -36,8 +22,8 @@ def refused(capsys):
         ("--tyro-print-completion tcsh", "--tyro-print-completion needs a shell: bash, zsh, fish"),
     ],
 )
-def test_a_mistake_is_one_line_that_says_what_to_change(refused, words, says):
-    assert says in refused(words)
+def test_a_mistake_is_one_line_that_says_what_to_change(words, says):
+    assert says in refused(*words.split())
 
 
 def test_what_is_right_is_not_explained_away():
@@ -46,17 +32,9 @@ def test_what_is_right_is_not_explained_away():
     assert _parse(["bench", "run", "waypoint", "--set", "a=1", "b=2", "--json"]).action.set == ("a=1", "b=2")
 
 
-def test_help_still_comes(capsys):
-    assert main(["locate", "--help"]) == 0
-    out, err = capsys.readouterr()
-    assert "usage: eagor locate" in out
-    assert err == ""
-
-
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_a_completion_script_is_printed(shell, capsys):
-    assert main(["--tyro-print-completion", shell]) == 0
-    out, err = capsys.readouterr()
-    assert "eagor" in out
-    assert ("complete -o default -F" in out) == (shell == "bash"), "files are completed everywhere"
-    assert err == ""
+def test_a_completion_script_is_printed(shell):
+    done = eagor("--tyro-print-completion", shell)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "eagor" in done.stdout
+    assert ("complete -o default -F" in done.stdout) == (shell == "bash"), "files are completed everywhere"

@@ -118,14 +118,6 @@ def test_the_trailer_of_insta360(tmp_path, raw):
         assert np.degrees(np.arccos(found[2, 2])) == pytest.approx(np.degrees(np.arccos(now[2, 2])), abs=2.0)
 
 
-def test_turns_of_a_level_insta360(tmp_path):
-    times = np.arange(0, 3, 0.01)
-    truth = Rotation.from_rotvec(np.stack([0 * times, 0 * times, 2 * np.sin(times)], axis=1))
-    path, _, _ = written(tmp_path, truth, times)
-    for stamp in (0.5, 1.5, 2.5):
-        assert off(Video(path).motion.world_R_body(stamp), world_R_body(2 * np.sin(stamp))) < 0.1
-
-
 def test_a_trailer_without_samples(tmp_path):
     path = clips.clip(tmp_path / "a.mp4")
     path.write_bytes(path.read_bytes() + clips.trailer([]))

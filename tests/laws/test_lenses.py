@@ -189,29 +189,6 @@ def test_what_no_lens_sees_is_black_and_masked():
     assert (found[stitcher.grid.directions[..., 0] > 0.1] == 200).all()
 
 
-def test_three_ordinary_lenses_and_a_fisheye_share_a_panorama():
-    """Lenses of different kinds, in two pictures, more than two of them in some directions."""
-    lenses = [
-        Lens(f"side {k}", (160, 120), (80.0, 80.0), (80.0, 60.0), (-0.05, 0.01), world_R_body(k * 0.7))
-        for k in (-1, 0, 1)
-    ]
-    room = cv2.GaussianBlur(painted_room(256, 512), (0, 0), 2.5)
-    pictures = [seen_by(Rig(((160, 120),), (lens,)), room)[0] for lens in lenses]
-    all_sides = Lens.fisheye("all", (200, 200), (100, 100), 100, math.radians(240), picture=3)
-    pictures.append(
-        seen_by(Rig(((200, 200),), (Lens.fisheye("all", (200, 200), (100, 100), 100, math.radians(240)),)), room)[0]
-    )
-    own = [
-        Lens(l.name, l.size, l.focal, l.centre, l.distortion, l.body_R_lens, picture=k) for k, l in enumerate(lenses)
-    ]
-    rig = Rig(((160, 120),) * 3 + ((200, 200),), (*own, all_sides))
-    stitcher = Stitcher(rig, 128)
-    found = stitcher.stitch(*pictures)
-    wanted = cv2.resize(room, (256, 128), interpolation=cv2.INTER_AREA)
-    seen = stitcher.grid.directions[..., 0] > -0.3
-    assert np.abs(found[seen].astype(int) - wanted[seen]).mean() < 3
-
-
 def test_lenses_that_differ_in_brightness_leave_no_step():
     """Across the overlap the shares go from one lens to the other, and always sum to 1."""
     rig = dual_fisheye(512, 256)
@@ -224,6 +201,7 @@ def test_lenses_that_differ_in_brightness_leave_no_step():
     assert np.abs(np.diff(row)).max() < 20
 
 
+@pytest.mark.filterwarnings("ignore:Gimbal lock")  # of SciPy, for a lens that looks straight up or down
 @given(fisheyes())
 def test_a_rig_is_read_as_it_was_written(tmp_path_factory, lens):
     side = Lens('side: "b"', (64, 48), (50.0, 51.0), (32.0, 24.5), (-0.1, 0.01), world_R_body(1, 0.2, 3), 1)

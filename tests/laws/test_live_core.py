@@ -1,6 +1,7 @@
 """The live loop's core: time is what the events say, late is as good as on time, and what is not known is said."""
 
 import math
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,10 @@ from eagor import ErpGrid, Evidence, angular_distance
 from eagor.errors import FormatError
 from eagor.live.core import LiveCore, LoopSettings
 from eagor.live.events import (
+    AGAIN,
+    CALM,
     Diagnostic,
+    Fault,
     FaultLog,
     ImageReceived,
     ObservationReceived,
@@ -22,6 +26,7 @@ from eagor.live.events import (
     Tick,
 )
 from eagor.live.recording import event_from, event_in_bytes
+from eagor.live.threads import LatestWorker
 from eagor.sources import Pose
 from eagor.sphere import world_R_body
 from eagor.tracking import TrackerConfig
@@ -82,34 +87,6 @@ def test_an_answer_with_a_latency_of_1600_ms_is_the_one_without(turn):
     assert math.degrees(angular_distance(behind.direction, truth)) < 3.0
     # Without the pose at capture it would be far away: this is what the half degree is about.
     assert abs(math.degrees(turn * 1.6)) > 40
-
-
-def test_without_latency_or_with_it_answers_follow_the_turn_between_looks():
-    """A belief that is only turned gives the direction in the body frame of the moment of the question."""
-    answers = played(run_of(0.5, 0.4, rate=2.0), np.arange(0.5, 8.0, 0.02))
-    settled = [answer for answer in answers if answer.stamp > 3.0]
-    assert len(settled) > 200
-    for answer in settled:
-        truth = THING @ yawed(0.5 * answer.stamp)
-        assert math.degrees(angular_distance(answer.direction, truth)) < 3.0
-        assert answer.estimate.stamp == answer.stamp
-
-
-def test_a_turned_estimate_shares_everything_but_the_frame():
-    core = LiveCore(LoopSettings(("chair",), CONFIG))
-    for event in run_of(0.0, 0.0, until=1.0):
-        core.take(event)
-    (first,) = core.take(Tick(1.0))
-    turned = first.estimate.turned(1.04, yawed(0.3))
-    assert turned.age == pytest.approx(first.estimate.age + 0.04)
-    assert np.allclose(turned.direction, first.direction @ yawed(0.3))
-    assert turned.status == first.estimate.status
-    assert turned.presence == first.estimate.presence
-    assert turned.credible_angle == first.estimate.credible_angle
-    assert [m.weight for m in turned.modes] == [m.weight for m in first.estimate.modes]
-    assert np.allclose(turned.modes[0].azimuth, first.estimate.modes[0].azimuth - 0.3)
-    again = turned.turned(1.08, yawed(0.0))
-    assert np.allclose(again.direction, first.direction)
 
 
 def test_evidence_that_comes_before_its_pose_waits_for_it():
@@ -259,8 +236,10 @@ EVENTS = st.one_of(
     st.builds(lambda a, s: ImageReceived(a, s, "x"), st.floats(0, 20), times),
     st.builds(lambda a, s, y, p: PoseReceived(a, Pose(s, yawed(y), p)), st.floats(0, 20), times, st.floats(-3, 3),
               st.sampled_from([None, np.zeros(3), np.ones(3)])),
-    st.builds(lambda a, s: ObservationReceived(a, s, s, "chair", (seen(1.0, 0.0),)), st.floats(0, 20), times),
-    st.builds(lambda a, t: Diagnostic(a, "camera", t), st.floats(0, 20), st.sampled_from(["", "gone"])),
+    st.builds(lambda a, s, look: ObservationReceived(a, s, 7.0, "chair", (look,), 0.2), st.floats(0, 20), times,
+              st.sampled_from([seen(1.0, 0.0), Evidence.from_response(np.full((8, 16), 0.3), ErpGrid(8, 16))])),
+    st.builds(lambda a, q: QueriesChanged(a, (q,)), st.floats(0, 20), st.sampled_from(["chair", "rote Tür"])),
+    st.builds(lambda a, t: Diagnostic(a, "camera", t, "chair"), st.floats(0, 20), st.sampled_from(["", "gone"])),
     st.builds(lambda a: OdometryReset(a, "lost"), st.floats(0, 20)),
 )  # fmt: skip
 
@@ -284,26 +263,11 @@ def test_nothing_that_comes_in_can_stop_the_answers_and_the_same_gives_the_same(
     first, second = LiveCore(start), LiveCore(event_from(event_in_bytes(start)))
     for event in asked:
         answers = [answer.as_dict() for answer in first.take(event)]
-        again = second.take(event_from(event_in_bytes(event)))
-        assert answers == [answer.as_dict() for answer in again]
+        copy = event_from(event_in_bytes(event))
+        assert type(copy) is type(event)
+        assert event_in_bytes(copy) == event_in_bytes(event)
+        assert answers == [answer.as_dict() for answer in second.take(copy)]
         assert len(answers) == isinstance(event, Tick)
-
-
-def test_every_event_comes_back_from_its_bytes():
-    looks = (seen(1.0, 0.3), Evidence.from_response(np.full((8, 16), 0.3), ErpGrid(8, 16), stamp=1.0))
-    for event in (
-        ImageReceived(1.5, 1.25, "ü.png"),
-        PoseReceived(1.5, Pose(1.25, yawed(0.1), np.array([1.0, 2.0, 3.0])), True),
-        PoseReceived(1.5, Pose(1.25, yawed(0.1))),
-        ObservationReceived(1.5, 1.25, 7.0, "rote Tür", looks, 0.2),
-        Tick(1.5),
-        Diagnostic(1.5, "perception", "unknown", "rote Tür"),
-        OdometryReset(1.5, "lost"),
-        QueriesChanged(1.5, ("a", "b")),
-    ):
-        again = event_from(event_in_bytes(event))
-        assert type(again) is type(event)
-        assert event_in_bytes(again) == event_in_bytes(event)
 
 
 @pytest.mark.parametrize(
@@ -361,3 +325,88 @@ def test_odometry_at_its_own_rate_is_no_fault_and_its_silence_is(rate, held):
     last = poses[-1].pose.stamp
     assert told[0] == pytest.approx(last + held, abs=0.021 + 0.01)
     assert told == [answer.stamp for answer in answers if answer.stamp >= told[0]]
+
+
+# --- lines about faults: told when they begin and end, and now and then, however often they come and go ---
+
+
+def held(age):
+    return Fault("poses", f"the last pose holds for {age:.2f} s already", 0.0)
+
+
+def test_a_fault_that_comes_and_goes_is_told_once_and_its_end_when_it_is_over():
+    news, lines = FaultLog(), []
+    for tick in range(200):
+        now = 0.1 * tick
+        flaps = now < 10 and tick % 10 > 3  # poses come once a second
+        lines += [(round(now, 1), *line) for line in news.of([held(now)] if flaps else [], now)]
+    assert lines == [
+        (0.4, "the last pose holds for 0.40 s already", True),
+        (12.9, "poses: all is well again", False),
+    ]
+
+
+def test_other_words_and_other_parts_are_told_apart():
+    news = FaultLog()
+    gone, back = Fault("camera", "no picture for 1.0 s", 0.0), Fault("camera", "the stream broke off", 0.0)
+    assert news.of([gone], 1.0) == [("no picture for 1.0 s", True)]
+    assert news.of([back, held(0.1)], 1.5) == [
+        ("the stream broke off", True),
+        ("the last pose holds for 0.10 s already", True),
+    ]
+    assert news.of([held(0.2)], 1.5 + CALM) == [("camera: all is well again", False)]
+    assert news.of([gone, held(0.2)], 2 + CALM) == [("no picture for 1.0 s", True)]
+
+
+def told(there, step):
+    """The lines about a fault that is there at the times ``step * k`` for which ``there(step * k)``."""
+    news = FaultLog()
+    return [
+        (round(step * k, 3), *line)
+        for k in range(round(3600 / step))
+        for line in news.of([held(step * k)] if there(step * k) else [], step * k)
+    ]
+
+
+def test_a_fault_that_lasts_an_hour_is_told_twice_a_minute_not_twenty_times_a_second():
+    lines = told(lambda now: now < 3000, 0.05)
+    begun = [when for when, _, wrong in lines if wrong]
+    assert begun == [AGAIN * k for k in range(100)]
+    assert lines[-1] == (3000 - 0.05 + CALM, "poses: all is well again", False)
+    assert len(lines) == 101
+
+
+def test_a_part_that_comes_and_goes_for_an_hour_does_not_fill_the_log():
+    for period in (1.0, 5.0, 20.0, 45.0):
+        lines = told(lambda now, period=period: now % period < 0.2, 0.05)
+        assert len(lines) <= 2 + 2 * 3600 / AGAIN
+        assert lines[0] == (0.0, "the last pose holds for 0.00 s already", True)
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=100))
+def test_no_fault_is_hidden(there):
+    """Whenever something is wrong, it has been told since the part was last said to be well."""
+    news, open_ = FaultLog(), False
+    for tick, wrong in enumerate(there):
+        for _, bad in news.of([held(1.0)] if wrong else [], 0.7 * tick):
+            open_ = bad
+        assert open_ or not wrong
+
+
+def test_only_the_newest_item_waits():
+    taken, free = [], threading.Semaphore(0)
+
+    def work(item):
+        taken.append(item)
+        free.acquire()
+
+    worker = LatestWorker("test", work)
+    worker.give(1)
+    while not taken:
+        pass
+    for item in (2, 3, 4):
+        worker.give(item)
+    free.release(2)
+    worker.close()
+    assert taken == [1, 4]
+    assert (worker.skipped, worker.idle) == (2, True)

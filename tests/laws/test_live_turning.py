@@ -18,7 +18,6 @@ CONFIG = TrackerConfig(degree=7, detector=MODEL, clock_error=0.0)
 ODOMETRY, PICTURES = (100.0, 0.01), (10.0, 0.15)  # poses a second, and how late they are at most (seconds)
 
 SECONDS = 3.0
-KEPT = ((45, "odometry"), (90, "pictures"))  # each takes seconds: the others are slow tests
 
 
 class Ride:
@@ -63,26 +62,9 @@ def coverage(heading, poses, late, rides=80):
     return np.mean([angular_distance(a.direction, truth) <= a.estimate.credible_angle for a, truth in answers])
 
 
-@pytest.mark.parametrize(
-    ("rate", "poses"),
-    [
-        pytest.param(rate, poses, id=f"{rate}-{name}", marks=() if (rate, name) in KEPT else pytest.mark.slow)
-        for rate in (0, 15, 45, 90)
-        for name, poses in (("odometry", ODOMETRY), ("pictures", PICTURES))
-    ],
-)
+@pytest.mark.parametrize(("rate", "poses"), [(45, ODOMETRY), (90, PICTURES)], ids=["odometry", "pictures"])
 def test_regions_of_90_percent_hold_the_truth_while_the_camera_turns(rate, poses):
     assert 0.85 <= coverage(lambda now: math.radians(rate) * now, *poses) <= 0.97
-
-
-@pytest.mark.slow
-def test_regions_grow_where_the_camera_does_not_turn_steadily():
-    assert 0.85 <= coverage(lambda now: 0.3 * math.sin(4 * now), *PICTURES) <= 0.97
-
-
-def test_a_pose_that_is_taken_to_hold_would_not_do(monkeypatch):
-    monkeypatch.setattr(RecentPoses, "after", lambda self, seconds: (self._poses[-1], 0.0))
-    assert coverage(lambda now: math.radians(45) * now, *PICTURES, rides=8) < 0.6
 
 
 def test_an_extrapolation_says_how_far_it_has_been_off():
@@ -97,16 +79,6 @@ def test_an_extrapolation_says_how_far_it_has_been_off():
         off.append(math.sqrt(0.5) * angular_distance(pose[:, 0], world_R_body(headings[62])[:, 0]))
         told.append(spread)
     assert np.mean(np.square(told)) == pytest.approx(np.mean(np.square(off)), rel=0.5)
-
-
-@pytest.mark.parametrize("rate", [0.0, 0.3, 1.6])
-def test_a_steady_turn_goes_on_and_is_nearly_sure(rate):
-    recent = RecentPoses(0.5)
-    for stamp in np.arange(0, 3, 0.1):
-        recent.add(stamp, world_R_body(rate * stamp, 0.1))
-    pose, spread = recent.after(0.2)
-    assert angular_distance(pose[:, 0], world_R_body(rate * 3.1, 0.1)[:, 0]) < math.radians(0.1)
-    assert spread < math.radians(0.5)
 
 
 def test_a_turn_that_nobody_has_seen_for_long_goes_on_and_is_hardly_known():

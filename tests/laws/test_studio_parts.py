@@ -5,7 +5,6 @@ import io
 import json
 import math
 import queue
-import struct
 import threading
 from contextlib import suppress
 from types import SimpleNamespace
@@ -38,24 +37,8 @@ from eagor.studio.stream import PacedFootage, StudioSink
 from eagor.tracking import DirectionTracker
 
 
-def unpacked(frame):
-    (length,) = struct.unpack("<I", frame[:4])
-    header, rest = json.loads(frame[4 : 4 + length]), frame[4 + length :]
-    blobs = {}
-    for each in header["blobs"]:
-        blobs[each["name"]], rest = rest[: each["bytes"]], rest[each["bytes"] :]
-    assert rest == b""
-    return header, blobs
-
-
 def step(number, **blobs):
     return Message({"type": "step", "number": number} | {name: {"of": number} for name in blobs}, blobs)
-
-
-def test_a_frame_holds_its_header_and_its_blobs():
-    header, blobs = unpacked(packed(step(3, belief=b"12345678", panorama=b"")))
-    assert header["number"] == 3
-    assert blobs == {"belief": b"12345678", "panorama": b""}
 
 
 def test_numbers_that_json_lacks_are_refused_and_rounding_removes_them():

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import errno
-import io
 import math
+import sqlite3
 import struct
+import tempfile
 import warnings
-from contextlib import suppress
+from contextlib import closing, suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from mutations import damaged, reads
 from rosmaking import cdr, random_message
+from strategies import HOSTILE
 
 from eagor.errors import FormatError, StorageError, TimeError
 from eagor.sources import ros_messages as m
 from eagor.sources.bags import MAGIC, Bag, BagWriter, is_bag, read_bag
+from eagor.sources.ros_sources import BagCamera, BagPoses
 
 
 def small(path, count=20):
@@ -99,20 +105,41 @@ def test_what_is_not_there(tmp_path):
     assert not is_bag("x" * 5000)
 
 
-def test_damage_in_the_middle_ends_or_is_told(tmp_path):
-    """Every damaged byte gives messages, a warning or an error of ours; never another error."""
-    whole = bytearray((small(tmp_path / "bag", 3) / "bag.mcap").read_bytes())
-    file, rng = tmp_path / "damaged.mcap", np.random.default_rng(1)
-    seen = 0
-    for place in rng.integers(0, len(whole), 150):
-        damaged = bytearray(whole)
-        damaged[place] ^= int(rng.integers(1, 256))
-        file.write_bytes(damaged)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with suppress(FormatError):
-                seen += len(list(read_bag(file)))
-    assert seen > 300
+def samples():
+    """The bytes of small bags: MCAP with an index and cut off before it, and SQLite."""
+    with tempfile.TemporaryDirectory() as place:
+        whole = (small(Path(place, "bag"), 3) / "bag.mcap").read_bytes()
+        told = [(t, topic, kind, message) for t, topic, kind, message in read_bag(Path(place, "bag"))]
+        with closing(sqlite3.connect(Path(place, "bag.db3"))) as bag:
+            bag.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)")
+            bag.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
+            topics = sorted({(topic, kind) for _, topic, kind, _ in told})
+            bag.executemany("INSERT INTO topics(name, type, serialization_format) VALUES (?, ?, 'cdr')", topics)
+            rows = [
+                (topics.index((topic, kind)) + 1, m.nanoseconds(t), cdr(kind, each)) for t, topic, kind, each in told
+            ]
+            bag.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+            bag.commit()
+        return [whole, whole[: 2 * len(whole) // 3], Path(place, "bag.db3").read_bytes()]
+
+
+@pytest.fixture(scope="module")
+def damage(tmp_path_factory):
+    return tmp_path_factory.mktemp("damage")
+
+
+@HOSTILE
+@given(damaged(samples()))
+def test_damage_gives_messages_a_warning_or_an_error_of_ours(damage, blob):
+    """Of the pictures and poses in it, too."""
+    path = damage / ("bag.mcap" if blob[:1] == MAGIC[:1] else "bag.db3")
+    path.write_bytes(blob)
+    for stamp, *_ in reads(lambda: list(read_bag(path))) or ():
+        assert math.isfinite(stamp)
+    for pose in reads(lambda: list(BagPoses(path))) or ():
+        assert np.allclose(pose.world_R_body @ pose.world_R_body.T, np.eye(3), atol=1e-6)
+    for picture in reads(lambda: [make() for _, make in BagCamera(path).pictures()]) or ():
+        assert (picture.dtype, picture.ndim) == (np.uint8, 3)
 
 
 def test_recordings_that_cannot_be(tmp_path):
@@ -171,23 +198,6 @@ def chunk(size, content, compression, time=1):
     return record(
         6, struct.pack("<QQQI", time, time, size, 0) + text(compression) + struct.pack("<Q", len(content)) + content
     )
-
-
-def finished(*chunks):
-    """The bytes of an MCAP file with an index."""
-    file = io.BytesIO(MAGIC + record(1, text("ros2") + text("")) + channel())
-    file.seek(0, io.SEEK_END)
-    places = []
-    for each in chunks:
-        places.append((file.tell(), len(each)))
-        file.write(each)
-    start = file.tell()
-    statistics = struct.pack("<QHIIIIQQ", len(chunks), 1, 1, 0, 0, len(chunks), 1, 1)
-    file.write(channel() + record(11, statistics + struct.pack("<IHQ", 10, 1, len(chunks))))
-    for place, length in places:
-        file.write(record(8, struct.pack("<QQQQ", 1, 1, place, length) + bytes(4 + 8 + 4 + 16)))
-    file.write(record(2, struct.pack("<QQI", start, 0, 0)) + MAGIC)
-    return file.getvalue()
 
 
 def test_records_that_claim_more_than_there_is(tmp_path):

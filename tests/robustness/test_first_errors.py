@@ -24,12 +24,15 @@ def place(tmp_path, monkeypatch):
     (tmp_path / "torn.glb").write_bytes(b"glTF\x02\0\0\0")
     (tmp_path / "folder").mkdir()
     (tmp_path / "x.png").mkdir()
+    (tmp_path / "folder.csv").mkdir()
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn" / "run.json").write_text('{"kind": "benchmark", "task": "osr"}')
     return tmp_path
 
 
 TRACK = ("track", "a.png", "b.png")
+LOCATE = ("locate", "a.png", "red")
+TRACKING = ("bench", "run", "tracking", "--perception", "truth", "--out", "run")
 WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
 
 
@@ -37,6 +40,33 @@ WAYPOINT = ("bench", "run", "waypoint", "--perception", "truth", "--out", "run")
     ("words", "says"),
     [
         (("locate", "folder", "red"), "is a folder"),
+        (("locate", "nowhere.png", "red"), "no file"),
+        (("locate", "a.png", "chair", "--perception", "colour"), "names no colour"),
+        (("locate", "a.png", "  "), "no words"),
+        (
+            (*LOCATE, "--perception", "clairvoyance"),
+            "known are coco, colour, endpoint, onnx, replay, scout, truth, folders",
+        ),
+        ((*LOCATE, "--perception", "replay"), "replay:FILE.jsonl"),
+        ((*LOCATE, "--perception", "replay:nowhere.jsonl"), "cannot be read"),
+        ((*LOCATE, "--degree", "0"), "--degree 0; wanted 1 to 63"),
+        ((*LOCATE, "--modes", "0"), "1 or more"),
+        ((*LOCATE, "--picture", "where.txt"), ".png"),
+        ((*LOCATE, "--picture", "/dev/null/where.png"), "cannot be written"),
+        ((*LOCATE, "--out", "a.txt"), "ends in .csv or .jsonl"),
+        ((*LOCATE, "--out", "no/a.csv"), "there is no folder"),
+        ((*LOCATE, "--out", "a.png"), "is an input"),
+        ((*LOCATE, "--out", "folder.csv"), "cannot be written"),
+        *(((*LOCATE, "--floor", floor), "wanted a floor below it, such as -1.3") for floor in ("1.3", "0")),
+        *(((*LOCATE, "--floor", floor), "wanted a height in metres") for floor in ("nan", "-inf")),
+        (("track", "folder", "red", "--poses", "poses.csv"), "no images"),
+        (("track", "red", "--poses", "poses.csv"), "wanted FRAMES"),
+        ((*TRACK, "red", "--poses", "poses.csv", "--out", "x.txt"), ".csv or .jsonl"),
+        ((*TRACKING, "--set", "steps=0"), "rules.steps = '0': Expected `int` >= 1"),
+        ((*TRACKING, "--set", "steps=0", "--set=turn=90", "--seed", "1"), "--set comes twice"),
+        ((*TRACKING, "--set", "steps=4", "steps=5"), "two values of steps; leave one of them out"),
+        ((*TRACKING, "--set", "speed=0.5", "step=nan"), "camera.step = 'nan': Expected `float` > 0"),
+        ((*TRACKING, "--set", "latency=-1"), "disturbances.latency = '-1': Expected `int` >= 0"),
         (("locate", "a.png", "red", "--stamp", "nan"), "a finite number"),
         (("locate", "a.png", "red", "--picture", "x.png"), "--picture x.png cannot be written"),
         (("locate", "a.png", "red", "--picture", "folder/../a.png"), "a.png is an input"),

@@ -16,8 +16,6 @@ from eagor.sources.odometry import prefetched
 from eagor.sources.panorama import read_panorama, read_stored, tone_mapped
 from eagor.sphere import world_R_body
 
-UNIT = np.eye(3)
-
 
 def nothing(picture, query):
     return np.zeros((0, 4)), np.zeros(0)

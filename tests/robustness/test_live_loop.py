@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from livemaking import (
     Dying,
     Film,
     Hanging,
+    Here,
     Ignorant,
     Odometry,
     Raising,
@@ -34,15 +34,20 @@ from livemaking import (
 from PIL import Image
 from processes import alive, sessions_of, wait_for
 
-from eagor.errors import DeviceError, EagorError, QueryError, StorageError, TimeError
+from eagor.errors import DeviceError, EagorError, QueryError, TimeError
 from eagor.lab.worlds.painted import painted_room
 from eagor.live import loop as looping
 from eagor.live.loop import Loop
 from eagor.live.recording import Replay
 from eagor.sources import Pose
+from eagor.sources.bags import Bag, read_bag
+from eagor.sources.ros_messages import image_from_msg, pose_from_msg, stamp_of
 from eagor.tracking import TrackerConfig
 
-pytestmark = pytest.mark.xdist_group("real time")
+pytestmark = [
+    pytest.mark.xdist_group("real time"),
+    pytest.mark.filterwarnings("ignore:.*works in this process"),  # where the camera or the odometry is what fails
+]
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes as Linux shows them")
 CONFIG = TrackerConfig(degree=7)
@@ -132,7 +137,7 @@ def test_a_camera_that_is_unplugged_comes_back():
             raise DeviceError("there is no /dev/video7; plug a camera in")
         return first if len(opened) == 1 else Camera()
 
-    loop = loop_of(opens, Seeing())
+    loop = loop_of(opens, Here())
     phases = says("/dev/video7 is gone", "opened again"), says("there is no /dev/video7"), well
     followed(loop, well, pulled(first), *phases)
     assert len(opened) == 3
@@ -146,7 +151,7 @@ def test_a_stream_that_stalls_is_said_and_opened_again(monkeypatch):
         opened.append(1)
         return first if len(opened) == 1 else Camera()
 
-    loop = loop_of(opens, Seeing())
+    loop = loop_of(opens, Here())
     followed(loop, well, pulled(first), says("no picture for 1."), says("opened again"), well)
     assert len(opened) == 2
 
@@ -184,14 +189,14 @@ def test_a_cameras_clock_that_jumps_is_said_and_followed():
         ahead[0] = 3600.0
         return True
 
-    loop = loop_of(Camera(stamps=lambda stamp: stamp + ahead[0]), Seeing())
+    loop = loop_of(Camera(stamps=lambda stamp: stamp + ahead[0]), Here())
     answers = followed(loop, well, jump, says("the clock of the camera jumped forward by 3600."), well)
     assert all(answer.image_age > -0.1 for answer in answers)
 
 
 def test_poses_that_stop_are_said():
     odometry = Odometry()
-    loop = loop_of(Camera(), Seeing(), poses=odometry)
+    loop = loop_of(Camera(), Here(), poses=odometry)
     answers = followed(loop, well, pulled(odometry), says("no pose for 1."))
     assert answers[-1].pose_age > 0.99
 
@@ -208,7 +213,7 @@ def test_poses_that_end_are_asked_for_again():
             yield Pose(time.time(), yawed(0.0))
             raise DeviceError("the robot is gone")
 
-    loop = loop_of(Camera(), Seeing(), poses=opens)
+    loop = loop_of(Camera(), Here(), poses=opens)
     followed(loop, says("the robot is gone"), well)
 
 
@@ -223,10 +228,9 @@ def test_queries_that_nobody_understands_end_the_loop():
         followed(loop_of(Camera(), Ignorant(), ["pet snail"]), lambda _: False)
 
 
-@pytest.mark.parametrize("spec", [pytest.param("nonesuch", marks=pytest.mark.slow), "onnx:/nowhere.onnx"])
-def test_a_perception_that_cannot_be_loaded_ends_the_loop_in_words(spec):
-    with pytest.raises(EagorError, match=r"nonesuch|nowhere"):
-        followed(loop_of(Camera(), spec), lambda _: False)
+def test_a_perception_that_cannot_be_loaded_ends_the_loop_in_words():
+    with pytest.raises(EagorError, match="nowhere"):
+        followed(loop_of(Camera(), "onnx:/nowhere.onnx"), lambda _: False)
 
 
 def test_a_perception_that_cannot_be_sent_to_a_process_works_in_this_one_and_that_is_said():
@@ -241,23 +245,13 @@ def test_a_camera_that_is_not_there_is_an_error_at_once():
         raise DeviceError("there is no /dev/video9")
 
     with pytest.raises(DeviceError, match="video9"):
-        loop_of(opens, Seeing())
+        loop_of(opens, Here())
 
 
 @pytest.mark.parametrize(("name", "value"), [("rate", 0.0), ("rate", math.nan), ("patience", -1.0)])
 def test_wrong_numbers_are_refused(name, value):
     with pytest.raises(TimeError, match=name):
-        loop_of(Camera(), Seeing(), **{name: value})
-
-
-def test_a_query_can_be_changed_while_it_runs():
-    loop = loop_of(Camera(), Seeing())
-
-    def change(answer):
-        loop.follow(["blue ball"])
-        return True
-
-    followed(loop, well, change, lambda a: a.query == "blue ball" and well(a))
+        loop_of(Camera(), Here(), **{name: value})
 
 
 @pytest.mark.slow
@@ -287,23 +281,6 @@ def test_in_turn_every_picture_is_looked_at_and_gives_the_same_each_time(tmp_pat
     assert runs[0][-1]["faults"] == []
 
 
-def test_a_watcher_sees_all_that_happens():
-    seen, closed = [], []
-
-    class Watcher:
-        def take(self, event, answers):
-            seen.append((type(event).__name__, len(answers)))
-
-        def close(self):
-            closed.append(True)
-
-    loop = loop_of(Camera(), Seeing(), poses=Odometry(), sinks=[Watcher()])
-    answers = followed(loop, well)
-    assert {"ImageReceived", "PoseReceived", "ObservationReceived", "Diagnostic", "Tick"} == {name for name, _ in seen}
-    assert sum(count for _, count in seen) == len(answers)
-    assert closed == [True]
-
-
 def played_torn(record):
     """A recording that was cut off, and its answers; it is said that it was."""
     with warnings.catch_warnings(record=True) as said:
@@ -322,7 +299,7 @@ from livemaking import Camera, Odometry, Seeing
 from eagor.live.loop import Loop
 
 if __name__ == "__main__":
-    loop = Loop(Camera(), Odometry(), {perception}, "red chair", record=Path({record!r}), rate=20.0)
+    loop = Loop(Camera(), Odometry(), Seeing(), "red chair", record=Path({record!r}), rate=20.0)
     for answer in loop:
         if answer.direction is not None:
             Path({mark!r}).touch()
@@ -330,19 +307,15 @@ if __name__ == "__main__":
 
 
 @linux
-@pytest.mark.parametrize("perception", ["Seeing()", pytest.param("Seeing(3600.0)", marks=pytest.mark.slow)])
-def test_a_run_that_is_killed_leaves_nobody_and_its_recording_can_be_played(tmp_path, perception):
+def test_a_run_that_is_killed_leaves_nobody_and_its_recording_can_be_played(tmp_path):
     pytest.importorskip("rosbags")
-    record, mark = tmp_path / "run", tmp_path / "mark"
+    record, mark, script = tmp_path / "run", tmp_path / "mark", tmp_path / "script.py"
     paths = [entry for entry in sys.path if entry]
-    hangs = "3600" in perception
-    script = tmp_path / "script.py"
-    text = SCRIPT.format(paths=paths, perception=perception, record=str(record), mark=str(mark))
-    script.write_text(text)
+    script.write_text(SCRIPT.format(paths=paths, record=str(record), mark=str(mark)))
     run = subprocess.Popen([sys.executable, str(script)], start_new_session=True)
     wait_for(lambda: any("spawn_main" in each for each in alive(sessions_of(run.pid)).values()))
     file = record / "run.mcap"
-    wait_for(lambda: file.exists() and file.stat().st_size > 50_000 and (hangs or mark.exists()))
+    wait_for(lambda: file.exists() and file.stat().st_size > 50_000 and mark.exists())
     written = file.stat().st_size
     wait_for(lambda: file.stat().st_size > written)  # what has been answered is on the disk
     sessions = sessions_of(run.pid)
@@ -351,7 +324,7 @@ def test_a_run_that_is_killed_leaves_nobody_and_its_recording_can_be_played(tmp_
     wait_for(lambda: not alive(sessions))
     answers = played_torn(record)
     assert len(answers) > 10
-    assert hangs or any(answer.direction is not None for answer in answers)
+    assert any(answer.direction is not None for answer in answers)
 
 
 LIMITED = """
@@ -387,36 +360,16 @@ def test_a_full_disk_ends_the_recording_in_words_and_not_the_loop(tmp_path):
     assert len(played_torn(record)) > 10
 
 
-def test_a_folder_that_is_there_already_is_not_recorded_into(tmp_path):
-    pytest.importorskip("rosbags")
-    with pytest.raises(StorageError, match="already"):
-        loop_of(Camera(), Seeing(), record=tmp_path)
-
-
-def test_a_recording_is_played_again_with_the_same_answers(tmp_path):
-    pytest.importorskip("rosbags")
-    loop = loop_of(
-        Camera(), Seeing(0.05), ["red chair", "blue ball"], poses=Odometry(turn=0.5), record=tmp_path / "run"
-    )
-    answers = followed(loop, well, lambda _: loop.counts.looks > 10)
-    replay = Replay(tmp_path / "run")
-    assert [a.as_dict() for a in replay] == [a.as_dict() for a in answers]
-    from eagor.sources.bags import read_bag
-
-    recorded = [json.loads(found.data) for *_, found in read_bag(tmp_path / "run", ["/eagor/answers"])]
-    assert recorded == [a.as_dict() for a in answers]
-
-
-def test_others_read_a_recording_as_a_ros_bag(tmp_path):
+def test_a_recording_is_played_again_with_the_same_answers_and_is_a_ros_bag(tmp_path):
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    from eagor.sources.bags import Bag, read_bag
-    from eagor.sources.ros_messages import image_from_msg, pose_from_msg, stamp_of
-
-    loop = loop_of(Camera(), Seeing(), poses=Odometry(turn=0.5), record=tmp_path / "run", pictures="png")
-    answers = followed(loop, well)
-    topics = Bag(tmp_path / "run").topics
-    assert topics == {
+    queries, odometry = ["red chair", "blue ball"], Odometry(turn=0.5)
+    loop = loop_of(Camera(), Seeing(0.05), queries, poses=odometry, record=tmp_path / "run", pictures="png")
+    answers = followed(loop, well, lambda _: loop.counts.looks > 10)
+    wanted = [answer.as_dict() for answer in answers]
+    assert [answer.as_dict() for answer in Replay(tmp_path / "run")] == wanted
+    assert Bag(tmp_path / "run").topics == {
         "/eagor/answers": "std_msgs/msg/String",
+        "/eagor/direction/blue_ball": "geometry_msgs/msg/Vector3Stamped",
         "/eagor/direction/red_chair": "geometry_msgs/msg/Vector3Stamped",
         "/eagor/events": "std_msgs/msg/UInt8MultiArray",
         "/eagor/image/compressed": "sensor_msgs/msg/CompressedImage",
@@ -425,15 +378,15 @@ def test_others_read_a_recording_as_a_ros_bag(tmp_path):
     found = {}
     for _, topic, _, message in read_bag(tmp_path / "run"):
         found.setdefault(topic, []).append(message)
-    assert len(found["/eagor/answers"]) == len(answers)
+    assert [json.loads(each.data) for each in found["/eagor/answers"]] == wanted
     assert np.array_equal(image_from_msg(found["/eagor/image/compressed"][0]), np.full((16, 32, 3), 90))
     pose = pose_from_msg(found["/eagor/odom"][-1])
     assert np.allclose(pose.world_R_body, yawed(0.5 * stamp_of(found["/eagor/odom"][-1])), atol=1e-6)
     last = found["/eagor/direction/red_chair"][-1].vector
-    assert np.allclose([last.x, last.y, last.z], answers[-1].direction)
-    with rosbag2.Reader(tmp_path / "run") as reader:
+    (red,) = (answer for answer in answers[-2:] if answer.query == "red chair")
+    assert np.allclose([last.x, last.y, last.z], red.direction)
+    with rosbag2.Reader(tmp_path / "run") as reader:  # as others read it, by its metadata.yaml
         assert reader.message_count == sum(map(len, found.values()))
-    assert Path(tmp_path / "run" / "metadata.yaml").is_file()
 
 
 def test_a_camera_that_hangs_at_one_picture_while_it_turns_is_told():
@@ -449,7 +402,7 @@ def test_a_camera_that_hangs_at_one_picture_while_it_turns_is_told():
         return True
 
     answers = followed(
-        loop_of(camera, Seeing(), poses=Odometry(turn=0.5)),
+        loop_of(camera, Here(), poses=Odometry(turn=0.5)),
         well,
         hangs,
         says("the picture stays the same"),
@@ -458,7 +411,7 @@ def test_a_camera_that_hangs_at_one_picture_while_it_turns_is_told():
     )
     fault = next(fault for answer in answers for fault in answer.faults if "stays the same" in fault.text)
     assert fault.part == "camera"
-    still = followed(loop_of(Camera(changing=False), Seeing(), poses=Odometry(turn=0.0)), well, *[well] * 100)
+    still = followed(loop_of(Camera(changing=False), Here(), poses=Odometry(turn=0.0)), well, *[well] * 100)
     assert not any("stays the same" in answer.status_words for answer in still)
 
 
@@ -481,5 +434,5 @@ def test_what_the_camera_and_the_odometry_say_of_themselves_is_a_fault_as_long_a
         camera.problem = odometry.problem = None
         return True
 
-    loop = loop_of(camera, Seeing(), poses=odometry)
+    loop = loop_of(camera, Here(), poses=odometry)
     followed(loop, says(camera.problem, odometry.problem), mended, lambda answer: not says("tells")(answer))

@@ -104,7 +104,7 @@ def test_moving_pictures_for_pages(tmp_path, suffix, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "error"), [(".mp4", RuntimeError), *((each, KeyboardInterrupt) for each in (*VIDEOS, ".webp"))]
+    ("suffix", "error"), [(".mkv", RuntimeError), (".mp4", KeyboardInterrupt), (".webp", KeyboardInterrupt)]
 )
 def test_what_was_drawn_before_an_error_or_ctrl_c_is_kept(tmp_path, suffix, error):
     path = tmp_path / f"out{suffix}"
@@ -202,10 +202,9 @@ def started(path, room=None):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("suffix", [".mp4", *(pytest.param(each, marks=pytest.mark.slow) for each in VIDEOS[1:])])
-def test_a_full_disk_keeps_the_pictures_that_it_holds(tmp_path, suffix):
+def test_a_full_disk_keeps_the_pictures_that_it_holds(tmp_path):
     pytest.importorskip("resource")
-    path = tmp_path / f"out{suffix}"
+    path = tmp_path / "out.mp4"
     process = started(path, room=100_000)
     *_, said = process.communicate(timeout=300)[0].splitlines()
     assert process.returncode == 1

@@ -2,10 +2,10 @@
 
 import os
 import signal
-import subprocess
 import sys
 
 import hstar_data
+import processes
 import pytest
 from processes import alive, sessions_of, wait_for
 
@@ -42,24 +42,8 @@ def _nobody_goes_on():
 
 
 def begun(*words, path=""):
-    """The command in a session of its own, heeding signals whatever the shell around the tests does."""
-
-    def heed():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_DFL)
-
-    paths = os.pathsep.join([str(path), *(entry for entry in sys.path if entry)])
-    run = subprocess.Popen(
-        [sys.executable, "-m", "eagor", *map(str, words)],
-        env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=heed,
-    )
-    STARTED.append(run)
-    return run
+    STARTED.append(processes.begun(*words, path=path, text=True))
+    return STARTED[-1]
 
 
 def ended(run, number, whole_session=False):

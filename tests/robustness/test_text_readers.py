@@ -1,5 +1,6 @@
 """Readers of text: whatever a file holds, a right value, or an error that names the file, and the line if any."""
 
+import io
 import json
 import math
 import os
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from mutations import as_text, damaged, reads, trees
+from PIL import Image
 from strategies import HOSTILE, at_most
 
 from eagor.errors import EagorError
@@ -16,17 +18,51 @@ from eagor.evidence import Evidence
 from eagor.lab.eval import log
 from eagor.lab.eval.labelled_looks import read_truth
 from eagor.lab.eval.predictions import predicted
+from eagor.odometry.axes import AXES, settled
 from eagor.odometry.files import read_poses
 from eagor.perception.calibrated import labelled_lines, read_calibrated, read_labelled
 from eagor.perception.onnx.layouts import read_labels
 from eagor.perception.records import read_looks
 from eagor.perception.replay import ReplayPerception
 from eagor.perception.transformers.heads import read_heads
+from eagor.perception.vlm.answers import parse_boxes, parse_presence
+from eagor.sources.camera_sources import FrameCheck
+from eagor.sources.intrinsics import read_camera
 from eagor.sources.rigs import read_rig
 
 POSES = [
     b"stamp,qw,qx,qy,qz,x,y,z,frame\n0,1,0,0,0,0,0,1,a.png\n0.5,0.99,0.1,0.1,0,0.1,0,1,\n1,0,0,0,1,0,0,1,b.png\n",
     b"\xef\xbb\xbf# odometry\r\nstamp,yaw_deg,pitch_deg,roll_deg\r\n0,0,0,0\r\n1.5,-10,\"2\",3\r\n",
+    b"# timestamp tx ty tz qx qy qz qw\n0.5 1 2 3 0 0 0.1 0.995\n1.5 1.1 2 3 0 0 0.2 0.98\n",
+    b"#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n"
+    b"1650000000500000000,1,2,3,1,0,0,0\n1650000001500000000,1,2,3,0.99,0,0.1,0.1\n",
+    b"# Image list with two lines of data per image:\n1 0.98 0.1 0.1 0.1 1 2 3 1 0.5.png\n10.5 20.5 -1\n"
+    b"2 1 0 0 0 1 2 3 1 1.5.png\n\n",
+    b'{"camera_model": "EQUIRECTANGULAR", "frames": [{"file_path": "images/0.5.png", "transform_matrix": '
+    b"[[1, 0, 0, 1], [0, 0, -1, 2], [0, 1, 0, 3], [0, 0, 0, 1]]}]}",
+]  # fmt: skip
+CAMERAS = [
+    b"image_width: 64\nimage_height: 48\ncamera_name: narrow\ncamera_matrix: {rows: 3, cols: 3, data: [50, 0, 32, 0, "
+    b"51, 24, 0, 0, 1]}\ndistortion_model: plumb_bob\ndistortion_coefficients: {data: [-0.3, 0.1, 0.001, 0, 0]}\n",
+    b"cam0:\n  camera_model: pinhole\n  distortion_coeffs: [-0.02, 0.004, 0, 0]\n  distortion_model: equidistant\n"
+    b"  intrinsics: [50, 51, 32, 24]\n  resolution: [64, 48]\n",
+    b'<?xml version="1.0"?>\n<opencv_storage><image_width>64</image_width><image_height>48</image_height>'
+    b'<camera_matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt><data>50 0 32 0 51 24 0 0 1</data>'
+    b'</camera_matrix><distortion_coefficients type_id="opencv-matrix"><rows>5</rows><cols>1</cols><dt>d</dt>'
+    b"<data>-0.3 0.1 0.001 0 0</data></distortion_coefficients></opencv_storage>",
+]
+GPANO = [
+    b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><r:Description '
+    b'xmlns:GPano="http://ns.google.com/photos/1.0/panorama/" GPano:ProjectionType="equirectangular" '
+    b'GPano:PosePitchDegrees="-5" GPano:PoseRollDegrees="8" GPano:FullPanoWidthPixels="64" '
+    b'GPano:FullPanoHeightPixels="32" GPano:CroppedAreaLeftPixels="2" GPano:CroppedAreaTopPixels="6"/></r:RDF>'
+    b"</x:xmpmeta>",
+]
+ANSWERS = [
+    b'```json\n[{"bbox_2d": [100, 200, 300, 400], "label": "chair", "score": 0.8}]\n```',
+    b"<think>Is it [1, 2, 30, 40]?</think>The chair is at (100, 200), (300, 400) in the image.",
+    b"<object><name>chair</name><bndbox><xmin>100</xmin><ymin>200</ymin><xmax>300</xmax><ymax>400</ymax></bndbox>",
+    b"left: 10%, top: 20 %, right: 30%, bottom: 40%", b"There is no red chair in the image.", b"Answer: yes",
 ]  # fmt: skip
 PANO, VIEW = {"width": 64, "height": 32}, {"projection": "perspective", "width": 32, "height": 24, "hfov_deg": 90}
 RECORDS = [
@@ -101,6 +137,26 @@ def poses_hold(found, path):
     for pose in found:
         assert np.allclose(pose.world_R_body @ pose.world_R_body.T, np.eye(3), atol=1e-6)
         assert pose.position is None or np.isfinite(pose.position).all()
+    for axes in ("auto", *AXES):
+        made = reads(lambda axes=axes: settled(found, axes, path.name, None, len))
+        assert made is None or np.isfinite([pose.world_R_body for pose in made]).all()
+
+
+def lenses_hold(found, path):
+    for lens in found.lenses:
+        assert min(lens.reach, lens.pixels_per_radian) > 0
+        assert np.isfinite(lens.unproject(*np.random.default_rng(0).uniform(0, 1, (2, 9)) * [[64], [48]])).all()
+
+
+def photographs_hold(found, path):
+    assert (found.picture.dtype, found.picture.ndim) == (np.uint8, 3)
+    assert found.level_R_body is None or np.isfinite(found.level_R_body).all()
+
+
+def photograph(xmp):
+    """The bytes of a JPEG of a part of a panorama with this packet."""
+    Image.new("RGB", (60, 20)).save(file := io.BytesIO(), "JPEG", xmp=xmp[:60_000])
+    return file.getvalue()
 
 
 def records_hold(found, path):
@@ -151,6 +207,8 @@ READERS = {  # a file: what it holds, who reads it, which words an error has bes
         lambda found, path: set(found) <= {"a/0/0", "b/0/0"},
     ),
     "rig.yaml": (damaged([RIG]), read_rig, (), lambda found, path: len(found.lenses) > 0),
+    "camera.yaml": (damaged(CAMERAS), read_camera, (), lenses_hold),
+    "photo.jpg": (damaged(GPANO).map(photograph), FrameCheck(True).read, (), photographs_hold),
 }
 
 
@@ -164,6 +222,19 @@ def test_a_file_holds_a_right_value_or_is_named_in_the_error(folder, name, data)
     found = reads(lambda: read(path), name, also=words)
     if found is not None:
         assert holds(found, path) in (None, True)
+
+
+@HOSTILE
+@given(damaged(ANSWERS), st.sampled_from(["pixels", "thousand", "percent", "unit"]))
+def test_answers(blob, frame):
+    """Of a model: boxes within the picture, and a presence that is a probability."""
+    text = blob.decode("utf-8", "replace")
+    for box in reads(lambda: parse_boxes(text, frame, (448, 896))) or ():
+        assert 0 <= box.x0 < box.x1 <= 1
+        assert 0 <= box.y0 < box.y1 <= 1
+        assert 0 <= box.score <= 1
+    presence = reads(lambda: parse_presence(text))
+    assert presence is None or 0 <= presence <= 1
 
 
 @HOSTILE

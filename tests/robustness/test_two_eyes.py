@@ -39,8 +39,9 @@ def test_every_layout_is_told_by_the_command_line_too():
     assert get_args(get_args(get_args(Eyes)[0])[0]) == tuple(LAYOUTS)
 
 
-@pytest.mark.parametrize("name", PICTURES)
-@pytest.mark.parametrize("kind", ["png", "mp4"])
+@pytest.mark.parametrize(
+    ("name", "kind"), [*((name, "png") for name in PICTURES), ("right-left", "mp4"), ("vr180-top-bottom", "mp4")]
+)
 def test_two_eyes_are_refused_until_the_layout_is_told(tmp_path, name, kind):
     path, layout = tmp_path / f"pair.{kind}", name.partition(",")[0]
     if kind == "png":

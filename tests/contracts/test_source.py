@@ -1,7 +1,12 @@
-"""Names that have left the source do not come back: classes, functions and modules, each in the room where it was."""
+"""The source as a whole: no circles of imports, and no names that have left it; and tests in real time are a group."""
 
 import ast
+import os
+from graphlib import TopologicalSorter
 from pathlib import Path
+
+import grimp
+import pytest
 
 import eagor
 
@@ -53,3 +58,18 @@ def test_no_old_name_comes_back():
         here = {name.lstrip("_") for name in names(ast.parse(path.read_text(encoding="utf-8")).body)} | {*inner}
         found |= {f"{room}.{name}" for name in old & here}
     assert not found
+
+
+def test_no_module_imports_itself_by_a_detour():
+    """Not inside functions, not for types alone; `lint-imports` does not see those through a package's own file."""
+    graph = grimp.build_graph("eagor", cache_dir=None)
+    imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    assert len(imports) > 100, "the graph is that of the package"
+    TopologicalSorter(imports).prepare()  # raises CycleError, which names a circle
+
+
+@pytest.mark.xdist_group("real time")
+@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="there is one process only")
+def test_tests_in_real_time_are_a_group(request):
+    """Versions of pytest and pytest-xdist that do not fit ignore groups, and say nothing."""
+    assert request.node.nodeid.endswith("@real time")
