@@ -208,6 +208,7 @@ READERS = {  # a file: what it holds, who reads it, which words an error has bes
     ),
     "rig.yaml": (damaged([RIG]), read_rig, (), lambda found, path: len(found.lenses) > 0),
     "camera.yaml": (damaged(CAMERAS), read_camera, (), lenses_hold),
+    "cameras.txt": (damaged([b"1 OPENCV 640 480 500 501 320 240 -0.1 0.01 0 0\n"]), read_camera, (), lenses_hold),
     "photo.jpg": (damaged(GPANO).map(photograph), FrameCheck(True).read, (), photographs_hold),
 }
 

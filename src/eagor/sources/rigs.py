@@ -23,6 +23,7 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from eagor._checks import shown
 from eagor._extras import require_extra
 from eagor._files import read_file, write_atomic
 from eagor.cameras import Lens, Rig
@@ -201,7 +202,7 @@ def _of_rig(told: _Rig) -> Rig:
     for number, entry in enumerate(told.lenses):
         where = f"lenses[{number}]"
         if entry.kind not in ("fisheye", "pinhole", "omni"):
-            raise FormatError(f"{where}.kind is {entry.kind!r}; wanted fisheye, pinhole or omni")
+            raise FormatError(f"{where}.kind is {shown(entry.kind)}; wanted fisheye, pinhole or omni")
         if not 0 <= entry.picture < len(sizes):
             raise FormatError(
                 f"{where}.picture is {entry.picture}; wanted 0 to {len(sizes) - 1}, as pictures lists them"
@@ -303,7 +304,7 @@ def _of_kalibr(cameras: Sequence[Any]) -> Rig:
         told = _converted(entries, _Kalibr, f"$.{where}")
         if told.camera_model not in ("pinhole", "omni"):
             wanted = "pinhole or omni: calibrate it as one of these (kalibr_calibrate_cameras --models)"
-            raise FormatError(f"{where}.camera_model is {told.camera_model!r}, which is not read; wanted {wanted}")
+            raise FormatError(f"{where}.camera_model is {shown(told.camera_model)}, which is not read; wanted {wanted}")
         mirror, *others = told.intrinsics if told.camera_model == "omni" else (0.0, *told.intrinsics)
         if len(others) != 4:
             raise FormatError(
@@ -340,7 +341,7 @@ def _of_colmap(text: str) -> Rig:
         )
     _, model, *numbers = (*lines[0], "")
     if model not in COLMAP_MODELS:
-        raise FormatError(f"the model is {model!r}; wanted CAMERA_ID and one of {', '.join(COLMAP_MODELS)}")
+        raise FormatError(f"the model is {shown(model)}; wanted CAMERA_ID and one of {', '.join(COLMAP_MODELS)}")
     wanted = COLMAP_MODELS[model].split()
     try:
         wide, high, *values = map(float, numbers[:-1])
@@ -348,7 +349,9 @@ def _of_colmap(text: str) -> Rig:
         if not (np.isfinite(values).all() and min(wide, high) >= 1 and (wide, high) == (int(wide), int(high))):
             raise ValueError
     except (ValueError, OverflowError):
-        raise FormatError(f"{model} has {' '.join(numbers)}; wanted width, height, {', '.join(wanted)}") from None
+        raise FormatError(
+            f"{model} has {shown(' '.join(numbers))}; wanted width, height, {', '.join(wanted)}"
+        ) from None
     kind, size = "fisheye" if model.endswith("FISHEYE") else "pinhole", (int(wide), int(high))
     focal = found.get("fx", found.get("f", 0.0)), found.get("fy", found.get("f", 0.0))
     distortion = tuple(found.get(key, 0.0) for key in COLMAP_ORDER[kind].split())
