@@ -161,6 +161,13 @@ def test_an_absent_thing_tells_of_false_alarms_only():
     assert lasting.false_alarms_per_look < 0.1
 
 
+def test_a_thing_in_no_look_with_a_detection_tells_nothing_of_errors():
+    looks = looks_of(np.random.default_rng(2), groups=20, targets=(1, 2), **MADE)
+    empty = LabelledLook(Evidence.from_points(NOTHING, stamp=0.0), np.array([FORWARD]), None, "missed", np.eye(3))
+    model, more = fitted_model(looks, BASE), fitted_model([*looks, empty], BASE)
+    assert (more.spread, more.offset) == pytest.approx((model.spread, model.offset), rel=0.01)
+
+
 def test_what_cannot_be_fitted_is_refused():
     grid = ErpGrid(8, 16)
     mapped = Evidence.from_response(np.zeros((8, 16)), grid, Calibration())

@@ -202,7 +202,8 @@ def estimated(table: DetectionTable, weights: np.ndarray, prior: Prior, start: D
     of_pair, last = of_detection[table.detection], np.full(len(table.target), np.inf)
     visits = np.bincount(table.place, minlength=table.places)
     times = np.bincount(table.place, of_target, table.places) / visits  # how often each place counts
-    spans = np.bincount(table.home, of_pair, table.homes) / np.bincount(table.home, minlength=table.homes)
+    each = np.maximum(np.bincount(table.home, minlength=table.homes), 1)  # 0 of a place in no look with a detection
+    spans = np.bincount(table.home, of_pair, table.homes) / each
     if (model := start) is None:
         alarms, spread = max(float(of_detection.sum() / weights.sum()), 0.1), WIDE * table.base.spread
         known: dict[str, Any] = {"score_ratios": FLAT} if len(table.scores) else {}
