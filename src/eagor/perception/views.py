@@ -24,13 +24,12 @@ from eagor.grids import PerspectiveGrid, tangent_views
 from eagor.perception.colour import share_of
 from eagor.perception.fusion import ViewBox, ViewDetections, combined
 from eagor.perception.results import Names, boxes_of, names_in, numbered
-from eagor.perception.vocabulary import colour_of, fitting, match_class, named, same_name
+from eagor.perception.vocabulary import colour_of, fitting, listed, match_class, named, same_name
 from eagor.sources.panorama import checked_picture, cut
 from eagor.sphere import azimuth_elevation, checked_pose, world_R_body
 
 __all__ = ["Detector", "is_ultralytics"]
 
-MOST_LABELS = 8  # in a warning
 # Of a box's pixels, so many have the thing's colour at least: it fills about half of its box, and has others, too.
 COLOURED = 0.25
 
@@ -245,9 +244,8 @@ class Detector:
         if vain or fit:
             self._settled.add(query)
         if vain:
-            names = ", ".join(map(repr, sorted(strangers)[:MOST_LABELS])) + ", ..." * (len(strangers) > MOST_LABELS)
             what = f"none fits {query!r}" if self.classes is None else "none of its classes is called so"
-            text = f"the detector says {names}; {what}. If these are its own words, name them: "
+            text = f"the detector says {listed(strangers)}; {what}. If these are its own words, name them: "
             warnings.warn(f"{text}Detector(..., classes=[...])", UserWarning, stacklevel=5)
 
 

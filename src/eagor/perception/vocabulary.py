@@ -23,8 +23,8 @@ from eagor.evidence import Evidence
 from eagor.perception.colour import COLOURS, SYNONYMS, Colour, colour_in, is_colour
 
 __all__ = [
-    "by_colour_alone", "colour_of", "contradicts", "fitting", "for_any_words", "is_bare_colour", "match_class", "named",
-    "plain", "same_name", "singular",
+    "by_colour_alone", "colour_of", "contradicts", "fitting", "for_any_words", "is_bare_colour", "listed",
+    "match_class", "named", "plain", "same_name", "singular",
 ]  # fmt: skip
 
 _TABLES = toml.decode(Path(__file__).with_name("vocabulary.toml").read_bytes())
@@ -58,6 +58,7 @@ _PROMPT = re.compile(
 )
 _NEGATIVE = {"no", "not", "without", "non"}
 _EVERY = 8  # classes that an error names
+_MOST_LABELS = 8  # in a warning
 _ROOMS = ("chair", "couch", "bed", "dining table", "tv", "refrigerator", "potted plant", "person")
 
 
@@ -187,6 +188,11 @@ def fitting(query: str, labels: Iterable[str], wanted: Collection[str] | None = 
         return bool((narrower and not other) or (not exact and _looked_up(tuple(asked), (name,))[0]))
 
     return frozenset(label for label, words in known.items() if fits(words))
+
+
+def listed(labels: Collection[str]) -> str:
+    """Labels for a warning: the first `_MOST_LABELS`, in quotes."""
+    return ", ".join(map(repr, sorted(labels)[:_MOST_LABELS])) + ", ..." * (len(labels) > _MOST_LABELS)
 
 
 def contradicts(label: str, query: str) -> bool:

@@ -68,10 +68,10 @@ def open_poses(
     footage, own = source if isinstance(source, Footage) else None, getattr(source, "poses", None)
     bag, video = (None, None) if footage is None else (footage.bag, footage.video)
     if bag and footage and (text == "auto" or name == "ros"):
-        first, found = (bag_odometry(bag.bag, topic or None, bag.frame, axes) for _ in range(2))
-        if first is not None and axes != "body":
-            _compare(first, footage, say or warned)
+        found = bag_odometry(bag.bag, topic or None, bag.frame, axes)
         if found is not None:
+            if axes != "body":
+                _compare(BagPoses(bag.bag, found.topic, camera=bag.frame, axes=axes), footage, say or warned)
             return found
     if text == "auto" and video is not None and video.motion is not None:
         return video.motion

@@ -106,8 +106,8 @@ def read_stored(path: str | os.PathLike[str]) -> Stored:
             _load(image, os.path.getsize(name))
             several = (f"it holds {count} pictures, of which the first is taken",) if count > 1 else ()
             upright = _upright(image)
-            if image.mode.startswith("I") and (bits := bits_of(np.asarray(image))) < 16:
-                several += (f"its 16-bit values are taken for {bits} bits: none is larger",)
+            if image.mode.startswith("I") and (depth := depth_in_words(np.asarray(image))):
+                several += (depth,)
             found = Stored(*seen_of(upright), projection_of(image, upright.size), several)
             if deep and 0 < found.picture.max(initial=0) < 16:
                 raise ImageError("holds 16-bit colours of which 12 bits or fewer are used: black here; scale them up")
@@ -240,15 +240,21 @@ def seen_of(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
     return rgb, unseen
 
 
-def bits_of(values: np.ndarray) -> int:
+def depth_in_words(values: np.ndarray) -> str | None:
+    """How 16-bit values of fewer bits are read; None for those that use all."""
+    bits = _bits_of(values)
+    return f"its 16-bit values are taken for {bits} bits: none is larger" if bits < 16 else None
+
+
+def _bits_of(values: np.ndarray) -> int:
     """Bits that 16-bit values use: a sensor's 10, 12 or 14, which other programs show as black, or 16."""
     most = int(values.max(initial=0))
     return next(bits for bits in DEPTHS if most < 1 << bits)
 
 
 def to_8_bits(values: np.ndarray) -> np.ndarray:
-    """16-bit values as uint8, those of fewer bits (`bits_of`) scaled up."""
-    full = (1 << bits_of(values)) - 1
+    """16-bit values as uint8, those of fewer bits scaled up."""
+    full = (1 << _bits_of(values)) - 1
     return ((values.astype(np.uint32) * 255 + full // 2) // full).astype(np.uint8)
 
 

@@ -21,7 +21,7 @@ from eagor._extras import require_extra
 from eagor.conventions import rotation_from_xyzw, xyzw_from_rotation
 from eagor.errors import ImageError, PoseError, TimeError
 from eagor.sources import Pose
-from eagor.sources.panorama import bits_of, read_image, to_8_bits
+from eagor.sources.panorama import depth_in_words, read_image, to_8_bits
 from eagor.tracking.poses import FARTHEST
 
 __all__ = [
@@ -123,8 +123,8 @@ def taken_as(received: Any) -> str | None:
         name = AS_OPENCV.get(received.encoding)
         if "16" in received.encoding:
             count, _ = ENCODINGS.get(name or received.encoding, (1, 0))
-            if (bits := bits_of(_wide(_rows(received, 2 * count), received))) < 16:
-                return f"its 16-bit values are taken for {bits} bits: none is larger"
+            if how := depth_in_words(_wide(_rows(received, 2 * count), received)):
+                return how
         return name and f"the encoding {received.encoding} names no colours; it is read as {name}, as OpenCV has it"
     if _is_swapped(received.format):
         return (

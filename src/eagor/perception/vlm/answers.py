@@ -280,8 +280,7 @@ def _listed(text: str, order: Order) -> list[_Coordinates]:
             for x, y in ((_number(pair[place][0]) for place in _PLACES[order][:2]) for pair in pairs):
                 points.append(_Coordinates((x, y, x, y), point=True))
             continue
-        own = key in _CORNER_KEYS[:2] or _Y_FIRST.search(text, max(0, start - 40), start)
-        form = "yxyx" if own else _form(forms, start, order)
+        form = "yxyx" if key in _CORNER_KEYS[:2] else _form(text, forms, start, order)
         for numbers in _boxes_in(chain, tight):
             values = [_number(each[0]) for each in numbers]
             listed = len(chain) == 1 and len(values) < 8
@@ -312,8 +311,10 @@ def _boxes_in(chain: list[list[re.Match[str]]], tight: bool) -> Iterator[list[re
         yield [number for pair in chain[at : at + step] for number in pair]
 
 
-def _form(forms: Sequence[re.Match[str]], start: int, order: Order) -> str:
-    """What four numbers at `start` are: by the last words before them, or else the first behind."""
+def _form(text: str, forms: Sequence[re.Match[str]], start: int, order: Order) -> str:
+    """What four numbers at `start` are: by Gemini's key, the last words before them, or else the first behind."""
+    if _Y_FIRST.search(text, max(0, start - 40), start):
+        return "yxyx"
     place = bisect_right(forms, start, key=lambda each: each.end()) - 1
     return str(forms[max(place, 0)].lastgroup) if forms else order
 
@@ -389,9 +390,8 @@ def _bare(text: str, order: Order) -> Iterator[_Coordinates]:
     runs = [(run.start(), [*map(_number, _NUMBER.findall(run[0]))]) for run in _RUN.finditer(text)]
     forms = [*_FORM.finditer(text)]
     for start, run in runs:
-        form = "yxyx" if _Y_FIRST.search(text, max(0, start - 40), start) else _form(forms, start, order)
         if len(run) == 4:
-            yield _Coordinates(_decode_xyxy(run, form), ordered=True)
+            yield _Coordinates(_decode_xyxy(run, _form(text, forms, start, order)), ordered=True)
 
 
 # --- from coordinates to boxes, and which token a character came from -------------------------------------------------

@@ -26,13 +26,12 @@ from eagor.grids import OVERLAP, Grid, PatchGrid, PerspectiveGrid, depth_inside,
 from eagor.perception.fusion import spread_evidence
 from eagor.perception.vlm import ask_boxes, phrase
 from eagor.perception.vlm.answers import Box, Token, parse_boxes
-from eagor.perception.vocabulary import contradicts, fitting, plain, same_name
+from eagor.perception.vocabulary import contradicts, fitting, listed, plain, same_name
 from eagor.sources.panorama import checked_picture, cut, resized
 from eagor.sphere import angular_distance
 
 SAME = math.radians(5)  # largest distance between two boxes of one small thing; the extent of large things is added
 REACH = math.sqrt(3)  # half the width of a box over its standard deviation
-MOST_LABELS = 8  # in a warning
 _GENERAL = {"thing", "object", "target", "item", "instance", "region", "detection"}  # in labels that say nothing
 _SAMPLES = 3  # along each side of a cell that the responses of views are projected to
 Cost = Mapping[str, object]  # tokens, requests and the like, for the source of evidence
@@ -156,8 +155,7 @@ class ModelPerception:
         strange = {each for each in others - wrong if {*plain(query).split()}.isdisjoint(plain(each).split())}
         if strange and query not in self._strange_queries:
             self._strange_queries.add(query)
-            shown = ", ".join(map(repr, sorted(strange)[:MOST_LABELS]))
-            text = f"the model calls what it found for {query!r} {shown}; it counts all the same"
+            text = f"the model calls what it found for {query!r} {listed(strange)}; it counts all the same"
             warnings.warn(text, UserWarning, stacklevel=5)
         return [[box for box in boxes if box.label not in wrong] for boxes in answers]
 
