@@ -37,6 +37,7 @@ from processes import alive, sessions_of, wait_for
 from eagor.errors import DeviceError, EagorError, QueryError, TimeError
 from eagor.lab.worlds.painted import painted_room
 from eagor.live import loop as looping
+from eagor.live.events import ObservationReceived, Tick
 from eagor.live.loop import Loop
 from eagor.live.recording import Replay
 from eagor.sources import Pose
@@ -105,6 +106,23 @@ def test_answers_do_not_wait_for_a_model_that_takes_1600_ms(tmp_path):
     late = next(answer for answer in answers if known(answer))
     assert late.look_age > 1.5
     assert late.image_age < late.look_age
+
+
+def test_answers_do_not_wait_for_a_perception_that_is_quicker_than_the_tracker(monkeypatch):
+    """Each look takes the tracker longer than the next one needs to come: few wait, and answers come between them."""
+    loop, run = loop_of(Camera(), Here(), ["red chair", "blue ball"]), 0
+    take = loop.core.take
+
+    def slow(event):
+        nonlocal run
+        run = 0 if isinstance(event, Tick) else run + isinstance(event, ObservationReceived)
+        assert run < 20  # looks without an answer
+        time.sleep(0.05 * isinstance(event, ObservationReceived))
+        return take(event)
+
+    monkeypatch.setattr(loop.core, "take", slow)
+    followed(loop, known, lambda answer: loop.counts.looks > 30)
+    assert loop.counts.skipped > 0
 
 
 def test_the_newest_picture_is_looked_at_and_the_others_are_counted(tmp_path):

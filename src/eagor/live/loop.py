@@ -6,7 +6,7 @@ import math
 import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -50,6 +50,7 @@ STALLED = 10.0  # seconds without a picture after which a stream is opened again
 LONGEST_LATE = 60.0  # seconds: evidence may come so late, if the perception has the patience
 ON_DEMAND = 0.2  # seconds between pictures while the perception is busy
 LEAVING = 5.0  # seconds that threads have to come back from a device
+AHEAD = 4  # looks that may wait to be taken in: a perception that is quicker than the tracker waits, and answers do not
 LOADING = "the perception is being loaded"  # a fault until it is
 
 Source = str | CameraSource | Callable[[], CameraSource]
@@ -145,6 +146,7 @@ class Loop:
         perception = as_perception(perception)
         self.clock, self.counts = clock or LoopClock(), Counts()
         self._events: SimpleQueue[Event | None] = SimpleQueue()
+        self._looks = threading.Semaphore(AHEAD)
         self._stopped = threading.Event()
         self._shift = 0.0  # seconds from the clock of a recording to the loop's; 0 for live sources
         self._frames = Reader(
@@ -313,17 +315,20 @@ class Loop:
                 self._taken(replace(event, arrival=self._now))
 
     def _take_events(self, until: float) -> None:
-        """Take in what comes until a time, and all that is there then."""
-        while not self._stopped.is_set() and self._fatal is None:
-            left = until - self.clock.now()
-            try:
-                event = self._events.get(timeout=left) if left > 0 else self._events.get_nowait()
-            except Empty:
-                if left > 0:  # a clock may be slower than the time that was waited
-                    continue
+        """Take in what comes until a time, and what is there then: an answer waits for no more than that."""
+        while (left := until - self.clock.now()) > 0 and not self._stopped.is_set() and self._fatal is None:
+            with suppress(Empty):
+                self._received(self._events.get(timeout=left))
+        for _ in range(self._events.qsize()):
+            if self._stopped.is_set() or self._fatal is not None:
                 return
-            if event is not None:
-                self._taken(event)
+            self._received(self._events.get())
+
+    def _received(self, event: Event | None) -> None:
+        if event is not None:
+            self._taken(event)
+        if isinstance(event, ObservationReceived):
+            self._looks.release()
 
     def _taken(self, event: Event) -> list[Answer]:
         self._now = max(self._now, event.arrival)
@@ -431,6 +436,9 @@ class Loop:
                 if all(query in self._refused for query in self.core.queries):
                     self._fatal = QueryError(found.problem)
             for event in found.events(self.clock.now(), stamp, frame.stamp):
+                while isinstance(event, ObservationReceived) and not self._looks.acquire(timeout=ON_DEMAND):
+                    if self._stopped.is_set():
+                        return
                 self._events.put(event)
 
     def _perception_ended(self, error: EagorError | None) -> None:
