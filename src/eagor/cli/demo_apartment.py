@@ -153,7 +153,8 @@ def write_report(search: Search, folder: Path) -> Path:
     """Draw the pictures into `folder` and write report.html there; returns its path. Raises `StorageError`."""
     found, seconds = as_json(search), Camera().seconds
     times = [step * seconds for step in range(len(search.estimates))]
-    shaded = [(times[begin], times[end], "out of sight") for begin, end in search.hidden]
+    half = seconds / 2  # a single look is seen, too
+    shaded = [(max(times[begin] - half, 0.0), times[end] + half, "out of sight") for begin, end in search.hidden]
     curves = {SPOKEN[name]: search.errors[name].tolist() for name in (OURS, PLAIN)}
     drawn = {"beliefs": _strip(search), "errors": draw_errors(times, curves, shaded)}
     for name, picture in drawn.items():

@@ -142,7 +142,8 @@ def draw_errors(
 
     The axis is logarithmic, so that methods that are nearly right can be told apart beside one that is lost. Errors
     below 0.5 degrees are drawn at 0.5. A method with fewer values than stamps ended earlier; one without values is
-    listed with a dash. None and NaN leave a gap in the curve. `shaded` marks intervals: begin, end, and label.
+    listed with a dash. None and NaN leave a gap in the curve. `shaded` marks intervals: begin, end, and label
+    (which is left out of narrow ones beside wider ones).
 
     Raises `EagorError` without stamps, and for a method with more values than there are stamps.
     """
@@ -160,8 +161,11 @@ def draw_errors(
     lowest = max(tick for tick in TICKS if tick <= max(min(every.min(), highest / 10), LEAST))
     sheet = figure(width, round(width * 0.42))
     axes = sheet.add_axes((0.06, 0.13, 0.69, 0.76 if title else 0.83))
+    roomy = min(0.1 * (stamps[-1] - stamps[0]), max((end - begin for begin, end, _ in shaded), default=0.0))
     for begin, end, label in shaded:
         axes.axvspan(begin, end, color="#eceff4", zorder=0, linewidth=0)
+        if end - begin < roomy:  # its label would lie over its neighbours'
+            continue
         middle, place = (begin + end) / 2, axes.get_xaxis_transform()
         axes.text(middle, 0.975, label, ha="center", va="top", fontsize=9, color=QUIET, transform=place)
     ends = []
