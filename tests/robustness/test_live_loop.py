@@ -125,6 +125,17 @@ def test_answers_do_not_wait_for_a_perception_that_is_quicker_than_the_tracker(m
     assert loop.counts.skipped > 0
 
 
+@linux
+def test_a_picture_for_which_the_shared_memory_has_no_room_is_looked_at(monkeypatch):
+    """As in a container with its 64 MB: a write there would end the process."""
+
+    def full(file, begin, size):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.posix_fallocate", full)
+    followed(loop_of(Camera(), Seeing()), known)
+
+
 def test_the_newest_picture_is_looked_at_and_the_others_are_counted(tmp_path):
     log = tmp_path / "log"
     loop = loop_of(Camera(rate=100), Seeing(0.3, log=log))

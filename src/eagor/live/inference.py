@@ -1,12 +1,13 @@
 """The perception of a loop: in this process, or in one of its own with a watchdog.
 
-The pictures go there through shared memory.
+The pictures go there through shared memory, or where there is too little of that through the line.
 """
 
 from __future__ import annotations
 
 import ctypes
 import math
+import os
 import pickle
 import signal
 import sys
@@ -144,9 +145,10 @@ class InferenceWorker:
         elif self._model is not None:
             yield from self._model.infer(frame, queries, world_R_body)
         elif self._worker is not None and picture is not None:
-            where = self._share(picture), picture.shape
+            name = self._share(picture)
+            there = replace(frame, picture=None) if name else frame
             with suppress(WorkerEnded):  # to receive meets that again
-                self._worker.send((replace(frame, picture=None), where, tuple(queries), world_R_body))
+                self._worker.send((there, (name, picture.shape), tuple(queries), world_R_body))
             while self._worker is not None and (found := self._receive(self.patience, "look")) is not None:
                 yield found
 
@@ -182,10 +184,17 @@ class InferenceWorker:
         return Inferred(None, problem=problem)
 
     def _share(self, picture: np.ndarray) -> str:
-        """Put the picture into shared memory; its name there."""
+        """Put the picture into shared memory; its name there, "" if the system has no room for it."""
         if self._memory is None or self._memory.size < picture.nbytes:
             self._free()
-            self._memory = SharedMemory(create=True, size=picture.nbytes)
+            try:
+                self._memory = SharedMemory(create=True, size=picture.nbytes)
+                if sys.platform == "linux":  # what is only promised (64 MB in a container) ends who writes there
+                    with open(f"/dev/shm/{self._memory.name}", "r+b") as file:
+                        os.posix_fallocate(file.fileno(), 0, picture.nbytes)
+            except OSError:
+                self._free()
+                return ""
         np.ndarray(picture.shape, dtype=np.uint8, buffer=self._memory.buf)[...] = picture
         return self._memory.name
 
@@ -269,9 +278,10 @@ def _serve(line: Connection, perception: str | Perception, masks: Sequence[BodyM
     line.send(model.knows_classes)
     while True:
         frame, (name, shape), queries, pose = line.recv()
-        if memory is None or memory.name != name:
-            memory = SharedMemory(name)
-        picture = np.ndarray(shape, dtype=np.uint8, buffer=memory.buf)
+        picture = frame.picture
+        if name:
+            memory = memory if memory is not None and memory.name == name else SharedMemory(name)
+            picture = np.ndarray(shape, dtype=np.uint8, buffer=memory.buf)
         for found in model.infer(replace(frame, picture=picture), queries, pose):
             try:
                 line.send(found)
