@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from pkgutil import resolve_name
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from eagor.errors import EagorError
 
-__all__ = ["Worker", "WorkerEnded", "WorkerSilent"]
+__all__ = ["Worker", "WorkerEnded", "WorkerSilent", "of_script"]
 
 THREADS = *(f"{name}_NUM_THREADS" for name in ("OPENBLAS", "OMP", "MKL", "NUMEXPR")), "VECLIB_MAXIMUM_THREADS"
 _START = threading.Lock()  # the environment is that of all threads
@@ -35,7 +39,8 @@ class Worker:
     It calls ``serve(line, *arguments)``; `serve` may be named as ``"package.module:function"``, which is then imported
     in that process alone. It ends when that returns, which it should when reading the line raises EOFError: then this
     process has closed it, or is gone. An `EagorError` there is its last word, and raised here by `receive`. Ctrl-C is
-    left to this process, and it never outlives it, however that ends.
+    left to this process, and it never outlives it, however that ends. It imports the script that was started only where
+    the arguments need it, so that a script without ``if __name__ == "__main__"`` does not run again there.
 
     `parent`: whether it starts processes itself. Such a worker has to be closed before this process can end.
 
@@ -45,12 +50,12 @@ class Worker:
     def __init__(
         self, serve: Callable[..., object] | str, *arguments: Any, name: str | None = None, parent: bool = False
     ) -> None:
-        context = multiprocessing.get_context("spawn")
+        context, work = multiprocessing.get_context("spawn"), bytes(ForkingPickler.dumps((serve, arguments)))
         self.line, there = context.Pipe()
         self._closing = threading.Lock()
-        self.process = context.Process(target=_live, args=(there, serve, arguments), name=name, daemon=not parent)
+        self.process = context.Process(target=_live, args=(there, work), name=name, daemon=not parent)
         try:
-            with _START, _starting():
+            with _START, _starting(with_script=of_script(work)):
                 self.process.start()
         except BaseException:
             self.line.close()
@@ -116,8 +121,14 @@ class _LastWord(NamedTuple):
     error: EagorError
 
 
-def _live(line: Connection, serve: Callable[..., object] | str, arguments: tuple[Any, ...]) -> None:
+def of_script(pickled: bytes) -> bool:
+    """Whether something that was pickled is defined in the script that was started."""
+    return b"__main__" in pickled
+
+
+def _live(line: Connection, work: bytes) -> None:
     """The life of a worker."""
+    serve, arguments = pickle.loads(work)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it, too, and decides
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # for processes that this one starts
@@ -141,21 +152,24 @@ def _leave_with_parent() -> None:
 
 
 @contextmanager
-def _starting() -> Iterator[None]:
-    """Start processes of our own inside.
+def _starting(with_script: bool) -> Iterator[None]:
+    """Start processes of our own inside, `with_script` those that import the script that was started.
 
     They have one BLAS thread each (the libraries read that once, when they are loaded), and are not interrupted: Ctrl-C
     reaches every process of a terminal, and one that still imports would print a traceback. `_live` undoes that.
     """
     before = {name: os.environ[name] for name in THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(THREADS, "1"))
-    mask = None
+    mask, script = None, sys.modules["__main__"]
     if hasattr(signal, "pthread_sigmask"):  # not on Windows
         resource_tracker.ensure_running()  # it starts with the first process, and clears the mask
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    if not with_script:
+        sys.modules["__main__"] = ModuleType("__main__")
     try:
         yield
     finally:
+        sys.modules["__main__"] = script
         if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for name in THREADS:

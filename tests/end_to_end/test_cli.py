@@ -564,6 +564,12 @@ def test_a_reader_that_goes_away_is_no_error(series):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+def test_commands_run_where_the_streams_are_closed(tmp_path):
+    """As under some supervisors; nothing that is opened takes their place."""
+    line = 'exec "$0" -m eagor demo --help <&- >&- 2>&-'
+    assert subprocess.run(["sh", "-c", line, sys.executable], env=ENVIRONMENT).returncode == 0
+
+
 def test_control_c(tmp_path):
     words = command("demo", "--out", tmp_path / "demo")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}

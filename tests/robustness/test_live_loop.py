@@ -356,6 +356,33 @@ def test_a_run_that_is_killed_leaves_nobody_and_its_recording_can_be_played(tmp_
     assert any(answer.direction is not None for answer in answers)
 
 
+UNGUARDED = """
+import sys
+sys.path[:0] = {paths!r}
+from livemaking import Camera, Seeing
+from eagor import Loop
+
+class Own(Seeing):
+    pass
+
+for answer in Loop(Camera(), None, {perception}, "red chair", realtime=True):
+    if answer.direction is not None:
+        print("seen")
+        break
+"""
+
+
+@pytest.mark.parametrize(("perception", "said"), [("Seeing()", ""), ("Own()", 'lacks if __name__ == "__main__"')])
+@pytest.mark.parametrize("piped", [False, True])
+def test_a_script_without_a_guard_does_not_run_again_in_the_perceptions_process(tmp_path, perception, said, piped):
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED.format(paths=[entry for entry in sys.path if entry], perception=perception))
+    command, given = ([sys.executable, "-"], script.read_text()) if piped else ([sys.executable, str(script)], None)
+    done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=300)
+    assert (done.stdout, done.returncode) == ("seen\n", 0), done.stderr
+    assert said in done.stderr if said else not done.stderr
+
+
 LIMITED = """
 import resource, sys
 sys.path[:0] = {paths!r}

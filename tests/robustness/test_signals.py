@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 
 import hstar_data
@@ -101,3 +102,20 @@ def test_threads_that_wait_for_a_silent_model_hold_nobody_up(tmp_path):
     run = begun("bench", "run", "hstar-hos", "--data", data, *words, "--out", tmp_path / "run", path=tmp_path)
     wait_for((tmp_path / "asked").exists)
     assert ended(run, signal.SIGINT) == TOLD[signal.SIGINT]
+
+
+OWN = """
+import os, signal, threading
+signal.signal(signal.SIGTERM, lambda *_: print("heard"))
+from eagor.odometry.two_views import import_pycolmap
+thread = threading.Thread(target=import_pycolmap)
+thread.start()
+thread.join()
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+
+
+def test_a_program_still_hears_its_sigterm_when_pictures_have_told_the_motion():
+    pytest.importorskip("pycolmap")
+    done = subprocess.run([sys.executable, "-c", OWN], capture_output=True, text=True, timeout=300)
+    assert (done.stdout, done.returncode) == ("heard\n", 0), done.stderr

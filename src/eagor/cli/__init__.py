@@ -31,6 +31,9 @@ from typing import Annotated, Any, Union
 # on shared cores). The library reads this when NumPy is first imported; a value that is set already counts.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+if sys.stdout is None or sys.stderr is None:  # closed by who started us; the next file would take their place
+    sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115
+
 if not sys.stderr.isatty():  # read by transformers: no progress bars without a terminal
     os.environ.setdefault("HF_HUB_DISABLE_PROGRESS_BARS", "1")
 

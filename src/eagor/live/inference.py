@@ -18,11 +18,12 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from eagor._processes import Worker, WorkerEnded, WorkerSilent
+from eagor._processes import Worker, WorkerEnded, WorkerSilent, of_script
 from eagor.errors import EagorError, ImageError, QueryError
 from eagor.evidence import BodyMask, Evidence
 from eagor.live.events import Diagnostic, Event, ObservationReceived
@@ -75,10 +76,16 @@ def error_text(error: Exception) -> str:
 def why_here(perception: str | Perception) -> str:
     """Why a perception cannot work in a process of its own, in words, such as a lambda; "" if it can."""
     try:
-        pickle.dumps(perception)
+        pickled = pickle.dumps(perception)
     except Exception as error:
         return str(error)
-    return ""
+    try:
+        guarded = "__main__" in Path(getattr(sys.modules["__main__"], "__file__", "")).read_text(errors="replace")
+    except OSError:  # of a prompt or a notebook
+        guarded = False
+    if guarded or not of_script(pickled):
+        return ""
+    return 'another process cannot import it from what was started, which lacks if __name__ == "__main__"'
 
 
 class InferenceWorker:

@@ -8,8 +8,12 @@ so. In a narrow field a step to the side, or a thing that moves, looks much like
 
 from __future__ import annotations
 
+import ctypes
 import math
+import signal
+import sys
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -28,6 +32,7 @@ NEAR = math.radians(0.1)  # two pairs nearer than that are as good
 SHARPEST = math.radians(0.02)  # deviation that counts: pairs that are drawn, or fixed to the camera, may seem exact
 WIDTH = 4096  # pixels of the equirectangular camera
 OFF = 0.5, 0.2  # degrees by which pairs may miss an epipolar circle: over the sphere, in a field of a steradian
+TAKEN = signal.SIGTERM, signal.SIGABRT, signal.SIGFPE, signal.SIGILL, signal.SIGSEGV  # by pycolmap's logging
 UNSURE = 30.0  # nats by which one kind of motion has to be likelier than the other, to count as sure
 # Degrees by which a turn is off for each degree that single pairs are off, where what is left may be parallax or
 # distortion, which neighbours share. In rendered walks, at 65 and 90 degrees, 2 to 8.
@@ -164,8 +169,7 @@ def _moved(pairs: _Pairs) -> _Fit | None:
     """The turn and the motion that put most pairs on epipolar circles; None from few places, and without pycolmap."""
     if pairs.count <= 8 or find_spec("pycolmap") is None:
         return None
-    import pycolmap
-
+    pycolmap = import_pycolmap()
     camera: Any = pycolmap.Camera.create_from_model_name(1, "EQUIRECTANGULAR", 1.0, WIDTH, WIDTH // 2)
     options = pycolmap.TwoViewGeometryOptions(compute_relative_pose=True, detect_watermark=False)
     options.ransac.random_seed, options.ransac.max_num_trials = 0, TRIALS
@@ -178,6 +182,22 @@ def _moved(pairs: _Pairs) -> _Fit | None:
     back = pose.inverse()
     rotation = from_optical(from_optical(back.rotation.matrix()).T).T
     return _Fit(pairs, rotation, from_optical(back.translation / np.linalg.norm(back.translation)))
+
+
+def import_pycolmap() -> Any:
+    """pycolmap. Its import takes over how SIGTERM and a crash end this process; they are given back to who had them.
+
+    From any thread, which `signal.signal` is not for.
+    """
+    if "pycolmap" in sys.modules or sys.platform == "win32":
+        return import_module("pycolmap")
+    libc, had = ctypes.CDLL(None), {number: ctypes.create_string_buffer(256) for number in TAKEN}  # a struct, and more
+    for number, action in had.items():
+        libc.sigaction(number, None, action)
+    pycolmap = import_module("pycolmap")
+    for number, action in had.items():
+        libc.sigaction(number, action, None)
+    return pycolmap
 
 
 class _Fit:
