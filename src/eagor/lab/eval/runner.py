@@ -256,6 +256,10 @@ def _cluster() -> Iterator[None]:
             ray.init(log_to_driver=False, configure_logging=False)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise EagorError(f"no Ray cluster at RAY_ADDRESS ({error}); start one with `ray start`") from error
+    except SystemExit:  # Ray, which has taken SIGTERM, was told to end
+        if callable(handler):
+            handler(signal.SIGTERM, None)
+        raise
     if threading.current_thread() is threading.main_thread() and handler is not None:
         signal.signal(signal.SIGTERM, handler)  # Ray has taken it
     try:
