@@ -231,6 +231,8 @@ def session(file: str | os.PathLike[str], threads: int = 1) -> Any:
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    # Threads that wait for work by spinning take the CPU from whatever else the machine does: half of it, where busy.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 4  # notes on an export help nobody, and faults are raised
     return onnxruntime.InferenceSession(os.fspath(file), options, providers=["CPUExecutionProvider"])
 
