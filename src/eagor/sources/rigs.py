@@ -15,6 +15,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeVar
 from xml.etree import ElementTree
@@ -37,7 +38,7 @@ WANTED = (
     "pictures and lenses of a rig, ROS camera_info, OpenCV's camera_matrix and distortion_coefficients, or Kalibr's "
     "camchain; COLMAP's cameras.txt is a text file"
 )
-LARGEST = 1 << 20  # bytes: a calibration has a few hundred
+LARGEST, DEEPEST = 1 << 18, 50  # bytes, and brackets within brackets: a calibration has a few hundred, and four
 UNIT = 0.01  # by which the length of a quaternion may differ from 1
 FLATTEST = 100  # by how much a picture may be larger than the focal length: a field of 178 degrees
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
@@ -144,6 +145,8 @@ def _parsed(text: str) -> Any:
             return _of_element(ElementTree.fromstring(text))
         except ElementTree.ParseError as error:
             raise FormatError(f"it is not XML ({error}); wanted {WANTED}") from error
+    if max(accumulate((each in "[{") - (each in "]}") for each in text), default=0) > DEEPEST:
+        raise FormatError(f"it has brackets more than {DEEPEST} deep; wanted {WANTED}")
     require_extra("reading a calibration (YAML)", "photos", "yaml")
     import yaml
 
