@@ -378,5 +378,11 @@ def lens_of_model(
         )
     if 0 < FLATTEST * min(focal) < max(size) and kind == "pinhole" and not mirror:
         raise FormatError(f"the focal lengths are {focal[0]:g} and {focal[1]:g} in pictures of {size}; wanted pixels")
+    (x, y), (wide, high) = centre, size
+    if abs(wide - high) > 0.2 * high and abs(2 * x - high) < 0.1 * high and abs(2 * y - wide) < 0.1 * wide:
+        raise FormatError(
+            f"the centre is ({x:g}, {y:g}) in pictures of {wide} x {high}: that of one that stands, or exchanged; "
+            "wanted cx, cy, and width and height of the same pictures"
+        )
     kind = "omni" if mirror else kind
     return Lens("camera", size, focal, centre, tuple(values[:most]), kind=kind, mirror=mirror)
