@@ -241,7 +241,7 @@ def literal(text: str, where: str) -> Any:
     """A list or mapping written as JSON or as Python writes it; nothing in it is run. Raises `FormatError`."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SyntaxWarning)  # of "1in", which is none either way
+            warnings.simplefilter("ignore")  # Python's own, of "1in" or a backslash
             return ast.literal_eval(text.strip())
     except (ValueError, SyntaxError, MemoryError, RecursionError, TypeError):
         raise FormatError(f"{where} cannot be read: {shown(text)}; {WANTED}") from None
