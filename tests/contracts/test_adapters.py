@@ -164,6 +164,7 @@ def test_boxes_without_area_are_left_out():
         ((BOXES, SCORES, [0, 7]), "the label 7 came, and names has 2 entries without it"),
         ((BOXES, SCORES, [0, -1]), "the label -1 came, and names has"),
         ((BOXES, SCORES, [0.5, 1]), r"the label 0\.5 came; wanted a text"),
+        ((BOXES, SCORES, [0, 10**400]), "the label 10+.* came; wanted a text"),
         ((BOXES, SCORES, [None, None]), "the label None came; wanted a text.*return boxes and scores alone"),
         ((BOXES, SCORES, [{"id": 56}, {"id": 0}]), "the label {'id': 56} came; wanted a text"),
         (([[0, 0, 1, 1]], [0.5]), "seem to be fractions"),
@@ -174,6 +175,9 @@ def test_boxes_without_area_are_left_out():
         (oriented(xywhr=BOXES), "has no attribute 'xyxyxyxy'; wanted"),
         (records(label=["chair", None]), "some dictionaries came with a label, some without"),
         ([{"bbox": [1, 2, 3, 4]}], "a list of 1 .* without"),
+        ([{"bbox": [1, 2, 3], "score": 0.5}], "a list of 1 .* with an error: not enough values"),
+        ([{"bbox": [1, 2, 3, 10**400], "score": 0.5}], "a list of 1 .* with an error: int too large"),
+        ((BOXES, [1, 10**400]), "scores came as a list of 2"),
         ([{"box": {"left": 3}, "score": 0.5}], "without 'xmin'; wanted"),
     ],
 )

@@ -270,6 +270,18 @@ def test_stamps_that_stand_still_are_said(tmp_path):
         assert len(list(open_source(str(tmp_path / "bag")))) == 1
 
 
+@pytest.mark.parametrize(("headers", "stamps"), [((0, 1, 2), [0, 1, 2]), ((0, 0, 0), [1e9, 1e9 + 1, 1e9 + 2])])
+def test_a_clock_that_begins_at_0_is_none_that_is_not_set(tmp_path, headers, stamps):
+    """As that of a simulation, recorded by the clock of the machine."""
+    with BagWriter(tmp_path / "bag") as out:
+        for at, stamp in enumerate(headers):
+            out.write("/image", m.IMAGE, m.image_message(np.zeros((4, 8, 3), np.uint8), stamp, "lens"), 1e9 + at)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        assert [stamp for stamp, _ in BagCamera(tmp_path / "bag").pictures()] == stamps
+    assert bool(said) == (headers[1] == 0)
+
+
 def test_how_colours_without_names_are_read_is_said(tmp_path):
     made = image_of("8UC3", ROOM[..., ::-1], stamp=START)
     with BagWriter(tmp_path / "bag") as bag:

@@ -355,6 +355,7 @@ def test_files_of_labels(text, tmp_path):
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [("", "has no labels"), ("1 chair\n1 dog\n2 cup", "a number twice"), ("{0: chair", "cannot be read"),
+     ("[1st, 2nd]", "cannot be read"), ("['\\]', 1e]", "cannot be read"),
      ("{'a': 'chair'}", "wanted a list of names"), ("[7, 'chair']", "wanted a list of names"),
      ("999999 chair", "wanted a list of names"), (None, "cannot be read")],
 )  # fmt: skip

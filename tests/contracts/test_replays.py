@@ -42,6 +42,8 @@ VIEW = {"projection": "perspective", "width": 640, "height": 480, "hfov_deg": 60
         (line(image=PANORAMA | {"hfov_deg": 90}), 'hfov_deg is for a perspective image.*"projection": "perspective"'),
         (line(image=PANORAMA | {"roll_right_deg": 0}), "roll_right_deg is for a perspective image"),
         (line(image=PANORAMA | {"focal": [9, 9]}), "focal is for a perspective image"),
+        (line(image={"width": 640, "height": 480}), r"image is \(640, 480\); wanted a panorama, 2:1, or .*perspective"),
+        (line(image=VIEW | {"hfov_deg": 1.05}), "hfov_deg is 1.05; wanted `float` >= 2"),
         (line(image=VIEW | {"centre": [320, 240]}), "has hfov_deg and centre; wanted one of them"),
         (line(image=VIEW | {"hfov_deg": None, "focal": [9, 9]}), "centre is missing; wanted two numbers"),
         (line(image=VIEW | {"hfov_deg": None, "focal": [-9, 9], "centre": [1, 1]}), r"has focal \(-9.*above 0"),

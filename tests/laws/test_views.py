@@ -1,6 +1,7 @@
 """Any detector for ordinary pictures, made to look all around."""
 
 import math
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -170,6 +171,13 @@ def test_one_pass_answers_for_every_class_as_a_look_for_each_does():
 def test_a_detector_that_returns_nonsense_is_told_so(nonsense):
     with pytest.raises(EagorError, match="want"):
         Detector(lambda picture, query: nonsense, size=64)(painted(), "thing")
+
+
+@pytest.mark.parametrize(("right", "said"), [(130, None), (150, "reach far beyond the 128 x 128 picture")])
+def test_boxes_of_a_larger_picture_are_doubted(right, said):
+    views = Detector(lambda picture: ([[90, 20, right, 60]], [0.9], ["lamp"]), size=128)
+    with pytest.warns(UserWarning, match=said) if said else nullcontext():
+        views(painted(), "lamp", stamp=0.0)
 
 
 def test_a_colour_in_the_query_weighs_the_boxes_of_a_detector_that_knows_none():

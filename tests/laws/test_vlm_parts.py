@@ -121,6 +121,8 @@ def test_what_was_printed_is_read(entries, frame, order, wrapping):
         '{"bbox_xywh": [100, 200, 200, 200]}',
         '{"bbox": [100, 200, 200, 200], "format": "xywh"}',
         "[200, 300, 200, 200] (cx, cy, w, h)",
+        '{"cx": 200, "cy": 300, "w": 200, "h": 200}',
+        '{"center": {"x": 200, "y": 300}, "width": 200, "height": 200}',
         # polygons, ranges, signs
         '{"polygon": [[100, 200], [300, 250], [250, 400], [120, 390]]}',
         "(100, 200), (300, 200), (300, 400), (100, 400)",
@@ -149,6 +151,27 @@ def test_what_was_printed_is_read(entries, frame, order, wrapping):
 def test_ways_of_writing_one_box(text):
     (box,) = parse_boxes(text, "thousand", SIZE)
     assert (box.x0, box.y0, box.x1, box.y1) == pytest.approx((0.1, 0.2, 0.3, 0.4), abs=6e-4)  # <loc_100>: 0.1 to 0.101
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"lamp": [[100, 200, 300, 400], [500, 500, 600, 600]], "red stool": [[1, 2, 30, 40]]}',
+        '{"lamp": {"bbox": [100, 200, 300, 400]}, "red_stool": {"bbox": [500, 500, 600, 600], "score": 0.5}}',
+        "- label: lamp\n  bbox: [100, 200, 300, 400]\n- label: red stool\n  bbox: [500, 200, 600, 400]",
+        "<ref>lamp</ref><box>[[100, 200, 300, 400]]</box><ref>red stool</ref><box>[[500, 500, 600, 600]]</box>",
+        "1. **lamp**: (100, 200, 300, 400)\n2. a red stool: (500, 500, 600, 600)",
+        "<object><name>lamp</name><xmin>1</xmin><ymin>2</ymin><xmax>30</xmax><ymax>40</ymax></object>",
+        "{label: lamp, bbox: [100, 200, 300, 400]}",
+        '{"objects": {"lamp": [{"bbox": [100, 200, 300, 400]}]}}',
+        '{"detections": {"boxes": [[100, 200, 300, 400]]}}',
+    ],
+)
+def test_what_stands_before_a_box_names_it(text):
+    """Else a lamp would count as the stool that was asked for."""
+    names = [each.label.removeprefix("a ").replace("_", " ") for each in parse_boxes(text, "thousand", (1000, 1000))]
+    lamps = 2 if "400], [500" in text else int("lamp" in text)
+    assert names == (["lamp"] * lamps + ["red stool"] * ("stool" in text) or [""])
 
 
 def test_semicolons_part_boxes():

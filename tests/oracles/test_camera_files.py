@@ -270,6 +270,7 @@ def test_a_model_that_is_named_in_any_way_counts(tmp_path, line, kind):
         ("image_width: 6\nimage_height: 4\nK: [0, 0, 3, 0, 5, 2, 0, 0, 1]", "focal above 0"),
         ("image_width: 6\nimage_height: 4\nK: [5, 0, 0, 0, 5, 0, 3, 2, 1]", "row by row"),
         ("image_width: 6000\nimage_height: 4000\nK: [0.8, 0, 0.5, 0, 1.2, 0.5, 0, 0, 1]", "lengths are 0.8 and 1.2 in"),
+        ("image_width: 640\nimage_height: 480\nK: [400, 0, 236, 0, 400, 322, 0, 0, 1]", "centre is (236.5, 322.5)"),
         ("image_width: 6000000\nimage_height: 4\nK: [5e9, 0, 3, 0, 5e9, 2, 0, 0, 1]", "wanted pixels up to 1e+06"),
         (ROS.format(matrix=MATRIX, model="equidistant", count=4, values=[1e308, -1e308, 0, 0]), "distortion [1e+308"),
         (ROS.format(matrix=MATRIX, model="plumb_bob", count=8, values=list(RATIONAL)), "at most 5"),

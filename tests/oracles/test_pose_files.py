@@ -432,6 +432,15 @@ def test_frames_are_found_by_the_last_part_of_any_path(tmp_path, shots, frame):
     assert [each.frame.name for each in posed(shots, tmp_path / "p.csv")] == [p.name for p in sorted(shots.iterdir())]
 
 
+@pytest.mark.parametrize(("name", "turned"), [("rgb/{}", True), ("left_{}", False)])
+def test_a_column_of_any_name_may_name_the_pictures(tmp_path, shots, name, turned):
+    """Of this camera; else they are paired as without it."""
+    names = sorted((path.name for path in shots.iterdir()), reverse=True)
+    lines = [f"{k},{20 - 11 * (4 - k if turned else k)},0,0,{name.format(each)}" for k, each in enumerate(names)]
+    (tmp_path / "p.csv").write_text("\n".join(["stamp,yaw_deg,pitch_deg,roll_deg,image_path", *lines]))
+    assert [each.frame.name for each in posed(shots, tmp_path / "p.csv")] == (names if turned else names[::-1])
+
+
 def test_pictures_that_colmap_could_not_place_are_left_out(tmp_path, shots):
     (tmp_path / "images.txt").write_text(images_txt(in_axes("optical")[1:]))
     with pytest.warns(UserWarning, match="has no pose for 1650000000.000000.png, 1 of 5 pictures: left out"):

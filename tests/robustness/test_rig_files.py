@@ -61,6 +61,7 @@ def test_a_lens_that_wants_too_large_a_panorama(tmp_path):
         ("width: 400", "width: 40000000", r"wanted pixels up to 1e.06"),
         ("width: 400", "width: 40.5", r"Expected `int`, got `float` - at `\$.pictures\[0\].width`"),
         (", height: 200", "", r"missing required field `height` - at `\$.pictures\[0\]`"),
+        ("pictures:", f"a: {'{' * 900}", "it has brackets more than 50 deep"),
         ("lenses:", "lens:", r"unknown field `lens`|missing required field `lenses`"),
         ("field_deg: 200", "field_deg: 200\n    polynomial: [-0.5]", r"(not above 0|turns back)"),
         ("field_deg: 200", "kind: pinhole\n    field_deg: 200", r"lenses\[0\]: wanted either field_deg"),

@@ -50,6 +50,7 @@ ALIASES = {
     **{angle: angle.replace("_deg", "(?:_(?P<unit>deg|rad))?") for angle in ANGLES},
 }
 NUMBERS = ("stamp", *QUATERNION, *ANGLES, *POSITION)
+_FILE = re.compile(r".+\.[a-z]\w{2,3}", re.IGNORECASE)  # a picture's name, whatever its column is called
 _COMMENT = re.compile(r"\s*(?:#|%|//)")
 _UNIT = re.compile(r"[\[(]\s*(\w*)[^\])]*[\])]\s*$")
 # Tables without names: their mark (None: blanks), how many columns they have, from which stamp on (EuRoC's count
@@ -77,10 +78,11 @@ class GivenPoses(tuple[Pose, ...]):
     """A `PoseSource` of poses that are there already, in order of time; `name`: where they are from.
 
     Of a file: `axes`: those of `eagor.odometry.axes` that its form tells, "" if none, "body?": ours; `form`: that of
-    another program, in words, which may lack pictures; `unit`: how many of what its stamps count are a second.
+    another program, in words, which may lack pictures; `unit`: how many of what its stamps count are a second;
+    `guessed`: its frames are from a column that is called otherwise, and need not be pictures of this camera.
     """
 
-    axes, form, name, unit = "", "", "the poses", 1.0
+    axes, form, name, unit, guessed = "", "", "the poses", 1.0, False
 
     def __new__(cls, poses: Iterable[Pose], name: str = name) -> GivenPoses:
         found = super().__new__(cls, poses)
@@ -190,6 +192,9 @@ def _of_table(lines: Sequence[str]) -> GivenPoses:
         if len(row) != len(names):
             found = f"has {len(row)} fields where the header has {len(names)}"
             raise FormatError(f", line {number}: {found}; cut off, or a comma too many?")
+    files = [column for column in range(len(names)) if all(_FILE.fullmatch(row[column]) for _, row in rows)]
+    if guessed := "frame" not in names and bool(files):
+        names[files[0]] = "frame"
     at = {name: names.index(name) for name in (*NUMBERS, "frame") if name in names}
     point = "," if mark == "," else "."  # else a comma is a decimal one
     table = {
@@ -221,8 +226,10 @@ def _of_table(lines: Sequence[str]) -> GivenPoses:
         turns = Rotation.from_euler("ZYX", np.fmod(angles, 360), degrees=True).as_matrix()
     places = np.stack([table[name] for name in POSITION], axis=1) if "x" in at else [None] * len(rows)
     frames = [row[at["frame"]] or None if "frame" in at else None for _, row in rows]
+    frames = [_base(frame or "") for frame in frames] if guessed else frames
     each = zip(stamps.tolist(), turns, places, frames, strict=True)
     poses = GivenPoses(Pose(stamp, turn, place, frame=frame) for stamp, turn, place, frame in each)
+    poses.guessed = guessed
     poses.axes, poses.unit = "body" if "qw" not in at else "body?" if ours else "", units["stamp"]
     return poses
 

@@ -9,6 +9,7 @@ length. Extended things are the connected regions of a response map.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -28,7 +29,8 @@ BORDER = 0.01  # of a view's side
 SAME = 0.5  # of the smaller box, where both views look: with more in common, two boxes are of one thing
 # The visible part of a thing that is cut at a random place is on average (in the median) half of it.
 HIDDEN = 1.0  # of the visible length: by how much a thing goes on behind an open side
-BEYOND = 0.1  # of the picture: a box that lies farther outside is in the pixels of another one
+# Of the picture: a box that lies farther outside is in the pixels of another one; one that reaches so far may be.
+BEYOND, FAR = 0.1, 0.15
 
 
 class RawDetections(NamedTuple):
@@ -298,7 +300,11 @@ def pieces_of(seen: Sequence[ViewDetections], fit: Collection[str]) -> list[View
             if label is not None and label not in fit:
                 continue
             inside = np.clip(box, 0, size)
-            if np.abs(inside - box).reshape(2, 2).min(axis=0).max() > BEYOND * size.max():
+            lacking = np.abs(inside - box) / size.max()
+            if lacking.max() > FAR:
+                text = f"boxes reach far beyond the {grid.width} x {grid.height} picture: are they its pixels? If the "
+                warnings.warn(f"{text}detector resizes pictures, scale its boxes back", UserWarning, stacklevel=2)
+            if lacking.reshape(2, 2).min(axis=0).max() > BEYOND:
                 raise ResponseError(
                     f"the box {np.round(box, 1).tolist()} lies outside of the {grid.width} x {grid.height} picture; "
                     "wanted its pixels: if the detector resizes pictures, scale its boxes back"

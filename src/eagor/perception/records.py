@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from eagor._checks import is_twice_as_wide
 from eagor.cameras import Lens
 from eagor.conventions import rotation_from_wxyz, wxyz_from_rotation
 from eagor.errors import FormatError
@@ -66,10 +67,10 @@ class _Rotation(_Part):
 
 
 class _Image(_Rotation):
-    projection: Literal["equirectangular", "perspective"] = "equirectangular"
+    projection: Literal["equirectangular", "perspective"] | None = None  # a panorama
     width: _Pixels | None = None
     height: _Pixels | None = None
-    hfov_deg: Annotated[float, Meta(ge=0.1, le=179)] | None = None
+    hfov_deg: Annotated[float, Meta(ge=2, le=179)] | None = None
     focal: tuple[Finite, Finite] | None = None
     centre: tuple[Finite, Finite] | None = None
     distortion: Annotated[list[Finite], Meta(max_length=8)] | None = None  # k1, k2, p1, p2, k3, k4, k5, k6
@@ -87,12 +88,18 @@ class _Image(_Rotation):
         """The perspective view that it describes, in pixels or in so many rows and columns; None for a panorama."""
         values = {key: getattr(self, key) for key in ("hfov_deg", *_LENS, *_LEAN, *_TURN)}
         stated = {key: value for key, value in values.items() if value is not None}
-        if self.projection == "equirectangular":
+        if self.projection != "perspective":
             if stated:
                 raise FormatError(
                     f"{next(iter(stated))} is for a perspective image, and this one is a panorama; add "
                     '"projection": "perspective" to image, or leave the key out'
                 )
+            size = self.width, self.height
+            whole = None in size or is_twice_as_wide(*self.size()) or self.projection is not None
+            words = (
+                'a panorama, 2:1, or "projection": "perspective" and hfov_deg (of a squeezed one: "equirectangular")'
+            )
+            require_field(whole, "image", size, words)
             return None
         height, width = shape or self.size()
         short = max(height, width) <= LONGEST * min(height, width)
@@ -104,7 +111,7 @@ class _Image(_Rotation):
         # In REP-103 a positive pitch turns the nose down.
         body_R_view = self.rotation("body_R_view") if turn else world_R_body(yaw, -pitch, roll)
         if not lens:
-            require_field(self.hfov_deg is not None, "hfov_deg", None, "a number from 0.1 to 179")
+            require_field(self.hfov_deg is not None, "hfov_deg", None, "a number from 2 to 179")
             return PerspectiveGrid(height, width, math.radians(self.hfov_deg or 0.0), body_R_view)
         if self.hfov_deg is not None:
             raise FormatError(f"has hfov_deg and {lens[0]}; wanted one of them: focal and centre tell the field")

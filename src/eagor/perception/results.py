@@ -48,8 +48,12 @@ def boxes_of(result: Any, names: Names | None = None) -> RawDetections:
         raise ResponseError(f"the detector returned {_kind(result)}; wanted {WANTED}")
     try:
         boxes, scores, labels = read(result)
-    except (KeyError, AttributeError, TypeError, IndexError) as error:
+    except (LookupError, AttributeError, TypeError) as error:
         raise ResponseError(f"the detector returned {_kind(result)} without {error}; wanted {WANTED}") from error
+    except (ValueError, OverflowError) as error:
+        if isinstance(error, ResponseError):
+            raise
+        raise ResponseError(f"the detector returned {_kind(result)} with an error: {error}; wanted {WANTED}") from error
     corners = _numbers(boxes, "boxes", "numbers, (n, 4)")
     values = _numbers(scores, "scores", "one number for each box").reshape(-1)
     corners = corners.reshape(0, 4) if corners.size == 0 else corners
@@ -117,7 +121,7 @@ def _texts(labels: Any, names: Names | None, count: int) -> list[str]:
             continue
         try:
             whole = float(each).is_integer()
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             whole = False
         if not whole:
             raise ResponseError(
@@ -140,7 +144,7 @@ def _texts(labels: Any, names: Names | None, count: int) -> list[str]:
 def _numbers(values: Any, what: str, wanted: str) -> np.ndarray:
     try:
         numbers = np.asarray(to_numpy(values), dtype=np.float64)
-    except (TypeError, ValueError, NotImplementedError, RuntimeError) as error:
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:
         raise ResponseError(f"{what} came as {_kind(values)}; wanted {wanted}") from error
     if not np.isfinite(numbers).all():
         raise ResponseError(f"{what} came that are not finite; wanted numbers")

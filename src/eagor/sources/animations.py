@@ -43,7 +43,8 @@ class Animation:
             _, lasts, (_, self.hidden), image = found
             self.size, self.projection, self.frame_rate = image.size, projection_of(image), 1 / lasts
             about = f"{image.format}, {image.width} x {image.height} pixels, {image.n_frames} pictures"  # type: ignore[attr-defined]
-        self.facts = (f"{about}, one after the other",)
+        untold = "" if image.info.get("duration") else f"; it tells no times: {USUAL} s each"
+        self.facts = (f"{about}, one after the other{untold}",)
 
     def pictures(self, size: tuple[int, int]) -> Iterator[tuple[float, np.ndarray]]:
         """As those of `Track`, in their own size."""

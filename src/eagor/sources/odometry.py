@@ -156,6 +156,8 @@ def _paired(frames: Images, poses: GivenPoses, near: GivenPoses, name: str) -> I
 
     Raises as `pair`. A picture whose pose cannot be one raises `PoseError` when it is read.
     """
+    if poses.guessed and {path.name for path in frames.paths}.isdisjoint(pose.frame for pose in poses):
+        poses = poses.made(replace(pose, frame=None) for pose in poses)
     if frames.stamps and not any(pose.frame for pose in poses):
         first, last = near[0].stamp - BEYOND, near[-1].stamp + BEYOND
         inside = [each for each in zip(frames.stamps, frames.paths, strict=True) if first <= each[0] <= last]

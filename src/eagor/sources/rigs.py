@@ -15,6 +15,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TypeVar
 from xml.etree import ElementTree
@@ -37,7 +38,7 @@ WANTED = (
     "pictures and lenses of a rig, ROS camera_info, OpenCV's camera_matrix and distortion_coefficients, or Kalibr's "
     "camchain; COLMAP's cameras.txt is a text file"
 )
-LARGEST = 1 << 20  # bytes: a calibration has a few hundred
+LARGEST, DEEPEST = 1 << 18, 50  # bytes, and brackets within brackets: a calibration has a few hundred, and four
 UNIT = 0.01  # by which the length of a quaternion may differ from 1
 FLATTEST = 100  # by how much a picture may be larger than the focal length: a field of 178 degrees
 ANGLES = ("yaw_deg", "pitch_deg", "roll_deg")
@@ -144,6 +145,8 @@ def _parsed(text: str) -> Any:
             return _of_element(ElementTree.fromstring(text))
         except ElementTree.ParseError as error:
             raise FormatError(f"it is not XML ({error}); wanted {WANTED}") from error
+    if max(accumulate((each in "[{") - (each in "]}") for each in text), default=0) > DEEPEST:
+        raise FormatError(f"it has brackets more than {DEEPEST} deep; wanted {WANTED}")
     require_extra("reading a calibration (YAML)", "photos", "yaml")
     import yaml
 
@@ -375,5 +378,11 @@ def lens_of_model(
         )
     if 0 < FLATTEST * min(focal) < max(size) and kind == "pinhole" and not mirror:
         raise FormatError(f"the focal lengths are {focal[0]:g} and {focal[1]:g} in pictures of {size}; wanted pixels")
+    (x, y), (wide, high) = centre, size
+    if abs(wide - high) > 0.2 * high and abs(2 * x - high) < 0.1 * high and abs(2 * y - wide) < 0.1 * wide:
+        raise FormatError(
+            f"the centre is ({x:g}, {y:g}) in pictures of {wide} x {high}: that of one that stands, or exchanged; "
+            "wanted cx, cy, and width and height of the same pictures"
+        )
     kind = "omni" if mirror else kind
     return Lens("camera", size, focal, centre, tuple(values[:most]), kind=kind, mirror=mirror)

@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ IMAGE_OPTION, INFO_OPTION = "--image-topic", "--camera-info"
 RECTIFIED = "image_rect"  # image_rect, image_rect_color: what image_proc publishes
 Info = tuple[Camera, str]  # the camera that a CameraInfo tells, and the frame that its header names
 STUCK = 3  # pictures more with the stamp of one before: none that was sent twice
+BEGUN = 60.0  # seconds within which the second picture comes of a clock that begins at 0, as in simulation
 SETTLING = 10.0  # seconds of a bag in which its transforms have to tell where the camera is
 
 
@@ -219,9 +221,9 @@ class BagCamera:
             for each in topics_of(topic, IMAGE_OPTION)
         )
         for each in self.topics:
-            if (first := next(self.bag.messages([each]), None)) is None:
+            if (first := next(self._stamped(each), None)) is None:
                 raise FormatError(f"{where} has no message on {each}")
-            firsts.append((_stamp(first[3], first[0]), first[3]))
+            firsts.append(first[::2])
         self.topic, self.count = ",".join(self.topics), self.bag.counts[self.topics[0]]
         self.begins, messages = min(stamp for stamp, _ in firsts), [received for _, received in firsts]
         told, on_body = partial(lens_in_bag, self.bag), partial(lookup_static_transforms, self.bag)
@@ -238,12 +240,20 @@ class BagCamera:
             if not lens and None not in newest:  # those of the first topic go with the others' newest
                 yield stamp, partial(self._images.made, tuple(newest))
 
+    def _stamped(self, topic: str) -> Iterator[tuple[float, bool, Any]]:
+        """Stamp of each message, whether it is that of the recording, because the header has none, and the message."""
+        first = [*islice(coming := self.bag.messages([topic]), 2)]
+        from_0 = bool(first) and 0 < stamp_of(first[-1][-1]) < BEGUN
+        for when, _, _, received in chain(first, coming):
+            stamp = stamp_of(received)
+            untold = stamp <= 0 and not from_0
+            yield when if untold else stamp, untold, received
+
     def _of(self, lens: int) -> Iterator[tuple[float, int, Any]]:
         """Stamp, number and message of one topic, whose stamps rise."""
         last, told, same, topic = -math.inf, False, 0.0, self.topics[lens]
-        for when, _, _, received in self.bag.messages([topic]):
-            stamp = _stamp(received, when)
-            if stamp_of(received) <= 0 and not told:
+        for stamp, untold, received in self._stamped(topic):
+            if untold and not told:
                 told = True
                 text = f"{topic} tells no times (its headers have the stamp 0): those of the recording are taken"
                 warnings.warn(text, UserWarning, stacklevel=1)  # the frame above is heapq's
@@ -261,10 +271,6 @@ class BagCamera:
                 text = f"the stamps of {topic} go back by {last - stamp:.2f} s at {last:.3f} s: its pictures are left "
                 warnings.warn(f"{text}out until they have passed that", UserWarning, stacklevel=1)
             self.back += stamp < last
-
-
-def _stamp(received: Any, when: float) -> float:
-    return stamp if (stamp := stamp_of(received)) > 0 else when
 
 
 class BagPoses:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import os
 import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -239,6 +240,8 @@ def read_labels(path: str | os.PathLike[str]) -> Any:
 def literal(text: str, where: str) -> Any:
     """A list or mapping written as JSON or as Python writes it; nothing in it is run. Raises `FormatError`."""
     try:
-        return ast.literal_eval(text.strip())
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Python's own, of "1in" or a backslash
+            return ast.literal_eval(text.strip())
     except (ValueError, SyntaxError, MemoryError, RecursionError, TypeError):
         raise FormatError(f"{where} cannot be read: {shown(text)}; {WANTED}") from None

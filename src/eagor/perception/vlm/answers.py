@@ -33,7 +33,17 @@ _WIDE = str.maketrans("（）［］｛｝，、：；％", "()[]{},,:;%")  # as 
 _ABSENT, _BLIND = (any_of(*(way for ways in TABLES[table].values() for way in ways)) for table in ("absent", "blind"))
 _UNSURE, _DENIED = any_of(TABLES["unsure"]), any_of(TABLES["denied"])
 _QUOTED = re.compile(r"\"[^\"]*\"|(?<!\w)'[^']*'(?!\w)")
-_LABEL = any_of(r"[\"'](?:label|name|class|category)[\"']\s*:\s*([\"'])(.*?)\1")
+_NAMING = r"[\"']?\b(?:label|name|class|category)[\"']?\s*[:=]\s*"
+_LABEL = any_of(rf"{_NAMING}(?:([\"'])(.*?)\1|([^\W\d][^\"',{{}}\[\]\n]*))")
+# What stands before a box and names it: the key of its list, or of the object around it; a tag; a line or an item.
+_KEYED = r"[\[({\s]*(?:[\"']?\w+[\"']?\s*[:=]\s*[\[({\s]*)?\Z"
+_CALLED = any_of(
+    rf"[\"']([^\"'{{}}\[\]:<>]{{1,60}})[\"']\s*:\s*{_KEYED}",
+    r"<\|?(?:object_)?ref(?:_start)?\|?>([^<]{1,60})<[^<>]*>\s*(?:<[^<>]*>)?[\[({\s]*\Z",
+    r"<(?:name|label|class)>([^<]{1,60})</[^\"']{0,100}\Z",
+    rf"(?:^|\n)[ \t]*(?:[-*]|\d+[.)])[ \t*]*(?:{_NAMING})?([^\W\d][\w ]{{0,40}}?)\**\s*[:,\n]\s*{_KEYED}",
+)
+_NO_LABEL = any_of(TABLES["no labels"])  # keys of boxes, whatever they show
 _EMPTY = any_of(r"\[\s*\]|\{\s*\}|\(\s*\)|<(\w+)>\s*</\1>|[\[{(:,]\s*(?:null|none|false|nan)\s*[\]}),]")
 # Words that decide by themselves, and those that do where none of these is.
 _SURE, _WEAK = (
@@ -69,7 +79,9 @@ _SIGNS = any_of(rf"data:image[^\"'\s]*|(?<=\d)px\b|(?<=[\[,:\s])[\"'](?={_N}[\"'
 _CUT = re.compile(r"[^\[({]*[\[({]\D*\d")  # after the last bracket that closes
 _SCORE = re.compile(rf"[\"']?\b(?:score|confidence|probability|prob|conf)[\"']?\s*[:=]\s*[\"']?({_N})", re.IGNORECASE)
 _CORNERS = ("xmin ymin xmax ymax", "x_min y_min x_max y_max", "x0 y0 x1 y1", "x1 y1 x2 y2", "left top right bottom")
-_SIDES = ("x y width height", "x y w h", "left top width height")
+_MIDDLES = ("cx cy w h", "cx cy width height", "x_center y_center width height", "center_x center_y width height")
+_SIDES = ("x y width height", "x y w h", "left top width height", *_MIDDLES)
+_CENTRED = any_of(r"cent(?:er|re)[\"']?\s*[:=]\s*[{(]\s*[\"']?x\W*\Z")
 _NAMES = sorted({name for names in (*_CORNERS, *_SIDES) for name in names.split()}, key=len, reverse=True)
 _RANGE = r"(?![\d.%]|\s*(?:[-–—~]|to\b)\s*[\d.])"  # x: 30 to 50 is no corner
 _NAMED = re.compile(rf"\b({'|'.join(_NAMES)})[\"'`*]*\s*(?:=|:|>|\bis\b)\s*[\"'`]?({_N}){_RANGE}", re.IGNORECASE)
@@ -140,8 +152,8 @@ def parse_boxes(
         )
     trace = Trace(text, tokens) if tokens else None
     read = [_box(box, frame, size, trace) for box in found]
-    pairs = zip(read, found, strict=True)
-    boxes = [box._replace(label=_label(answer, each)) for box, each in pairs if isinstance(box, Box)]
+    pairs = zip(read, _labels(answer, found), strict=True)
+    boxes = [box._replace(label=label) for box, label in pairs if isinstance(box, Box)]
     wrong = next((reason for reason in _WRONG if reason in read), "")
     numbers = [number for box in found for number in box.numbers]
     if frame == "thousand" and 1 < max(numbers) <= 100 and not all(number.is_integer() for number in numbers):
@@ -360,7 +372,8 @@ def _named(text: str) -> Iterator[_Coordinates]:
             continue
         (x, y, across, down), places = zip(*(fields[each] for each in names.split()), strict=True)
         if names in _SIDES:
-            across, down = x + across, y + down
+            middle = names in _MIDDLES or _CENTRED.search(text, max(0, places[0] - 40), places[0])
+            x, y, across, down = _decode_xyxy((x, y, across, down), "cxcywh" if middle else "xywh")
         opened = text.rfind("{", end, min(places))
         decided, score = _entry(text, opened, match.end(), end) if opened >= 0 else (None, None)
         yield _Coordinates((x, y, across, down), places, decided, score)
@@ -426,12 +439,20 @@ def _box(found: _Coordinates, frame: Frame, size: tuple[int, int], trace: Trace 
     return Box(x0, y0, x1, y1, 1.0 if score is None else score)
 
 
-def _label(text: str, found: _Coordinates) -> str:
-    """The label in the object that holds the box."""
-    opened = found.decided[1] - 1 if found.decided else 0
-    close = text.find("}", opened, opened + _LONGEST_ENTRY)
-    match = _LABEL.search(text, opened, max(close, opened)) if text[opened] == "{" else None
-    return match[2] if match else ""
+def _labels(text: str, found: Sequence[_Coordinates]) -> Iterator[str]:
+    """What the model calls each box: in the object that holds it, else before it; further boxes there are called so."""
+    end, label = 0, ""
+    for each in found:
+        opened, first = each.decided[1] - 1 if each.decided else 0, min(each.places, default=0)
+        close = text.find("}", opened, opened + _LONGEST_ENTRY)
+        match = _LABEL.search(text, opened, max(close, opened)) if text[opened] == "{" else None
+        before = text[max(end, first - 200) : first]
+        if match is None and (match := _CALLED.search(before)) and _NO_LABEL.search(match[match.lastindex or 0]):
+            match = None
+        if match or not re.fullmatch(r"[\d.\s,;()\[\]]+", before):
+            label = match[match.lastindex or 0].strip() if match else ""
+        end = max(each.places, default=end)
+        yield label
 
 
 class Trace:
