@@ -41,8 +41,8 @@ from eagor.grids import ErpGrid
 __all__ = ["ClutterRate", "DetectorModel", "Spread", "model_as_json", "parse_model"]
 
 # Shares of looks that habits are told apart by, and the borders between them: evenly spaced in the angle asin(sqrt p),
-# since looks tell shares apart equally well at each such angle (Anscombe, Biometrika 35, 1948). So things that are found
-# never, or always, count as often as their distribution says. They are the same for things and look-alikes: else the
+# in which looks tell shares apart equally well everywhere (Anscombe, Biometrika 35, 1948). So a thing that is found
+# never, or always, is as likely as the distribution says. They are the same for things and look-alikes: else the
 # roundings of the two would grow apart with each look.
 _ANGLES = np.linspace(0.0, math.pi / 2, 17)
 LEVELS, BORDERS = np.sin(_ANGLES[1::2]) ** 2, np.sin(_ANGLES[::2]) ** 2
