@@ -63,7 +63,7 @@ TILT = math.radians(10)
 SEEN = ("yaw", "tumble", "large", "jpeg", "ordinary", "tilt")  # what has to be looked at; the others use the same looks
 LOOKS_OF = {"drift": "yaw", "drift-told": "yaw", "sight": "tumble"}
 CONDITIONS = (*SEEN, *LOOKS_OF)
-FITTED_IN, USUAL_ALARMS = ("yaw", "tumble"), 0.2  # false alarms in a look of a usual detector
+FITTED_IN = ("yaw", "tumble")
 ORDINARY = PerspectiveGrid(480, 640, math.radians(80), np.eye(3))
 BOX = 0.3  # score from which on a single box would be believed
 GRID = ErpGrid(90, 180)  # of the body frame, for the mass about the targets
@@ -217,22 +217,8 @@ def fitted(cases: Sequence[Case], left_out: Sequence[str] = ()) -> DetectorModel
 
 
 def fit(looks: Sequence[LabelledLook]) -> DetectorModel:
-    """The numbers of the detector; the share of looks in which a thing is found differs from place to place.
-
-    Drawn towards the default, in logarithms: habits, look-alikes and false alarms halfway, spreads by a quarter.
-    """
-    found, usual = fitted_model(looks, DetectorModel()), DetectorModel(false_alarms_per_look=USUAL_ALARMS)
-    shares = dict.fromkeys(("habit", "look_alike_habit", "look_alikes", "false_alarms_per_look"), 0.5)
-    shares |= dict.fromkeys(("spread", "spread_of_size"), 0.25)
-    drawn = {}
-    for name, share in shares.items():
-        own, other = (
-            np.log(np.atleast_1d(model.habits.look_alikes if name == "look_alikes" else getattr(model, name)))
-            for model in (found, usual)
-        )
-        values = [float(f"{number:.3g}") for number in np.exp(own + share * (other - own))]
-        drawn[name] = tuple(values) if len(values) > 1 else values[0]
-    return replace(found, detection_probability=None, **drawn)
+    """The numbers of the detector; the share of looks in which a thing is found differs from place to place."""
+    return replace(fitted_model(looks, DetectorModel()), detection_probability=None)
 
 
 def told_to(name: str, model: DetectorModel) -> DetectorModel:

@@ -67,12 +67,15 @@ def apart(found, looks, model=MANY):
 
 @given(st.floats(0.2, 5), st.floats(0.2, 5))
 def test_levels_stand_for_the_beta_distribution(a, b):
-    """But for the last percents: the mean, and any outcome of fifteen looks."""
+    """The mean, any outcome of fifteen looks, and how often a thing is found never or always in forty."""
     habits = replace(MODEL, habit=(a, b)).habits
     assert habits.shares.sum() == pytest.approx(1)
-    assert habits.mean == pytest.approx(a / (a + b), abs=0.04)
+    assert habits.mean == pytest.approx(a / (a + b), abs=0.02)
     for found in range(16):
-        assert told(found, 15, habits.shares, habits.levels) == pytest.approx(evidence(found, 15, (a, b)), abs=1.0)
+        assert told(found, 15, habits.shares, habits.levels) == pytest.approx(evidence(found, 15, (a, b)), abs=0.5)
+    for found in (0, 40):
+        if (exact := evidence(found, 40, (a, b))) > math.log(0.02):
+            assert told(found, 40, habits.shares, habits.levels) == pytest.approx(exact, abs=0.3)
 
 
 @given(st.floats(0.1, 5), st.floats(0.1, 5), st.sampled_from([80, 1000, 10000]))
@@ -85,9 +88,10 @@ def test_the_share_of_hits_alone_says_only_so_much_of_who_is_there(a, b, looks):
 
 
 def test_one_miss_among_eighty_looks_decides_nothing():
-    """Always found and nearly always found are hardly told apart; nobody has measured the last percents."""
+    """Always found and nearly always found are hardly told apart."""
     always = apart(80, 80)
-    assert [apart(80 - missed, 80) for missed in (1, 3)] == pytest.approx([always] * 2, abs=0.05)
+    assert apart(79, 80) == pytest.approx(always, abs=0.05)
+    assert apart(77, 80) == pytest.approx(always, abs=0.35)
     assert apart(40, 80) < always - 1, "half of the looks is another matter"
 
 
@@ -183,7 +187,8 @@ def test_without_look_alikes_and_with_a_known_habit_each_look_is_independent(hab
     ratio = np.exp(log).sum(axis=0)
     mean = float(np.sum(ratio * grid.weights)) / (4 * math.pi)
     estimate = tracker.estimate(looks[-1].stamp)
-    assert odds(estimate) == pytest.approx(math.log(mean), abs=0.1)
+    exact = 0.1 if "detection_probability" in habit else 0.2  # a habit lies between two of the levels
+    assert odds(estimate) == pytest.approx(math.log(mean), abs=exact)
     near = grid.directions @ HERE > math.cos(math.radians(12))
     told = estimate.log_density(grid.directions[near] @ estimate.world_R_body)
     expected = np.log(ratio[near] / mean / (4 * math.pi))

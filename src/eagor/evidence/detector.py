@@ -40,10 +40,12 @@ from eagor.grids import ErpGrid
 
 __all__ = ["ClutterRate", "DetectorModel", "Spread", "model_as_json", "parse_model"]
 
-# Shares of looks that habits are told apart by. They are the same for things and look-alikes: else the roundings of the
-# two would grow apart with each look. None is nearer to 0 or 1: nobody has measured the last percents, which would
-# decide there.
-LEVELS = np.linspace(0.04, 0.96, 8)
+# Shares of looks that habits are told apart by, and the borders between them: evenly spaced in the angle asin(sqrt p),
+# in which looks tell shares apart equally well everywhere (Anscombe, Biometrika 35, 1948). So a thing that is found
+# never, or always, is as likely as the distribution says. They are the same for things and look-alikes: else the
+# roundings of the two would grow apart with each look.
+_ANGLES = np.linspace(0.0, math.pi / 2, 17)
+LEVELS, BORDERS = np.sin(_ANGLES[1::2]) ** 2, np.sin(_ANGLES[::2]) ** 2
 # Beta distributions of the share of looks in which a place is detected: of the thing, and of a look-alike.
 HABIT, LOOK_ALIKE_HABIT = (0.8, 0.8), (0.5, 2.0)
 LOOK_ALIKES = 0.7  # expected on the whole sphere, where that is not known
@@ -119,11 +121,10 @@ def habits(
 
 
 def _weights(habit: tuple[float, float]) -> np.ndarray:
-    """The probabilities ``(P,)`` of the `LEVELS`: what a beta distribution holds nearer to each than to the others."""
+    """The probabilities ``(P,)`` of the `LEVELS`: what a beta distribution holds between the borders of each."""
     from scipy.special import betainc
 
-    borders = np.concatenate([[0.0], (LEVELS[1:] + LEVELS[:-1]) / 2, [1.0]])
-    return np.diff(betainc(*habit, borders))
+    return np.diff(betainc(*habit, BORDERS))
 
 
 def checks(model: object) -> dict[str, tuple[bool, str]]:
