@@ -35,7 +35,7 @@ from eagor.live.in_turn import answers_in_turn
 from eagor.live.inference import PATIENCE, InferenceWorker, why_here
 from eagor.live.recording import Pictures, Recorder
 from eagor.live.threads import FrozenCamera, LatestWorker, LoopClock, Reader
-from eagor.odometry.visual import VisualOdometer
+from eagor.odometry.visual import WALKS, VisualOdometer
 from eagor.perception import Perception, as_perception
 from eagor.perception.replay import RecordedLooks
 from eagor.sources import CameraSource, Frame, Pose, PoseSource
@@ -219,6 +219,7 @@ class Loop:
         self._now = -math.inf
         self._problems: dict[Part, str | None] = {}  # what the camera and the odometry say of themselves
         self._frozen = FrozenCamera(self.core.orientation)
+        self._walks = False  # the camera, without anybody knowing how far
 
     def __iter__(self) -> Generator[Answer, None, None]:
         """The answers, until the source ends or `stop` is called: at each tick one per query, in their order."""
@@ -421,6 +422,9 @@ class Loop:
         if turned.lost:
             text = "a picture does not fit to those before it: the belief starts anew"
             self._events.put(OdometryReset(now(), text))
+        if odometer.walks and not self._walks:
+            self._walks = True
+            self._trouble("poses", WALKS, passing=True)
         pose = Pose(stamp, np.asarray(turned.world_R_body), spread=turned.std)
         self._events.put(PoseReceived(now(), pose, of_picture=True))
 

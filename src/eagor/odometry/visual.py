@@ -14,7 +14,7 @@ from eagor.grids import PerspectiveGrid
 from eagor.odometry.features import SIZE, Views, match
 from eagor.odometry.two_views import RelativeRotation, angle_between, estimate_relative_rotation
 
-__all__ = ["OdometryEstimate", "VisualOdometer"]
+__all__ = ["WALKS", "OdometryEstimate", "VisualOdometer"]
 
 MOST_KEYS = (
     48  # key frames in memory, about 1 MB each; of an ordinary camera, to which each shows a part, twice as many
@@ -32,6 +32,13 @@ PUSHED, FASTEST = 10.0, 10.0  # rad/s^2 and rad/s: few cameras change their rate
 STEADY = math.radians(2)  # of a turn that is expected, whatever the time
 CONSISTENT = 16.3  # chi-square with three degrees of freedom, exceeded once in 1000
 UNKNOWN = math.pi / math.sqrt(3), math.sqrt(math.pi**2 / 9 + 2 / 3)  # radians per axis: any heading, any rotation
+
+
+WALKED = 3  # pictures in a row taken elsewhere than a frame before: of a camera that turns hardly one seems to be
+WALKS = (
+    "the camera walks, and its pictures tell how it turns, not how far it goes: what it passes nearby may be elsewhere "
+    "than said. Poses with positions mend that (--poses)"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +107,12 @@ class VisualOdometer:
         self._previous: _KeyFrame | None = None  # the last picture that was found, and when
         self._stamp, self._missed = 0.0, 0  # and pictures without information since then
         self._rate: np.ndarray | None = None  # rotation vector per second, if two were found
+        self._moved = 0  # pictures one after the other, in which it was elsewhere
+
+    @property
+    def walks(self) -> bool:
+        """Whether the camera moves from place to place: how far, its pictures do not tell."""
+        return self._moved >= WALKED
 
     def add(
         self, picture: np.ndarray, stamp: float | None = None, grid: PerspectiveGrid | None = None
@@ -130,6 +143,7 @@ class VisualOdometer:
             step = Rotation.from_matrix(before.world_R_body.T @ now.world_R_body).as_rotvec()
             self._rate = step / max(stamp - self._stamp, 1e-6)
         self._previous, self._stamp, self._missed = now, stamp, 0
+        self._moved = 0 if turn.direction is None else self._moved + 1
         return OdometryEstimate(now.world_R_body, self._std(now), False, int(turn.inliers.sum()))
 
     def _not_found(self, views: Views, stamp: float) -> OdometryEstimate:

@@ -25,7 +25,7 @@ from eagor.errors import DeviceError, EagorError, PoseError
 from eagor.odometry.axes import AXES, contradicted, settled
 from eagor.odometry.files import BEYOND, GivenPoses, interpolated, is_near, pair, read_poses, usable
 from eagor.odometry.imu import MotionTrack
-from eagor.odometry.visual import VisualOdometer
+from eagor.odometry.visual import WALKS, VisualOdometer
 from eagor.sources import CameraSource, Frame, Pose, PoseSource
 from eagor.sources.camera_sources import Footage, Images, warned
 from eagor.sources.panorama import Picture
@@ -248,7 +248,7 @@ class PosedFrames:
         video = self.source.video if isinstance(self.source, Footage) else None
         told = None if video is None else video.level_R_body
         pose = upright = np.eye(3) if told is None else told
-        met = False
+        met = walks = False
         for frame in self.source:
             lost, spread = False, 0.0
             if frame.picture is not None:
@@ -256,6 +256,9 @@ class PosedFrames:
                     turned = odometer.add(frame.picture, None if frame.grid is None else frame.stamp, frame.grid)
                     pose, spread = upright @ turned.world_R_body, turned.std
                     lost, met = turned.lost and met, True
+            if odometer.walks and not walks:
+                walks = True
+                self._say(WALKS)
             yield PosedFrame(frame, Pose(frame.stamp, pose, spread=spread), lost=lost)
 
     def _by_odometry(self, poses: PoseSource) -> Iterator[PosedFrame]:
