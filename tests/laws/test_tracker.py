@@ -1,5 +1,6 @@
 """Evidence late, early and out of order; poses at any rate; several targets; honest answers."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ from eagor.evidence.calibration import Calibration
 from eagor.evidence.detector import DetectorModel
 from eagor.grids import ErpGrid, PatchGrid, PerspectiveGrid
 from eagor.sphere import angular_distance, direction, rotation, unit, world_R_body
-from eagor.tracking.config import AnswerSettings, MotionModel, TrackerConfig
+from eagor.tracking.config import PARALLAX, AnswerSettings, MotionModel, TrackerConfig
 from eagor.tracking.estimate import RIVAL, SURE
 from eagor.tracking.tracker import DirectionTracker
 
@@ -601,3 +602,38 @@ def test_a_rotation_of_scipy_is_a_pose():
     np.testing.assert_array_equal(tracker.pose_at(0.0)[0], turn.as_matrix())
     with pytest.raises(RotationError, match="wanted one rotation"):
         tracker.add_pose(1.0, Rotation.from_rotvec(np.eye(3)))
+
+
+# --- a camera that walks, nobody knows where ---
+
+
+def passed(config, told=None, thing=(3.0, 1.0, -0.5), speed=0.6):
+    """The tracker, and its estimates after each look at what a camera passes; parallax is told after so many looks."""
+    tracker, estimates = DirectionTracker(config), []
+    for index in range(12):
+        stamp = 1.0 * index
+        if index == told:
+            tracker.expect_parallax()
+        tracker.add_pose(stamp, np.eye(3))
+        tracker.observe(look(unit(np.subtract(thing, (speed * stamp, 0, 0))), stamp, ALIKE))
+        estimates.append(tracker.estimate(stamp))
+    return tracker, estimates
+
+
+@pytest.mark.parametrize("told", [0, 5, 11])
+def test_parallax_that_is_told_late_is_as_if_it_had_been_told_at_first(told):
+    first = passed(TrackerConfig(drift=PARALLAX))[1][-1]
+    late = passed(TrackerConfig(), told)[1][-1]
+    assert late.log_density(SOME) == pytest.approx(first.log_density(SOME), abs=1e-9)
+    assert passed(TrackerConfig(drift=0.0), told)[0].config.drift == 0, "who knows the odometry knows better"
+
+
+def test_what_a_camera_passes_is_where_it_is_said_to_be_if_parallax_is_expected():
+    held = {3: [], None: []}
+    for told, aside, speed in itertools.product(held, (0.6, 1.0, 1.6, 2.5), (0.3, 0.6, 0.9)):
+        thing = np.array([3.0, aside, -0.5])
+        for index, each in enumerate(passed(TrackerConfig(), told, thing, speed)[1]):
+            off = angular_distance(each.direction, unit(thing - [speed * index, 0, 0]))
+            held[told].append(off <= each.credible_angle)
+    assert np.mean(held[3]) > 0.9
+    assert np.mean(held[None]) < 0.85, "else the thing is left behind, as one that stood"

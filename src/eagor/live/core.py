@@ -284,6 +284,8 @@ class LiveCore:
         except EagorError as error:
             self._say("poses", f"a pose is left out: {error}", event.arrival)
             return
+        if pose.walks and pose.position is None:
+            self._tracker.expect_parallax()
         self._recent.add(stamp, self._tracker.pose_at(stamp)[0])
         if pose.spread:
             self._spreads.append((stamp, pose.spread))

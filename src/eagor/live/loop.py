@@ -425,7 +425,7 @@ class Loop:
         if odometer.walks and not self._walks:
             self._walks = True
             self._trouble("poses", WALKS, passing=True)
-        pose = Pose(stamp, np.asarray(turned.world_R_body), spread=turned.std)
+        pose = Pose(stamp, np.asarray(turned.world_R_body), spread=turned.std, walks=odometer.walks)
         self._events.put(PoseReceived(now(), pose, of_picture=True))
 
     def _infer(self, frame: Frame) -> None:

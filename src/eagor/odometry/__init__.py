@@ -17,7 +17,8 @@ class Pose:
 
     The world has z up (REP-103), and does not jump while the body moves (REP-105: ``odom``). `spread`: standard
     deviation of the error of the orientation, radians per axis, where it is known. `frame`: the name of the picture
-    that was taken there, as a file of poses has it, or None.
+    that was taken there, as a file of poses has it, or None. `walks`: the camera goes from place to place, and its
+    positions are not known.
     """
 
     stamp: float
@@ -25,6 +26,7 @@ class Pose:
     position: np.ndarray | None = None
     spread: float = 0.0
     frame: str | None = None
+    walks: bool = False
 
 
 @runtime_checkable

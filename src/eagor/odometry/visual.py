@@ -36,8 +36,8 @@ UNKNOWN = math.pi / math.sqrt(3), math.sqrt(math.pi**2 / 9 + 2 / 3)  # radians p
 
 WALKED = 3  # pictures in a row taken elsewhere than a frame before: of a camera that turns hardly one seems to be
 WALKS = (
-    "the camera walks, and its pictures tell how it turns, not how far it goes: what it passes nearby may be elsewhere "
-    "than said. Poses with positions mend that (--poses)"
+    "the camera walks, and its pictures tell how it turns, not how far it goes: what is near passes, so answers are "
+    "less sure. Poses with positions mend that (--poses)"
 )
 
 

@@ -259,7 +259,7 @@ class PosedFrames:
             if odometer.walks and not walks:
                 walks = True
                 self._say(WALKS)
-            yield PosedFrame(frame, Pose(frame.stamp, pose, spread=spread), lost=lost)
+            yield PosedFrame(frame, Pose(frame.stamp, pose, spread=spread, walks=odometer.walks), lost=lost)
 
     def _by_odometry(self, poses: PoseSource) -> Iterator[PosedFrame]:
         """With poses interpolated at the times of the pictures."""

@@ -19,6 +19,7 @@ from eagor.harmonics import RealHarmonics
 
 __all__ = ["AnswerSettings", "MotionModel", "TrackerConfig"]
 
+PARALLAX = math.radians(3)  # per root second: what is some metres away passes a camera that walks
 _RATES = ("start", "stop", "jump", "birth", "death")
 
 

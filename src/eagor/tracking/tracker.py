@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eagor._values import altered
 from eagor.errors import EagorError, FormatError, PoseError, TimeError
 from eagor.evidence.evidence import Evidence
 from eagor.tracking import checkpoint
-from eagor.tracking.config import TrackerConfig
+from eagor.tracking.config import PARALLAX, TrackerConfig
 from eagor.tracking.estimate import Estimate
 from eagor.tracking.next_view import Heights, NextLook, TurningCamera, TurningRig
 from eagor.tracking.poses import HELD, PoseHistory
@@ -104,6 +105,21 @@ class DirectionTracker:
                 "that made their stamps",
                 stacklevel=2,
             )
+
+    def expect_parallax(self) -> None:
+        """From now on the camera walks, and nobody knows where: near things pass it, as if its odometry drifted.
+
+        By `PARALLAX`; looks that are kept are read anew. Nothing changes where `TrackerConfig.drift` is told.
+        """
+        with self._turn:
+            if self.config.drift is not None:
+                return
+            self.config = replace(self.config, drift=PARALLAX)
+            for track in self._tracks.values():
+                track.forget_from(0)
+                if track.base is not None:
+                    hypotheses = altered(track.base.hypotheses, told_drift=PARALLAX)
+                    track.base = altered(track.base, hypotheses=hypotheses)
 
     def pose_at(self, stamp: float) -> tuple[np.ndarray, np.ndarray | None]:
         """`world_R_body` ``(3, 3)`` and position ``(3,)`` or None at a time, as `estimate` uses them.
