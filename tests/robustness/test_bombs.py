@@ -170,7 +170,7 @@ for name, read in readers.items():
     except EagorError as error:
         assert "MemoryError" not in str(error), error
         print(error)
-line = '{"stamp": 1, "image": {"width": 65536, "height": 65536}, "boxes": [{"box": [10, 10, 900, 900]}]}'
+line = '{"stamp": 1, "image": {"width": 65536, "height": 32768}, "boxes": [{"box": [10, 10, 900, 900]}]}'
 print(numpy.asarray(parse_record(line).evidence("x").coefficients(5)).shape)
 """
 

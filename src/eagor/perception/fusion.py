@@ -300,15 +300,16 @@ def pieces_of(seen: Sequence[ViewDetections], fit: Collection[str]) -> list[View
             if label is not None and label not in fit:
                 continue
             inside = np.clip(box, 0, size)
-            lacking = np.abs(inside - box) / size.max()
-            if lacking.max() > FAR:
-                text = f"boxes reach far beyond the {grid.width} x {grid.height} picture: are they its pixels? If the "
-                warnings.warn(f"{text}detector resizes pictures, scale its boxes back", UserWarning, stacklevel=2)
-            if lacking.reshape(2, 2).min(axis=0).max() > BEYOND:
+            if np.abs(inside - box).reshape(2, 2).min(axis=0).max() > BEYOND * size.max():
                 raise ResponseError(
                     f"the box {np.round(box, 1).tolist()} lies outside of the {grid.width} x {grid.height} picture; "
                     "wanted its pixels: if the detector resizes pictures, scale its boxes back"
                 )
             if (inside[2:] - inside[:2] > 1e-6 * size[:2]).all():
                 pieces.append(ViewBox(number, grid, inside, float(score)))
+        corners = np.asarray(boxes, dtype=np.float64).reshape(-1, 4)
+        # Not if they reach as far on the other sides: some detectors guess how things go on behind the border.
+        if (corners - size).max(initial=0.0) > FAR * size.max() > -corners.min(initial=0.0):
+            text = f"boxes reach far beyond the {grid.width} x {grid.height} picture: are they its pixels? If the "
+            warnings.warn(f"{text}detector resizes pictures, scale its boxes back", UserWarning, stacklevel=2)
     return pieces
