@@ -39,6 +39,7 @@ PATIENCE = 60.0  # seconds for one look
 LOADING = 600.0  # seconds at least for a model to load
 PAUSES = (0.5, 30.0)  # seconds before a perception that died starts anew: at first, and at most; doubled each time
 ENDING = 0.2  # seconds for an idle process to leave by itself
+GUARD = 'if __name__ == "__main__"'
 DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux's prctl
 
 
@@ -79,13 +80,13 @@ def why_here(perception: str | Perception) -> str:
         pickled = pickle.dumps(perception)
     except Exception as error:
         return str(error)
+    if not of_script(pickled):
+        return ""
     try:
         guarded = "__main__" in Path(getattr(sys.modules["__main__"], "__file__", "")).read_text(errors="replace")
     except OSError:  # of a prompt or a notebook
         guarded = False
-    if guarded or not of_script(pickled):
-        return ""
-    return 'another process cannot import it from what was started, which lacks if __name__ == "__main__"'
+    return "" if guarded else f"another process cannot import it from what was started, which lacks {GUARD}"
 
 
 class InferenceWorker:

@@ -219,7 +219,6 @@ class Loop:
         self._now = -math.inf
         self._problems: dict[Part, str | None] = {}  # what the camera and the odometry say of themselves
         self._frozen = FrozenCamera(self.core.orientation)
-        self._walks = False  # the camera, without anybody knowing how far
 
     def __iter__(self) -> Generator[Answer, None, None]:
         """The answers, until the source ends or `stop` is called: at each tick one per query, in their order."""
@@ -413,7 +412,7 @@ class Loop:
 
     def _see(self, odometer: VisualOdometer, frame: Frame) -> None:
         """Find how the camera has turned until a frame."""
-        stamp, now = frame.stamp + self._shift, self.clock.now
+        stamp, now, walked = frame.stamp + self._shift, self.clock.now, odometer.walks
         try:
             turned = odometer.add(frame.picture, stamp, frame.grid)
         except EagorError as error:
@@ -422,8 +421,7 @@ class Loop:
         if turned.lost:
             text = "a picture does not fit to those before it: the belief starts anew"
             self._events.put(OdometryReset(now(), text))
-        if odometer.walks and not self._walks:
-            self._walks = True
+        if odometer.walks and not walked:
             self._trouble("poses", WALKS, passing=True)
         pose = Pose(stamp, np.asarray(turned.world_R_body), spread=turned.std, walks=odometer.walks)
         self._events.put(PoseReceived(now(), pose, of_picture=True))

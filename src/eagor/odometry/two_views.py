@@ -32,7 +32,7 @@ NEAR = math.radians(0.1)  # two pairs nearer than that are as good
 SHARPEST = math.radians(0.02)  # deviation that counts: pairs that are drawn, or fixed to the camera, may seem exact
 WIDTH = 4096  # pixels of the equirectangular camera
 OFF = 0.5, 0.2  # degrees by which pairs may miss an epipolar circle: over the sphere, in a field of a steradian
-TAKEN = signal.SIGTERM, signal.SIGABRT, signal.SIGFPE, signal.SIGILL, signal.SIGSEGV  # by pycolmap's logging
+TAKEN = ("SIGTERM", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGSEGV")  # by pycolmap's logging
 UNSURE = 30.0  # nats by which one kind of motion has to be likelier than the other, to count as sure
 # Degrees by which a turn is off for each degree that single pairs are off, where what is left may be parallax or
 # distortion, which neighbours share. In rendered walks, at 65 and 90 degrees, 2 to 8.
@@ -191,7 +191,8 @@ def import_pycolmap() -> Any:
     """
     if "pycolmap" in sys.modules or sys.platform == "win32":
         return import_module("pycolmap")
-    libc, had = ctypes.CDLL(None), {number: ctypes.create_string_buffer(256) for number in TAKEN}  # a struct, and more
+    libc = ctypes.CDLL(None)
+    had = {getattr(signal, name): ctypes.create_string_buffer(256) for name in TAKEN}  # a struct, and more
     for number, action in had.items():
         libc.sigaction(number, None, action)
     pycolmap = import_module("pycolmap")

@@ -108,11 +108,7 @@ class VisualOdometer:
         self._stamp, self._missed = 0.0, 0  # and pictures without information since then
         self._rate: np.ndarray | None = None  # rotation vector per second, if two were found
         self._moved = 0  # pictures one after the other, in which it was elsewhere
-
-    @property
-    def walks(self) -> bool:
-        """Whether the camera moves from place to place: how far, its pictures do not tell."""
-        return self._moved >= WALKED
+        self.walks = False  # whether the camera has gone from place to place: how far, its pictures do not tell
 
     def add(
         self, picture: np.ndarray, stamp: float | None = None, grid: PerspectiveGrid | None = None
@@ -144,6 +140,7 @@ class VisualOdometer:
             self._rate = step / max(stamp - self._stamp, 1e-6)
         self._previous, self._stamp, self._missed = now, stamp, 0
         self._moved = 0 if turn.direction is None else self._moved + 1
+        self.walks = self.walks or self._moved >= WALKED
         return OdometryEstimate(now.world_R_body, self._std(now), False, int(turn.inliers.sum()))
 
     def _not_found(self, views: Views, stamp: float) -> OdometryEstimate:

@@ -248,16 +248,15 @@ class PosedFrames:
         video = self.source.video if isinstance(self.source, Footage) else None
         told = None if video is None else video.level_R_body
         pose = upright = np.eye(3) if told is None else told
-        met = walks = False
+        met = False
         for frame in self.source:
-            lost, spread = False, 0.0
+            lost, spread, walked = False, 0.0, odometer.walks
             if frame.picture is not None:
                 with suppress(EagorError):  # the perception meets it again, and says so
                     turned = odometer.add(frame.picture, None if frame.grid is None else frame.stamp, frame.grid)
                     pose, spread = upright @ turned.world_R_body, turned.std
                     lost, met = turned.lost and met, True
-            if odometer.walks and not walks:
-                walks = True
+            if odometer.walks and not walked:
                 self._say(WALKS)
             yield PosedFrame(frame, Pose(frame.stamp, pose, spread=spread, walks=odometer.walks), lost=lost)
 
